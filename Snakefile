@@ -1,0 +1,103 @@
+"""The study as a workflow: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
+
+import os
+import sys
+
+from snakemake.exceptions import WorkflowError
+from snakemake.utils import min_version
+
+from tasklens import files, jobs
+from tasklens import study as studies
+from tasklens.digest import code
+from tasklens.layout import SHARP, Layout, restored
+
+min_version("9.10")
+
+if "format" not in config:  # no study file was given, at most single values
+
+    configfile: "config/config.yaml"
+
+
+try:
+    study = studies.parse(config)
+except studies.StudyError as error:
+    raise WorkflowError(str(error)) from None
+
+layout = Layout.of(study)
+files.write_if_changed(layout.study, studies.dump(study))
+TASKLENS = f"{sys.executable} -m tasklens.cli"
+
+
+wildcard_constraints:
+    lens="|".join([*study.lenses, SHARP]),
+    classifier="|".join(study.classifiers),
+    seed="|".join(map(str, study.seeds)),
+    table="|".join(jobs.TABLES),
+    split="train|minival|test",
+
+
+localrules:
+    tables,
+    backbones,
+    end_to_end,
+    restoration,
+    figures,
+
+
+rule tables:
+    input:
+        [layout.table(name, "csv") for name in jobs.TABLES],
+
+
+rule backbones:
+    input:
+        layout.table("table2", "csv"),
+
+
+rule end_to_end:
+    input:
+        layout.table("table3", "csv"),
+
+
+rule restoration:
+    input:
+        layout.table("table4", "csv"),
+
+
+rule figures:
+    input:
+        [layout.figure(lens, seed) for lens in study.lenses for seed in study.seeds],
+
+
+for name in jobs.TABLES:
+
+    rule:
+        name:
+            name
+        localrule: True
+        input:
+            layout.table(name, "csv"),
+
+
+include: "workflow/rules/data.smk"
+include: "workflow/rules/design.smk"
+include: "workflow/rules/psf.smk"
+include: "workflow/rules/classify.smk"
+include: "workflow/rules/restore.smk"
+include: "workflow/rules/report.smk"
+
+
+onstart:
+    planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
+    total = sum(study.minutes[job.rule.name] for job in planned)
+    print(f"Study {study.name}: {len(planned)} jobs, about {total / workflow.cores:.0f} minutes on {workflow.cores} cores.")
+
+
+onsuccess:
+    for name in jobs.TABLES:
+        if os.path.exists(layout.table(name, "md")):
+            print(open(layout.table(name, "md")).read())
+
+
+onerror:
+    print(f"Tables of what has finished: {TASKLENS} table {layout.study} table1 --partial")

@@ -1,0 +1,1 @@
+"""Restoration of captures before the classifier sees them."""

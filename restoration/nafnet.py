@@ -1,0 +1,83 @@
+"""NAFNet, a network for image restoration without nonlinear activations (Chen et al. 2022, arXiv:2204.04676).
+
+Parameter names are those of the original, so that published weights load.
+"""
+
+import torch
+from timm.layers import LayerNorm2d
+from torch import Tensor, nn
+
+
+class SimpleGate(nn.Module):
+    """The product of the two halves of the channels."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        first, second = x.chunk(2, dim=1)
+        return first * second
+
+
+class NAFBlock(nn.Module):
+    """Two residual branches, gated convolution with channel attention and gated mixing, weighted by beta and gamma."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        c = channels
+        self.norm1, self.norm2 = LayerNorm2d(c), LayerNorm2d(c)
+        self.conv1 = nn.Conv2d(c, 2 * c, 1)
+        self.conv2 = nn.Conv2d(2 * c, 2 * c, 3, padding=1, groups=2 * c)
+        self.sca = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(c, c, 1))
+        self.conv3 = nn.Conv2d(c, c, 1)
+        self.conv4 = nn.Conv2d(c, 2 * c, 1)
+        self.conv5 = nn.Conv2d(c, c, 1)
+        self.sg = SimpleGate()
+        self.beta = nn.Parameter(torch.zeros(1, c, 1, 1))
+        self.gamma = nn.Parameter(torch.zeros(1, c, 1, 1))
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = self.sg(self.conv2(self.conv1(self.norm1(x))))
+        x = x + self.beta * self.conv3(y * self.sca(y))
+        return x + self.gamma * self.conv5(self.sg(self.conv4(self.norm2(x))))
+
+
+class NAFNet(nn.Module):
+    """A U-net of NAFBlocks that adds a correction to its input.
+
+    Args:
+        width: channels at full resolution; each encoder level doubles them.
+        encoder, middle, decoder: blocks per level.
+    """
+
+    def __init__(self, width: int, encoder: tuple[int, ...], middle: int, decoder: tuple[int, ...]):
+        super().__init__()
+        self.multiple = 2 ** len(encoder)
+        self.intro = nn.Conv2d(3, width, 3, padding=1)
+        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
+        c = width
+        for blocks in encoder:
+            self.encoders.append(nn.Sequential(*(NAFBlock(c) for _ in range(blocks))))
+            self.downs.append(nn.Conv2d(c, 2 * c, 2, stride=2))
+            c *= 2
+        self.middle_blks = nn.Sequential(*(NAFBlock(c) for _ in range(middle)))
+        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
+        for blocks in decoder:
+            self.ups.append(nn.Sequential(nn.Conv2d(c, 2 * c, 1, bias=False), nn.PixelShuffle(2)))
+            c //= 2
+            self.decoders.append(nn.Sequential(*(NAFBlock(c) for _ in range(blocks))))
+        self.ending = nn.Conv2d(width, 3, 3, padding=1)
+
+    def forward(self, captures: Tensor) -> Tensor:
+        """Restored images (B, 3, H, W) of captures (B, 3, H, W); H and W are multiples of 2^levels."""
+        if captures.shape[-2] % self.multiple or captures.shape[-1] % self.multiple:
+            raise ValueError(
+                f"captures of {captures.shape[-2]} x {captures.shape[-1]} pixels: expected multiples of {self.multiple}"
+            )
+        x = self.intro(captures)
+        skips = []
+        for blocks, down in zip(self.encoders, self.downs, strict=True):
+            x = blocks(x)
+            skips.append(x)
+            x = down(x)
+        x = self.middle_blks(x)
+        for blocks, up, skip in zip(self.decoders, self.ups, reversed(skips), strict=True):
+            x = blocks(up(x) + skip)
+        return captures + self.ending(x)

@@ -1,0 +1,209 @@
+"""One front door: what a rule of the workflow calls is what a person can type.
+
+    tasklens design config/config.yaml doublet-tasklens --seed 0
+
+Files are read and written below results/<study name>/. torch is imported inside the commands that need it.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from tasklens import jobs
+from tasklens.layout import SHARP, Layout, restored
+from tasklens.study import Study, StudyError, load
+
+
+def images(study: Study, args: argparse.Namespace) -> None:
+    """render or read the pictures and cut them into train, minival and test"""
+    from tasklens.recognition import data
+
+    layout = Layout.of(study)
+    for split, pictures in data.make(jobs.images(study)).items():
+        data.write(pictures, Path(layout.images(split)))
+        print(f"{split}: {len(pictures)} pictures of {len(pictures.classes)} classes", file=sys.stderr)
+
+
+def reference(study: Study, args: argparse.Namespace) -> None:
+    """train a classifier on the sharp pictures, or take its published weights"""
+    from tasklens.files import write_tensors
+    from tasklens.recognition import classifiers, data, training
+
+    layout, job = Layout.of(study), jobs.reference(study, args.classifier)
+    pictures = data.read(Path(layout.images("train")))
+    training.reseed(0)
+    recogniser = classifiers.build(job.classifier, len(pictures.classes))
+    if job.classifier.training is not None:
+        training.fit(recogniser, pictures, job.classifier.training, 0, f"reference {args.classifier}")
+    write_tensors(Path(layout.reference(args.classifier)), recogniser.network.state_dict(), {"model": job.classifier.model})
+
+
+def design(study: Study, args: argparse.Namespace) -> None:
+    """design a lens and write its prescription, figures and history"""
+    from tasklens.design import methods
+    from tasklens.files import write_rows
+    from tasklens.optics import prescription
+    from tasklens.recognition import classifiers, data
+
+    layout, job = Layout.of(study), jobs.design(study, args.lens, args.seed)
+    recogniser = pictures = None
+    if job.classifier is not None:
+        pictures = data.read(Path(layout.images("train")))
+        recogniser = classifiers.build(
+            job.classifier, len(pictures.classes), Path(layout.reference(study.supervisor))
+        )
+    rivals = {}
+    for name in jobs.imaging_rivals(study, args.lens):
+        metrics = Path(layout.metrics(name, args.seed, study.supervisor))
+        rivals[name] = (prescription.read(Path(layout.lens(name, args.seed)))[0], metrics)
+    history: list[dict] = []
+    lens, notes = methods.design(job, recogniser, pictures, rivals, history)
+    write_rows(Path(layout.history(args.lens, args.seed)), history)
+    prescription.write(Path(layout.lens(args.lens, args.seed)), lens, notes)
+
+
+def psf(study: Study, args: argparse.Namespace) -> None:
+    """trace the PSF grid of a lens once, for everything after it"""
+    from tasklens.design.start import view
+    from tasklens.files import write_tensors
+    from tasklens.optics import prescription
+    from tasklens.optics.analysis import evaluation_psf
+
+    layout, job = Layout.of(study), jobs.psf(study)
+    lens, _ = prescription.read(Path(layout.lens(args.lens, args.seed)))
+    grid = evaluation_psf(lens, view(job.spec), job.rays)
+    notes = {
+        "fields_mm": job.spec.fields_mm,
+        "wavelengths_um": job.spec.wavelengths_um,
+        "pixel_pitch_um": job.spec.pixel_pitch_um,
+        "energy_inside": grid.sum((-2, -1)).tolist(),
+        "rays": job.rays,
+    }
+    write_tensors(Path(layout.psf(args.lens, args.seed)), {"psf": grid.float()}, notes)
+
+
+def restore(study: Study, args: argparse.Namespace) -> None:
+    """train the restoration network on the captures of a lens"""
+    from restoration import training
+    from tasklens.files import read_tensors, write_tensors
+    from tasklens.imaging import Camera
+    from tasklens.recognition import data
+
+    layout, job = Layout.of(study), jobs.restore(study, args.seed)
+    grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
+    camera = Camera(grid, job.capture.outside, job.capture.colour)
+    pictures = data.read(Path(layout.images("train")))
+    network = training.train(job.restoration, pictures, camera, args.seed)
+    write_tensors(Path(layout.restoration(args.lens, args.seed)), network.state_dict(), {})
+
+
+def fine_tune(study: Study, args: argparse.Namespace) -> None:
+    """fine-tune a classifier on the captures of a lens, and measure it on every field"""
+    from restoration import training as restoring
+    from tasklens.files import read_tensors, write_rows, write_tensors
+    from tasklens.imaging import Camera
+    from tasklens.recognition import classifiers, data, evaluation, training
+
+    layout = Layout.of(study)
+    job = jobs.fine_tune(study, args.lens, args.classifier, args.seed, args.restored)
+    name = restored(args.classifier) if args.restored else args.classifier
+    splits = {split: data.read(Path(layout.images(split))) for split in ("train", "minival", "test")}
+    recogniser = classifiers.build(
+        job.classifier, len(splits["train"].classes), Path(layout.reference(args.classifier))
+    )
+    camera = network = None
+    if job.capture is not None:
+        grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
+        camera = Camera(grid, job.capture.outside, job.capture.colour)
+    if job.restoration is not None:
+        network = restoring.build(job.restoration).eval().requires_grad_(False)
+        network.load_state_dict(read_tensors(Path(layout.restoration(args.lens, args.seed)))[0])
+    sight = evaluation.Sight(camera, network)
+    training.fit(recogniser, splits["train"], job.training, args.seed, f"fine-tune {name}", sight.one_field)
+    rows = evaluation.measure(recogniser, splits, sight)
+    common = {
+        "elements": job.elements,
+        "design": job.design,
+        "classifier": args.classifier,
+        "restored": args.restored,
+        "seed": args.seed,
+    }
+    weights = recogniser.network.state_dict()
+    write_tensors(Path(layout.classifier(args.lens, args.seed, name)), weights, {"model": job.classifier.model})
+    write_rows(Path(layout.metrics(args.lens, args.seed, name)), [common | row for row in rows])
+
+
+def table(study: Study, args: argparse.Namespace) -> None:
+    """make one table of the paper as CSV, Markdown and LaTeX"""
+    from tasklens.report import tables
+
+    tables.make(jobs.table(study, args.table), Layout.of(study), study.name, partial=args.partial)
+
+
+def figure(study: Study, args: argparse.Namespace) -> None:
+    """draw a lens: cross-section with rays, spot diagrams and PSFs"""
+    from tasklens.design.start import view
+    from tasklens.files import read_tensors
+    from tasklens.optics import prescription
+    from tasklens.report import figures
+
+    layout = Layout.of(study)
+    lens, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
+    grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
+    spec = jobs.psf(study).spec
+    figures.draw(Path(layout.figure(args.lens, args.seed)), args.lens, lens, view(spec), grid, content["figures"])
+
+
+def check(study: Study, args: argparse.Namespace) -> None:
+    """say what a study file describes, or what is wrong with it"""
+    print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
+
+
+STAGES = {
+    check: (),
+    images: (),
+    reference: ("classifier",),
+    design: ("lens", "--seed"),
+    psf: ("lens", "--seed"),
+    restore: ("lens", "--seed"),
+    fine_tune: ("lens", "classifier", "--seed", "--restored"),
+    table: ("table", "--partial"),
+    figure: ("lens", "--seed"),
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line: a subcommand per stage."""
+    top = argparse.ArgumentParser(prog="tasklens", description=__doc__.splitlines()[0])
+    commands = top.add_subparsers(required=True, metavar="stage")
+    for stage, arguments in STAGES.items():
+        command = commands.add_parser(stage.__name__.replace("_", "-"), help=stage.__doc__, description=stage.__doc__)
+        command.add_argument("study", type=Path, help="study file (YAML)")
+        for name in arguments:
+            if name == "--seed":
+                command.add_argument(name, type=int, default=0)
+            elif name == "--restored":
+                command.add_argument(name, action="store_true", help="on captures restored by NAFNet")
+            elif name == "--partial":
+                command.add_argument(name, action="store_true", help="leave out what has not been measured yet")
+            elif name == "lens" and stage is fine_tune:
+                command.add_argument(name, help=f"name of a lens, or {SHARP} for the pictures themselves")
+            else:
+                command.add_argument(name, choices=jobs.TABLES if name == "table" else None)
+        command.set_defaults(stage=stage)
+    return top
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one stage; a mistake in the study or its data ends in one message and exit status 2."""
+    args = parser().parse_args(argv)
+    try:
+        args.stage(load(args.study), args)
+    except (StudyError, FileNotFoundError) as error:
+        print(f"tasklens: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

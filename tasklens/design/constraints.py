@@ -1,0 +1,93 @@
+"""What every design has to keep: margins that are positive where a limit holds."""
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis import View, clear_semi_diameters
+from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.optics.lens import Lens
+from tasklens.optics.paraxial import paraxial
+from tasklens.study import Constraints
+
+_HEIGHTS = torch.linspace(0, 1, 9, dtype=torch.float64)  # parts of the semi-diameter at which limits are checked
+_BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty ends with the limit kept
+
+
+def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
+    """Distance of the lens from each limit of `limits` [mm; slopes without unit], negative where it is broken.
+
+    Args:
+        semi_diameter: (S,) radius that light uses on each surface [mm]; taken as given, without gradient.
+    """
+    semi = semi_diameter.detach().clamp(min=float(lens.semi_diameter[lens.stop]))
+    element = torch.tensor([medium != "air" for medium in lens.media[:-1]])
+    shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
+
+    def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:
+        return sag(
+            heights**2, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None]
+        )[0]
+
+    gap = lens.thickness[:-1, None] + surface_sag(slice(1, None), shared) - surface_sag(slice(None, -1), shared)
+    centre, edge = lens.thickness[:-1][element], gap[element]
+    last = surface_sag(slice(-1, None), semi[-1:, None] * _HEIGHTS)
+    slope = radial_slope(
+        semi[:, None] * _HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None]
+    )
+    return {
+        "min_centre_thickness": centre - limits.min_centre_thickness,
+        "max_centre_thickness": limits.max_centre_thickness - centre,
+        "min_edge_thickness": (edge - limits.min_edge_thickness).flatten(),
+        "min_air_gap": (gap[~element] - limits.min_air_gap).flatten(),
+        "min_back_focus": (lens.thickness[-1] - last - limits.min_back_focus).flatten(),
+        "max_track": limits.max_track - lens.thickness.sum()[None],
+        "max_slope": (limits.max_slope - slope.abs()).flatten(),
+    }
+
+
+def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tensor) -> dict[str, Tensor]:
+    """Margins of focal length and distortion, as fractions; for designs that no pinhole-centred PSF holds to them.
+
+    Args:
+        chief: (F, 2) image points of the chief rays of `view` [mm].
+    """
+    power = view.efl * paraxial(lens, view.wavelengths[len(view.wavelengths) // 2]).power
+    ideal = view.fields.norm(dim=-1)
+    off_axis = ideal > 0
+    # Along the field: finite and smooth also where a start has its image upside down.
+    along = (chief * view.fields).sum(-1)[off_axis] / ideal[off_axis] ** 2 - 1
+    return {
+        "efl_tolerance": limits.efl_tolerance - (power[None] - 1).abs(),
+        "distortion": limits.distortion - along.abs(),
+    }
+
+
+def shortfall(margins: Mapping[str, Tensor]) -> Tensor:
+    """How far each margin falls short of the buffer that designs keep: zero where it does not; one vector."""
+    return torch.cat([(_BUFFER * _scale(name) - margin).clamp(min=0) for name, margin in margins.items()])
+
+
+def _scale(name: str) -> float:
+    return 0.1 if name in ("efl_tolerance", "distortion") else 1.0
+
+
+def corner_view(view: View) -> View:
+    """The axis and the corner of the field in the middle colour: enough to know how much of a surface light uses."""
+    extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.fields.norm(dim=-1).argmax()]])
+    return View(extreme, view.efl, (view.wavelengths[len(view.wavelengths) // 2],), view.pixel_pitch, view.kernel)
+
+
+def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
+    """Sum of squared shortfalls of the manufacturing margins, for gradient descent."""
+    semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
+    return shortfall(manufacturing_margins(lens, limits, semi_diameter)).square().sum()
+
+
+def worst_margin(margins: Mapping[str, Tensor]) -> tuple[str, float]:
+    """Name and value of the smallest margin."""
+    worst = {name: float(margin.min()) for name, margin in margins.items() if margin.numel()}
+    name = min(worst, key=lambda key: worst[key] if math.isfinite(worst[key]) else -math.inf)
+    return name, worst[name]

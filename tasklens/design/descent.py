@@ -1,0 +1,158 @@
+"""Descent of a classifier's loss into a lens: captures, PSFs, rays, curvatures.
+
+The gradient is taken in two stages. Captures and network run in micro-batches that accumulate dL/dPSF; one backward
+pass then carries it through the rays, which are traced once. This is exact while the network is in `eval()`; while it
+is trained with batch statistics, one micro-batch per step makes it exact as well.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torchvision.transforms.v2 import TrivialAugmentWide
+
+from tasklens.design.constraints import penalty
+from tasklens.design.schedule import cosine
+from tasklens.design.start import Variables, parameter_groups
+from tasklens.imaging import Camera
+from tasklens.optics.analysis import View, centroid, rms_spot_radius, trace_fields
+from tasklens.optics.lens import Lens
+from tasklens.optics.psf import psf
+from tasklens.optics.pupil import sobol_disc
+from tasklens.progress import Progress
+from tasklens.recognition.data import Pictures
+from tasklens.recognition.training import shuffled
+from tasklens.study import Capture, Constraints, Descent
+
+_FULL = 1.0  # cold-start scale of pixels and stop once it is over
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a descent is about, apart from the lens, the network and the settings.
+
+    Attributes:
+        view: fields, colours and pixels.
+        limits: manufacturing limits, held by a penalty.
+        capture: how pictures become captures.
+        pictures: sharp training pictures.
+        seed: of everything random.
+    """
+
+    view: View
+    limits: Constraints
+    capture: Capture
+    pictures: Pictures
+    seed: int
+
+
+def loss_at_psf(recogniser: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: Capture, micro_batch: int):
+    """Mean cross-entropy over all captures, and its gradient at the PSFs.
+
+    Network parameters that require a gradient accumulate theirs.
+
+    Args:
+        images: (B, 3, H, W) in [0, 1]; labels: (B,).
+        grid: (F, 3, K, K) PSFs.
+        micro_batch: images rendered at once; each gives F captures.
+
+    Returns:
+        loss (0-dim) and dL/dPSF like `grid`.
+    """
+    leaf = grid.detach().requires_grad_()
+    total = torch.zeros(())
+    for part, wanted in zip(images.split(micro_batch), labels.split(micro_batch), strict=True):
+        captures = Camera(leaf, capture.outside, capture.colour).grid(part)
+        logits = recogniser(captures.flatten(0, 1))
+        loss = F.cross_entropy(logits, wanted.repeat(len(grid)), reduction="sum") / (len(images) * len(grid))
+        loss.backward()
+        total = total + loss.detach()
+    return total, leaf.grad
+
+
+def descend(
+    start: Lens,
+    recogniser: nn.Module,
+    problem: Problem,
+    settings: Descent,
+    history: list[dict],
+    label: str,
+    network_rate: float | None = None,
+    steps: int | None = None,
+) -> Lens:
+    """Minimise the classifier's loss over the lens and, if `network_rate` is given, over the network as well.
+
+    PSFs are centred on the pinhole point, which holds the lens to its focal length and distortion.
+
+    Args:
+        start: the lens to begin with.
+        recogniser: without `network_rate` it is frozen, in `eval()`; with it, trained in place in `train()`.
+        problem: pictures, fields, limits.
+        settings: steps, rates, cold start.
+        history: receives a row per logged step.
+        label: for progress lines and the history.
+        network_rate: AdamW's rate for the network.
+        steps: instead of `settings.steps`; then there is no cold start.
+
+    Returns:
+        The lens after the last step.
+    """
+    view, pictures = problem.view, problem.pictures
+    cold = settings.cold_start if steps is None else None
+    steps = steps or settings.steps
+    torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
+    generator = torch.Generator().manual_seed(problem.seed)
+    variables = Variables(start)
+    values = {name: value.requires_grad_() for name, value in variables.values().items()}
+    groups = parameter_groups(values, settings.rates)
+    joint = network_rate is not None
+    recogniser.train(joint).requires_grad_(joint)
+    if joint:
+        groups.append({"params": list(recogniser.parameters()), "lr": network_rate, "weight_decay": 0.05})
+    optimizer = torch.optim.AdamW(groups)
+    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: cosine(step / steps, settings.rates.final))
+    augment = TrivialAugmentWide() if settings.augment else nn.Identity()
+    micro_batch = settings.images if joint else settings.micro_batch
+    progress = Progress(label, steps)
+    for step, indices in enumerate(shuffled(len(pictures), settings.images, steps, generator), 1):
+        pixels = stop = _FULL
+        if cold is not None:
+            left = max(0.0, 1 - (step - 1) / (cold.duration * steps))
+            pixels, stop = cold.pixel_scale**left, cold.stop_scale**left
+        lens = variables.assemble(values)
+        pupil = sobol_disc(settings.rays, problem.seed * steps + step)
+        rays = trace_fields(lens.stopped(stop), view, pupil)
+        grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
+        bounds = penalty(lens, problem.limits, view)
+
+        images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
+        optimizer.zero_grad()
+        loss, gradient = loss_at_psf(
+            recogniser, images, pictures.labels[indices], grid.float(), problem.capture, micro_batch
+        )
+        total = loss + settings.penalty * bounds
+        if not torch.isfinite(total):
+            raise FloatingPointError(f"{label}: the loss became {loss.item()}, the penalty {bounds.item()} at step {step}")
+        torch.autograd.backward([grid, settings.penalty * bounds], [gradient.to(grid.dtype), None])
+        optimizer.step()
+        rates.step()
+        inside = grid.detach().sum((-2, -1)).mean().item()
+        progress(step, loss=loss.item(), energy_in_window=inside, penalty=bounds.item())
+        if step % max(1, steps // 100) == 0:
+            rms = 1e3 * rms_spot_radius(rays, centroid(rays)).mean().item()
+            history.append(
+                {
+                    "phase": label,
+                    "step": step,
+                    "loss": loss.item(),
+                    "penalty": bounds.item(),
+                    "energy_in_window": inside,
+                    "rms_um": rms,
+                    "pixel_scale": pixels,
+                    "stop_scale": stop,
+                    "rate": rates.get_last_lr()[0],
+                }
+            )
+    recogniser.eval().requires_grad_(False)
+    return variables.assemble(values).detached()

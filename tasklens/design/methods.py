@@ -1,0 +1,99 @@
+"""From a design job to a finished lens: the method that the study names, then the lens' figures and margins."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from tasklens.design import descent, least_squares, spot
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.start import flat, view
+from tasklens.jobs import DesignJob
+from tasklens.optics.analysis import chief_points, clear_semi_diameters, figures
+from tasklens.optics.lens import Lens
+from tasklens.recognition.data import Pictures
+from tasklens.study import EndToEnd, LeastSquares, Spot, Task
+
+_APERTURE = 1.02  # semi-diameter of a finished surface over what light uses of it
+
+
+def design(
+    job: DesignJob,
+    recogniser: torch.nn.Module | None,
+    pictures: Pictures | None,
+    rivals: Mapping[str, tuple[Lens, Path]],
+    history: list[dict],
+) -> tuple[Lens, dict]:
+    """Design a lens by the method of its job.
+
+    Args:
+        job: what to design and how.
+        recogniser, pictures: the well-trained classifier and the training pictures, for designs that a task supervises.
+        rivals: imaging lenses by name with the metrics files that judge them, for a design that starts from the best.
+        history: receives a row per logged step.
+
+    Returns:
+        The lens with its clear apertures, and the notes for its file: spec, origin, figures, margins.
+    """
+    settings, looks = job.lens.design, view(job.spec)
+    start = flat(job.lens.plastics, job.spec, job.constraints)
+    origin: dict = {"design": job.lens.design_name, "method": settings.method, "seed": job.seed, "start": "flat"}
+    match settings:
+        case Spot():
+            lens = spot.design(start, looks, job.constraints, settings, job.seed, history)
+        case LeastSquares():
+            origin["start"] = "random paraxial lenses"
+            lens = least_squares.design(start, looks, job.constraints, settings, job.seed, history)
+        case Task():
+            problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
+            lens = descent.descend(start, recogniser, problem, settings, history, "task-driven")
+            if settings.polish_steps:
+                lens = descent.descend(
+                    lens, recogniser, problem, settings, history, "polish", settings.network_rate, settings.polish_steps
+                )
+        case EndToEnd():
+            if rivals:
+                origin["start"] = best(rivals)
+                start = open_apertures(rivals[origin["start"]][0])
+            problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
+            lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", settings.network_rate)
+    return finished(lens, job, origin)
+
+
+def best(rivals: Mapping[str, tuple[Lens, Path]]) -> str:
+    """Name of the imaging lens with the highest minival accuracy after fine-tuning."""
+    import pandas
+
+    def accuracy(name: str) -> float:
+        rows = pandas.read_csv(rivals[name][1])
+        return rows.loc[rows["metric"] == "minival_accuracy", "value"].mean()
+
+    return max(rivals, key=accuracy)
+
+
+def open_apertures(lens: Lens) -> Lens:
+    """The lens with no clear aperture but its stop, as designs take it."""
+    semi_diameter = torch.full_like(lens.semi_diameter, torch.inf)
+    semi_diameter[lens.stop] = lens.semi_diameter[lens.stop]
+    return replace(lens, semi_diameter=semi_diameter)
+
+
+def finished(lens: Lens, job: DesignJob, origin: dict) -> tuple[Lens, dict]:
+    """The lens with clear apertures of what light uses and a little more, and the notes for its file."""
+    looks = view(job.spec)
+    used = clear_semi_diameters(lens, looks)
+    margins = manufacturing_margins(lens, job.constraints, used)
+    margins |= first_order_margins(lens, job.constraints, looks, chief_points(lens, looks))
+    name, value = worst_margin(margins)
+    semi_diameter = used * _APERTURE
+    semi_diameter[lens.stop] = lens.semi_diameter[lens.stop]
+    lens = replace(lens, semi_diameter=semi_diameter)
+    notes = {
+        "spec": job.spec.model_dump(mode="json"),
+        "origin": origin,
+        "figures": figures(lens, looks, job.rays),
+        "margins": {key: float(margin.min()) for key, margin in margins.items() if margin.numel()},
+        "worst_margin": {"limit": name, "value": value},
+    }
+    return lens, notes

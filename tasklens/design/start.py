@@ -1,0 +1,85 @@
+"""Where designs start, and which numbers of a lens they may change."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis import View
+from tasklens.optics.lens import Lens
+from tasklens.study import Constraints, Rates, Spec
+
+ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
+
+_TRACK = 1.3  # of a flat start, from the stop to the image, in focal lengths
+_BACK = 0.35  # its last space, in focal lengths: plates far from the stop can act on the fields one by one
+_AIR = 0.5  # its air spaces, in plate thicknesses
+
+
+def view(spec: Spec) -> View:
+    """The nine fields, three colours and the pixels of a specification."""
+    fields = torch.tensor(spec.fields_mm, dtype=torch.float64)
+    return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel)
+
+
+def flat(plastics: tuple[str, ...], spec: Spec, constraints: Constraints) -> Lens:
+    """Plane-parallel plates behind a stop: the lens that knows nothing."""
+    elements = len(plastics)
+    back = max(_BACK * spec.efl_mm, constraints.min_back_focus)
+    room = _TRACK * spec.efl_mm - constraints.stop_distance - back
+    plate = room / (elements + _AIR * (elements - 1))
+    media, thickness = ["air"], [constraints.stop_distance]
+    for plastic in plastics:
+        media += [plastic, "air"]
+        thickness += [plate, _AIR * plate]
+    thickness[-1] = back
+    surfaces = len(media)
+    zeros = torch.zeros(surfaces, dtype=torch.float64)
+    semi_diameter = torch.full_like(zeros, torch.inf)
+    semi_diameter[0] = spec.stop_radius_mm
+    return Lens(
+        curvature=zeros,
+        conic=zeros.clone(),
+        alpha=torch.zeros(surfaces, ORDERS[-1] // 2, dtype=torch.float64),
+        thickness=torch.tensor(thickness, dtype=torch.float64),
+        semi_diameter=semi_diameter,
+        media=tuple(media),
+        stop=0,
+    )
+
+
+@dataclass(frozen=True)
+class Variables:
+    """The numbers of `lens` that a design may change: curvatures and aspheres of glass, and the spaces behind them."""
+
+    lens: Lens
+
+    def values(self) -> dict[str, Tensor]:
+        """Present values by name: `curvature`, `thickness`, `alpha_4` .. `alpha_10`, each (G,) for G glass surfaces."""
+        glass = list(self.lens.glass)
+        values = {"curvature": self.lens.curvature[glass], "thickness": self.lens.thickness[glass]}
+        values |= {f"alpha_{order}": self.lens.alpha[glass, order // 2 - 1] for order in ORDERS}
+        return {name: value.detach().clone() for name, value in values.items()}
+
+    def assemble(self, values: Mapping[str, Tensor]) -> Lens:
+        """The lens with these values in it, differentiable in them; what is not named keeps its value."""
+        glass = torch.tensor(self.lens.glass)
+
+        def put(name: str, old: Tensor) -> Tensor:
+            return old.index_copy(0, glass, values[name]) if name in values else old
+
+        columns = [put(f"alpha_{2 * j}", column) for j, column in enumerate(self.lens.alpha.unbind(-1), 1)]
+        return replace(
+            self.lens,
+            curvature=put("curvature", self.lens.curvature),
+            thickness=put("thickness", self.lens.thickness),
+            alpha=torch.stack(columns, -1),
+        )
+
+
+def parameter_groups(values: Mapping[str, Tensor], rates: Rates) -> list[dict]:
+    """AdamW's groups: one per kind of variable, each asphere order at `rates.decay` times the one before."""
+    rate = {"curvature": rates.curvature, "thickness": rates.thickness}
+    rate |= {f"alpha_{order}": rates.alpha_4 * rates.decay**k for k, order in enumerate(ORDERS)}
+    return [{"params": [value], "lr": rate[name], "weight_decay": 0.0} for name, value in values.items()]

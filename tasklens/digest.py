@@ -1,0 +1,69 @@
+"""A digest of the code that a stage executes: Snakemake reruns the jobs whose code changed, and no others.
+
+It covers the stage's function in `tasklens.cli` and every module of ours that the stage imports, directly or through
+others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.study` and
+`tasklens.jobs` are left out, since what a stage reads of them is its job slice.
+"""
+
+import ast
+import hashlib
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("tasklens", "restoration")
+DATA_ONLY = ("tasklens.study", "tasklens.jobs")
+
+
+def _file(module: str) -> Path | None:
+    path = ROOT.joinpath(*module.split("."))
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def imports(tree: ast.AST) -> set[str]:
+    """Our own modules that a syntax tree imports, wherever the import stands."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return {name for name in names if name.split(".")[0] in PACKAGES and _file(name)}
+
+
+@cache
+def parse(module: str) -> ast.Module:
+    """Syntax tree of one of our modules, without docstrings."""
+    tree = ast.parse(_file(module).read_text())
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body and isinstance(body[0], ast.Expr):
+            value = body[0].value
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                del body[0]
+    return tree
+
+
+def stage_modules(function: ast.AST) -> set[str]:
+    """Our modules that a function reaches through imports, itself excluded."""
+    reached: set[str] = set()
+    waiting = imports(function)
+    while waiting:
+        module = waiting.pop()
+        if module not in reached and module not in DATA_ONLY:
+            reached.add(module)
+            waiting |= imports(parse(module))
+    return reached
+
+
+@cache
+def code(stage: str) -> str:
+    """Digest of the code behind the function `stage` of `tasklens.cli`."""
+    functions = {node.name: node for node in parse("tasklens.cli").body if isinstance(node, ast.FunctionDef)}
+    if stage not in functions:
+        raise ValueError(f"unknown stage {stage!r}; expected one of {', '.join(functions)}")
+    trees = [functions[stage], *(parse(module) for module in sorted(stage_modules(functions[stage])))]
+    return hashlib.sha256("\n".join(ast.dump(tree) for tree in trees).encode()).hexdigest()[:16]

@@ -1,0 +1,62 @@
+"""Files that are complete or absent: everything is written under a temporary name and renamed."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path`, renamed to it when the block ends, removed when it raises."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def write_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> None:
+    """Write a safetensors file; the metadata values are stored as JSON."""
+    from safetensors.torch import save_file
+
+    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    with replacing(path) as temporary:
+        save_file(contiguous, temporary, {key: json.dumps(value) for key, value in metadata.items()})
+
+
+def read_tensors(path: Path) -> tuple[dict, dict]:
+    """Tensors and metadata of a safetensors file; the tensors are mapped from the file, not copied."""
+    from safetensors import safe_open
+
+    with safe_open(path, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        metadata = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
+    return tensors, metadata
+
+
+def write_rows(path: Path, rows: list[dict]) -> None:
+    """Write rows as CSV; the columns are the keys of all rows, in order of appearance."""
+    import csv
+
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with replacing(path) as temporary, open(temporary, "w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_if_changed(path: str | Path, text: str) -> None:
+    """Write a text file unless it already says so."""
+    path = Path(path)
+    if not path.exists() or path.read_text() != text:
+        write_text(path, text)

@@ -1,0 +1,136 @@
+"""What each job may read of a study.
+
+A job is handed this slice and nothing else, and Snakemake compares it: by construction a changed value reruns the
+jobs that read it and no others. What a job reads from other jobs are files.
+"""
+
+from tasklens.layout import SHARP
+from tasklens.study import (
+    Capture,
+    Classifier,
+    Constraints,
+    EndToEnd,
+    Frozen,
+    Images,
+    Lens,
+    Restoration,
+    Spec,
+    Spot,
+    LeastSquares,
+    Study,
+    Task,
+    Training,
+)
+
+TABLES = ("table1", "table2", "table3", "table4")
+
+
+class ReferenceJob(Frozen):
+    classifier: Classifier
+
+
+class DesignJob(Frozen):
+    lens: Lens
+    spec: Spec
+    constraints: Constraints
+    capture: Capture | None
+    classifier: Classifier | None
+    rays: int
+    seed: int
+
+
+class PsfJob(Frozen):
+    spec: Spec
+    rays: int
+
+
+class FineTuneJob(Frozen):
+    elements: str
+    design: str
+    classifier: Classifier
+    training: Training
+    capture: Capture | None
+    restoration: Restoration | None
+    seed: int
+
+
+class RestorationJob(Frozen):
+    restoration: Restoration
+    capture: Capture
+    seed: int
+
+
+class TableJob(Frozen):
+    name: str
+    lenses: tuple[str, ...]
+    classifiers: tuple[str, ...]
+    seeds: tuple[int, ...]
+    supervisor: str
+
+
+def images(study: Study) -> Images:
+    return study.images
+
+
+def reference(study: Study, classifier: str) -> ReferenceJob:
+    return ReferenceJob(classifier=study.classifier(classifier))
+
+
+def design(study: Study, lens: str, seed: int) -> DesignJob:
+    chosen = study.lens(lens)
+    supervised = isinstance(chosen.design, Task | EndToEnd)
+    return DesignJob(
+        lens=chosen,
+        spec=study.spec,
+        constraints=study.constraints,
+        capture=study.capture if supervised else None,
+        classifier=study.classifier(study.supervisor) if supervised else None,
+        rays=study.evaluation_rays,
+        seed=seed,
+    )
+
+
+def psf(study: Study) -> PsfJob:
+    return PsfJob(spec=study.spec, rays=study.evaluation_rays)
+
+
+def fine_tune(study: Study, lens: str, classifier: str, seed: int, restored: bool) -> FineTuneJob:
+    sharp = lens == SHARP
+    chosen = None if sharp else study.lens(lens)
+    return FineTuneJob(
+        elements="" if sharp else chosen.elements,
+        design="reference" if sharp else chosen.design_name,
+        classifier=study.classifier(classifier),
+        training=study.fine_tuning,
+        capture=None if sharp else study.capture,
+        restoration=study.restoration if restored else None,
+        seed=seed,
+    )
+
+
+def restore(study: Study, seed: int) -> RestorationJob:
+    return RestorationJob(restoration=study.restoration, capture=study.capture, seed=seed)
+
+
+def table(study: Study, name: str) -> TableJob:
+    """Which lenses and classifiers stand in a table of the paper.
+
+    Tables 1, 2 and 4 compare the task-driven with the imaging designs, table 3 with the end-to-end designs. Table 2
+    is about all classifiers, the others about the supervisor.
+    """
+    methods = (Task, EndToEnd) if name == "table3" else (Task, Spot, LeastSquares)
+    return TableJob(
+        name=name,
+        lenses=tuple(key for key, lens in study.lenses.items() if isinstance(lens.design, methods)),
+        classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
+        seeds=study.seeds,
+        supervisor=study.supervisor,
+    )
+
+
+def imaging_rivals(study: Study, lens: str) -> tuple[str, ...]:
+    """The imaging lenses among which a design from the best imaging lens chooses; empty for every other design."""
+    chosen = study.lens(lens)
+    if not (isinstance(chosen.design, EndToEnd) and chosen.design.start == "best_imaging"):
+        return ()
+    return tuple(f"{chosen.elements}-{name}" for name in study.imaging_designs)

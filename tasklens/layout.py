@@ -1,0 +1,57 @@
+"""Where the files of a study are; the arguments may also be Snakemake wildcards such as "{lens}"."""
+
+from dataclasses import dataclass
+
+from tasklens.study import Study
+
+SHARP = "sharp"  # stands where a lens name stands, for a classifier that sees the pictures themselves
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths below `root`, the results folder of one study."""
+
+    root: str
+
+    @classmethod
+    def of(cls, study: Study) -> "Layout":
+        return cls(f"results/{study.name}")
+
+    @property
+    def study(self) -> str:
+        return f"{self.root}/study.yaml"
+
+    def images(self, split: str) -> str:
+        return f"{self.root}/images/{split}.safetensors"
+
+    def reference(self, classifier: str) -> str:
+        return f"{self.root}/classifiers/reference/{classifier}.safetensors"
+
+    def lens(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/lenses/{lens}/seed{seed}/lens.yaml"
+
+    def history(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/lenses/{lens}/seed{seed}/history.csv"
+
+    def psf(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/lenses/{lens}/seed{seed}/psf.safetensors"
+
+    def classifier(self, lens: str, seed: int | str, classifier: str) -> str:
+        return f"{self.root}/classifiers/{lens}/seed{seed}/{classifier}.safetensors"
+
+    def metrics(self, lens: str, seed: int | str, classifier: str) -> str:
+        return f"{self.root}/metrics/{lens}/seed{seed}/{classifier}.csv"
+
+    def restoration(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/restoration/{lens}/seed{seed}/nafnet.safetensors"
+
+    def table(self, table: str, suffix: str) -> str:
+        return f"{self.root}/tables/{table}.{suffix}"
+
+    def figure(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/figures/{lens}-seed{seed}.png"
+
+
+def restored(classifier: str) -> str:
+    """Name of a classifier that sees restored captures."""
+    return f"{classifier}-restored"

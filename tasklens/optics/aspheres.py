@@ -1,0 +1,45 @@
+"""Even aspheres: sag and slope, defined for every radius."""
+
+import torch
+from torch import Tensor
+
+_EDGE = 1e-6  # smallest argument of the square root that still counts as inside the conic
+
+
+def sag(u: Tensor, curvature: Tensor, conic: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sag of an even asphere, its derivative, and where it is defined.
+
+    s(u) = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum_j alpha_2j u^j,  u = r^2
+
+    Beyond the edge of the conic the root is held at its edge value, so that value and gradient stay finite.
+
+    Args:
+        u: squared radius [mm^2], any shape.
+        curvature: c [1/mm], broadcastable to u.
+        conic: k, broadcastable to u.
+        alpha: (..., M) coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)]; the leading shape is broadcastable to u.
+
+    Returns:
+        sag [mm], d sag / d u [1/mm], and a mask that is true inside the conic; each of the broadcast shape.
+    """
+    argument = 1 - (1 + conic) * curvature**2 * u
+    inside = argument > _EDGE
+    root = torch.sqrt(torch.where(inside, argument, _EDGE))
+    value = curvature * u / (1 + root)
+    slope = 0.5 * curvature / root
+    orders = alpha.unbind(-1)
+    if orders:
+        # Horner's rule for sum_j alpha_2j u^(j - 1) and for its derivative, together
+        polynomial = orders[-1]
+        derivative = torch.zeros_like(polynomial)
+        for coefficient in reversed(orders[:-1]):
+            derivative = derivative * u + polynomial
+            polynomial = polynomial * u + coefficient
+        value = value + polynomial * u
+        slope = slope + polynomial + derivative * u
+    return value, slope, inside
+
+
+def radial_slope(radius: Tensor, curvature: Tensor, conic: Tensor, alpha: Tensor) -> Tensor:
+    """Slope d sag / d r = 2 r d sag / d u at `radius` [mm]; shapes as in `sag`."""
+    return 2 * radius * sag(radius**2, curvature, conic, alpha)[1]

@@ -1,0 +1,72 @@
+"""A lens: what its surfaces are, where they stand and what fills the space between them."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.materials import refractive_index
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A rotationally symmetric sequential lens of S surfaces with even aspheres; the stop is one of them.
+
+    Attributes:
+        curvature: (S,) [1/mm].
+        conic: (S,).
+        alpha: (S, M) asphere coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)].
+        thickness: (S,) axial distance to the next surface, the last to the image plane [mm].
+        semi_diameter: (S,) radius of the clear aperture [mm]; infinite where nothing clips.
+        media: S names, the medium behind each surface ("air" or a plastic).
+        stop: index of the stop; its semi-diameter is the radius of the stop.
+    """
+
+    curvature: Tensor
+    conic: Tensor
+    alpha: Tensor
+    thickness: Tensor
+    semi_diameter: Tensor
+    media: tuple[str, ...]
+    stop: int
+
+    def __post_init__(self):
+        surfaces = len(self.media)
+        for name in ("curvature", "conic", "thickness", "semi_diameter"):
+            if getattr(self, name).shape != (surfaces,):
+                raise ValueError(f"{name}: expected shape ({surfaces},), got {tuple(getattr(self, name).shape)}")
+        if self.alpha.dim() != 2 or self.alpha.shape[0] != surfaces:
+            raise ValueError(f"alpha: expected shape ({surfaces}, M), got {tuple(self.alpha.shape)}")
+        if not 0 <= self.stop < surfaces:
+            raise ValueError(f"stop: expected a surface 0 .. {surfaces - 1}, got {self.stop}")
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return self.curvature.dtype
+
+    @property
+    def glass(self) -> tuple[int, ...]:
+        """Indices of the surfaces that bound an element: those where the medium changes."""
+        before = ("air", *self.media[:-1])
+        return tuple(i for i, (a, b) in enumerate(zip(before, self.media, strict=True)) if a != b)
+
+    @property
+    def vertices(self) -> Tensor:
+        """(S,) z of each vertex, measured from the first surface [mm]."""
+        return torch.cumsum(self.thickness, 0) - self.thickness
+
+    def refractive_indices(self, wavelengths: tuple[float, ...]) -> Tensor:
+        """(S + 1, W) indices before the lens and behind each surface, at W wavelengths [um]."""
+        rows = [[refractive_index(medium, w) for w in wavelengths] for medium in ("air", *self.media)]
+        return torch.tensor(rows, dtype=self.dtype)
+
+    def stopped(self, scale: float) -> "Lens":
+        """The same lens with the radius of its stop multiplied by `scale`."""
+        factor = torch.ones_like(self.semi_diameter)
+        factor[self.stop] = scale
+        return replace(self, semi_diameter=self.semi_diameter * factor)
+
+    def detached(self) -> "Lens":
+        """The same lens, out of every graph."""
+        tensors = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
+        return replace(self, **tensors)

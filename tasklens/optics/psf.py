@@ -1,0 +1,44 @@
+"""Point spread functions by inverse bilinear interpolation of rays, Eqs. (5) and (6) of Yang et al. 2024."""
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.rays import Rays
+
+
+def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel: int) -> Tensor:
+    """PSF of every field and wavelength on a window of pixels.
+
+    PSF(p) = (1 / N) sum_i tri((p_x - x_i) / L) tri((p_y - y_i) / L),  tri(x) = max(0, 1 - |x|)
+
+    Each of the N launched rays shares its energy 1 / N among its four nearest pixels. A lost ray, and a ray beside
+    the window, give nothing: sum(PSF) is the energy inside, 1 - sum(PSF) what falls elsewhere.
+
+    Args:
+        rays: traced to the image plane, (F, W, N).
+        centre: (F, 2) point [mm] on the image plane at the middle of the window.
+        pixel_pitch: L [um].
+        kernel: K, odd.
+
+    Returns:
+        (F, W, K, K); rows along y, columns along x.
+    """
+    fields, channels, count = rays.x.shape
+    column = (rays.x - centre[:, 0, None, None]) * (1e3 / pixel_pitch) + kernel // 2
+    row = (rays.y - centre[:, 1, None, None]) * (1e3 / pixel_pitch) + kernel // 2
+    # Far rays are moved beside the window first: their index would not fit an integer.
+    column, row = column.clamp(-2.0, kernel + 1.0), row.clamp(-2.0, kernel + 1.0)
+    column0, row0 = column.detach().floor(), row.detach().floor()
+    right, down = column - column0, row - row0
+    plane = torch.arange(fields * channels).reshape(fields, channels, 1) * (kernel * kernel)
+    valid = rays.valid
+    indices, weights = [], []
+    for dr, wr in ((0, 1 - down), (1, down)):
+        for dc, wc in ((0, 1 - right), (1, right)):
+            r, c = row0.long() + dr, column0.long() + dc
+            inside = valid & (r >= 0) & (r < kernel) & (c >= 0) & (c < kernel)
+            indices.append(torch.where(inside, plane + r * kernel + c, 0))
+            weights.append(torch.where(inside, wr * wc, 0.0))
+    energy = torch.zeros(fields * channels * kernel * kernel, dtype=rays.x.dtype)
+    energy = energy.index_add(0, torch.stack(indices).flatten(), torch.stack(weights).flatten())
+    return energy.reshape(fields, channels, kernel, kernel) / count

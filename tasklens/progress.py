@@ -1,0 +1,23 @@
+"""Progress lines for logs: step, values and remaining time."""
+
+import sys
+import time
+
+
+class Progress:
+    """Writes a line to standard error at the first and last step, and at most every `interval` seconds between."""
+
+    def __init__(self, label: str, total: int, interval: float = 15.0):
+        self.label, self.total, self.interval = label, total, interval
+        self.start = self.written = time.monotonic()
+
+    def __call__(self, step: int, **values: float) -> None:
+        """Report that `step` of the total (counted from 1) is done."""
+        now = time.monotonic()
+        if 1 < step < self.total and now - self.written < self.interval:
+            return
+        self.written = now
+        remaining = (now - self.start) / step * (self.total - step)
+        shown = "".join(f"  {name} {value:.4g}" for name, value in values.items())
+        line = f"{self.label}  step {step}/{self.total}{shown}  remaining {remaining:.0f} s"
+        print(line, file=sys.stderr, flush=True)

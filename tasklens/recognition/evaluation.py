@@ -1,0 +1,72 @@
+"""What a classifier sees of a picture through a lens, and how well it recognises it, field by field."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from tasklens.imaging import Camera, psnr
+from tasklens.recognition.classifiers import Recogniser, parameters_m
+from tasklens.recognition.data import Pictures
+
+_BATCH = 64  # pictures rendered at once, and captures per forward pass of a network
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The way from a picture to a classifier: through a camera (or none), then through restoration (or none)."""
+
+    camera: Camera | None = None
+    restoration: nn.Module | None = None
+
+    def one_field(self, images: Tensor, generator: torch.Generator) -> Tensor:
+        """Images (B, 3, H, W) in [0, 1], each seen at a random field, for training."""
+        if self.camera is not None:
+            fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
+            images = self.camera.single(images, fields)
+        return self._restored(images)
+
+    def all_fields(self, images: Tensor) -> Tensor:
+        """Images (B, 3, H, W) in [0, 1] at every field, (F, B, 3, H, W); without a camera there is one field."""
+        captures = images[None] if self.camera is None else self.camera.grid(images)
+        return torch.stack([self._restored(field) for field in captures])
+
+    def _restored(self, captures: Tensor) -> Tensor:
+        if self.restoration is None:
+            return captures
+        with torch.no_grad():
+            return self.restoration(captures)
+
+
+@torch.no_grad()
+def evaluate(recogniser: nn.Module, pictures: Pictures, sight: Sight) -> tuple[Tensor, Tensor]:
+    """Whether each of N pictures is recognised at each field, (F, N) bool, and the PSNR of what is seen [dB], (F, N)."""
+    correct, quality = [], []
+    for images, labels in pictures.batches(_BATCH):
+        captures = sight.all_fields(images)
+        predicted = torch.stack([recogniser(field).argmax(-1) for field in captures])
+        correct.append(predicted == labels)
+        quality.append(psnr(captures, images))
+    return torch.cat(correct, -1), torch.cat(quality, -1)
+
+
+def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -> list[dict]:
+    """Rows (field, metric, value): accuracy [%] on test and minival and PSNR [dB] per field, parameters [millions].
+
+    The PSNR is left out where the pictures themselves are seen. `chance` is the accuracy of guessing [%].
+    """
+    correct, quality = evaluate(recogniser, splits["test"], sight)
+    chosen, _ = evaluate(recogniser, splits["minival"], sight)
+    columns = {
+        "accuracy": 100 * correct.double().mean(-1),
+        "minival_accuracy": 100 * chosen.double().mean(-1),
+    }
+    if sight.camera is not None:
+        columns["psnr_db"] = quality.double().mean(-1)
+    rows = [
+        {"field": field, "metric": metric, "value": value}
+        for metric, values in columns.items()
+        for field, value in enumerate(values.tolist())
+    ]
+    whole = {"parameters_m": parameters_m(recogniser), "chance": 100 / len(splits["test"].classes)}
+    return rows + [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]

@@ -1,0 +1,190 @@
+"""The built-in labelled data set: textured objects, rendered procedurally.
+
+A lens design supervised by a classifier needs images whose label depends on what a lens can lose. Here the class
+is the fine texture of an object and nothing else: pose, colours, shape, contrast and background are drawn alike for
+all classes, and every texture covers half of its surface and repeats with the same range of periods, so that blurring
+the period away leaves only chance. Rendering needs torch alone: no download, no licence, any amount of data.
+"""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+PERIOD = (5.0, 16.0)  # Range of texture periods in pixels, drawn log-uniformly.
+EDGE = 0.7  # Scale of the smooth step across a texture's edges in pixels: keeps them free of aliasing.
+NOISE = 0.015  # Standard deviation of the sensor noise, full scale being 1.
+CHUNK = 200  # Images rendered at a time.
+
+
+def _line(u: Tensor) -> Tensor:
+    """Distance from `u` to the nearest integer."""
+    return (u - u.round()).abs()
+
+
+def _both(a: Tensor, b: Tensor) -> Tensor:
+    """Signed distance to the edges of both `a` and `b`, its sign the product of theirs."""
+    return a.sign() * b.sign() * torch.minimum(a.abs(), b.abs())
+
+
+# Each texture maps coordinates (u, v) in periods to the signed distance in periods from the edge between its
+# light and its dark colour, positive in the light. The offsets give each colour half of the area.
+
+
+def _stripes(u: Tensor, v: Tensor) -> Tensor:
+    return _line(u) - 0.25
+
+
+def _checkerboard(u: Tensor, v: Tensor) -> Tensor:
+    # The coarsest waves of a checkerboard are diagonal: sqrt(0.5) makes their period 1.
+    return _both(_stripes(u * math.sqrt(0.5), v), _stripes(v * math.sqrt(0.5), u)) * math.sqrt(2)
+
+
+def _dots(u: Tensor, v: Tensor) -> Tensor:
+    pitch = 2 / math.sqrt(3)  # Puts the rows of the hexagonal lattice 1 apart.
+    even = torch.hypot(_line(u / pitch) * pitch, _line(v / 2) * 2)
+    odd = torch.hypot(_line(u / pitch + 0.5) * pitch, _line(v / 2 + 0.5) * 2)
+    return torch.minimum(even, odd) - math.sqrt(pitch / 2 / math.pi)
+
+
+def _rings(u: Tensor, v: Tensor) -> Tensor:
+    return _stripes(torch.hypot(u, v), v)
+
+
+def _zigzag(u: Tensor, v: Tensor) -> Tensor:
+    # Slopes of 1 on either side, hence sqrt(0.5) for a period of 1 across each leg.
+    return _stripes(v * math.sqrt(0.5) + 1.5 * _line(u * math.sqrt(0.5) / 1.5), u)
+
+
+def _bricks(u: Tensor, v: Tensor) -> Tensor:
+    joint = 2 * _line(u / 2 + v.floor() / 2)
+    return torch.minimum(_line(v), joint) - 0.191
+
+
+def _grid(u: Tensor, v: Tensor) -> Tensor:
+    return torch.minimum(_line(u), _line(v)) - (1 - math.sqrt(0.5)) / 2
+
+
+def _weave(u: Tensor, v: Tensor) -> Tensor:
+    # Cells of side 2 holding two parallel bars each, which end 0.1 short of the cell's border.
+    upright = _both(_line(u / 4) - 0.25, _line(v / 4) - 0.25) > 0
+    across, along = torch.where(upright, u, v), torch.where(upright, v, u)
+    return torch.maximum(_line(across + 0.5) - 0.278, 0.1 - 2 * _line(along / 2))
+
+
+def _waves(u: Tensor, v: Tensor) -> Tensor:
+    # A slope of at most 1.5, one and a half times the zigzag's repeat length.
+    return _stripes(v * 0.7 + 0.5 * torch.sin(u * 2), u)
+
+
+_TEXTURES: dict[str, Callable[[Tensor, Tensor], Tensor] | None] = {
+    "stripes": _stripes,
+    "checkerboard": _checkerboard,
+    "dots": _dots,
+    "rings": _rings,
+    "zigzag": _zigzag,
+    "bricks": _bricks,
+    "grid": _grid,
+    "weave": _weave,
+    "waves": _waves,
+    "labyrinth": None,  # Band-passed noise: the one texture that is no function of the coordinates.
+}
+CLASSES: tuple[str, ...] = tuple(_TEXTURES)
+
+
+def _filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
+    """Filter white noise and scale every plane to mean 0 and standard deviation 1.
+
+    Args:
+        noise: White noise, (..., size, size).
+        gain: Maps the frequency in cycles per pixel, (size, size // 2 + 1), to the filter's gain.
+
+    Returns:
+        The filtered noise, (..., size, size).
+    """
+    size = noise.shape[-1]
+    frequency = torch.hypot(torch.fft.fftfreq(size)[:, None], torch.fft.rfftfreq(size))
+    frequency[0, 0] = 1e-3  # Of no consequence, as the mean is removed, but finite.
+    field = torch.fft.irfft2(torch.fft.rfft2(noise) * gain(frequency), s=(size, size))
+    field = field - field.mean((-2, -1), keepdim=True)
+    return field / field.std((-2, -1), keepdim=True)
+
+
+def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Tensor:
+    """Render scenes of one class.
+
+    Args:
+        name: The class, one of `CLASSES`.
+        count: Number of images.
+        size: Height and width in pixels.
+        generator: Source of all randomness.
+
+    Returns:
+        Images, (count, 3, size, size), uint8.
+    """
+
+    def uniform(low: float, high: float, *channels: int) -> Tensor:
+        return low + (high - low) * torch.rand(count, *(channels or (1,)), 1, 1, generator=generator)
+
+    def white(channels: int) -> Tensor:
+        return torch.randn(count, channels, size, size, generator=generator)
+
+    # Pose: position, perspective, stretch, rotation and scale of the texture on the object.
+    period = torch.exp(uniform(*map(math.log, PERIOD)))
+    angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
+    pixels = torch.arange(size) - half + 0.5
+    x, y = pixels - uniform(-half / 2, half / 2), pixels[:, None] - uniform(-half / 2, half / 2)
+    depth = 1 + (uniform(-0.15, 0.15) * x + uniform(-0.15, 0.15) * y) / half
+    u = (angle.cos() * x + angle.sin() * y) * stretch / (period * depth)
+    v = (angle.cos() * y - angle.sin() * x) / (stretch * period * depth)
+    texture = _TEXTURES[name]
+    if texture is None:
+        distance = _filtered(white(1), lambda f: torch.exp(-((torch.log(f * period) / 0.25) ** 2) / 2)) / 4
+    else:
+        distance = texture(u, v)
+    pattern = torch.tanh(distance * period / EDGE)
+
+    # A light and a dark colour, equally far from a medium one: all classes have the same mean and contrast.
+    swing = uniform(0.1, 0.35, 3)
+    surface = uniform(0.35, 0.65, 3) + swing * (pattern - pattern.mean((-2, -1), keepdim=True))
+
+    ground = uniform(0.2, 0.8, 3) + uniform(0.05, 0.15) * _filtered(white(3), lambda f: 1 / f)
+
+    # A smooth random shape around the centre, of which a quantile fixes the share of the frame.
+    reach = torch.hypot(pixels, pixels[:, None]) / half
+    shape = _filtered(white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
+    rank = (uniform(0.1, 0.5) * (size * size - 1)).round().long()
+    level = shape.flatten(2).sort().values.unsqueeze(2).gather(3, rank)
+    mask = torch.sigmoid((shape - level) * half)
+
+    image = ground + mask * (surface - ground) + NOISE * white(3)
+    return (image * 255).round().clamp(0, 255).byte()
+
+
+def render(count: int, size: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Render a balanced, shuffled set of labelled images on the CPU.
+
+    Args:
+        count: Number of images, at least one per class.
+        size: Height and width in pixels, at least 16.
+        seed: Seed that determines the set.
+
+    Returns:
+        Images, (count, 3, size, size), uint8, and their indices into `CLASSES`, (count,), int64.
+
+    Raises:
+        ValueError: `count` or `size` is too small.
+    """
+    if count < len(CLASSES):
+        raise ValueError(f"count is {count}, expected at least {len(CLASSES)}: one image per class")
+    if size < 16:
+        raise ValueError(f"size is {size}, expected at least 16 pixels")
+    generator = torch.Generator().manual_seed(seed)
+    labels = torch.arange(count) * len(CLASSES) // count
+    images = torch.empty(count, 3, size, size, dtype=torch.uint8)
+    for label, name in enumerate(CLASSES):
+        for rows in (labels == label).nonzero().squeeze(1).split(CHUNK):
+            images[rows] = _scenes(name, len(rows), size, generator)
+    order = torch.randperm(count, generator=generator)
+    return images[order], labels[order]

@@ -1,0 +1,84 @@
+"""The one training loop for classifiers: sharp pictures, captures or restored captures."""
+
+from collections.abc import Callable
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, SequentialLR
+
+from tasklens.progress import Progress
+from tasklens.recognition.data import Pictures
+from tasklens.study import Training
+
+
+def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict]:
+    """Two groups for AdamW: biases, norms and other vectors are not decayed."""
+    matrices = [p for p in network.parameters() if p.requires_grad and p.ndim > 1]
+    vectors = [p for p in network.parameters() if p.requires_grad and p.ndim <= 1]
+    return [{"params": matrices, "weight_decay": weight_decay}, {"params": vectors, "weight_decay": 0.0}]
+
+
+def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -> LRScheduler:
+    """Linear warm-up over the fraction `warmup` of the steps, then a cosine to zero."""
+    rising = max(1, round(warmup * steps))
+    return SequentialLR(
+        optimizer,
+        [LinearLR(optimizer, 1 / (rising + 1), total_iters=rising), CosineAnnealingLR(optimizer, max(1, steps - rising))],
+        [rising],
+    )
+
+
+def shuffled(count: int, batch: int, steps: int, generator: torch.Generator):
+    """Indices of `steps` batches: permutations of all `count` pictures, one after the other, none left out."""
+    queue = torch.empty(0, dtype=torch.long)
+    for _ in range(steps):
+        while len(queue) < batch:
+            queue = torch.cat([queue, torch.randperm(count, generator=generator)])
+        yield queue[:batch]
+        queue = queue[batch:]
+
+
+def reseed(seed: int) -> None:
+    """Seed torch's own generator, from which new networks and augmentations draw."""
+    torch.manual_seed(seed)
+
+
+def fit(
+    recogniser: nn.Module,
+    pictures: Pictures,
+    training: Training,
+    seed: int,
+    label: str,
+    see: Callable[[Tensor, torch.Generator], Tensor] = lambda images, generator: images,
+) -> None:
+    """Train a classifier in place with cross-entropy; it is left in `eval()`.
+
+    Args:
+        recogniser: takes images (B, 3, H, W) in [0, 1].
+        pictures: the sharp training pictures.
+        training: budget and rates.
+        seed: of the order of the pictures, the flips and the network's own randomness.
+        label: for the progress lines.
+        see: what the classifier sees instead of the sharp images (B, 3, H, W), given a random generator.
+    """
+    torch.manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed)
+    steps = max(1, round(training.epochs * len(pictures) / training.batch))
+    optimizer = torch.optim.AdamW(parameter_groups(recogniser, training.weight_decay), lr=training.rate)
+    schedule = warmup_cosine(optimizer, steps, training.warmup)
+    progress = Progress(label, steps)
+    recogniser.train()
+    for step, indices in enumerate(shuffled(len(pictures), training.batch, steps, generator), 1):
+        images, labels = pictures.batch(indices)
+        flip = torch.rand(len(images), generator=generator) < 0.5
+        images = torch.where(flip[:, None, None, None], images.flip(-1), images)
+        loss = F.cross_entropy(recogniser(see(images, generator)), labels)
+        if not torch.isfinite(loss):
+            raise FloatingPointError(f"{label}: the loss became {loss.item()} at step {step} of {steps}")
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        progress(step, loss=loss.item())
+    recogniser.eval()

@@ -1,0 +1,89 @@
+"""A picture of a lens: cross-section with rays, spot diagrams and PSFs from axis to corner."""
+
+from pathlib import Path
+
+import matplotlib
+import torch
+from torch import Tensor
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt  # noqa: E402
+from matplotlib.patches import Circle  # noqa: E402
+
+from tasklens.files import replacing  # noqa: E402
+from tasklens.optics.analysis import View, centroid, trace_fields  # noqa: E402
+from tasklens.optics.aspheres import sag  # noqa: E402
+from tasklens.optics.lens import Lens  # noqa: E402
+from tasklens.optics.pupil import sobol_disc  # noqa: E402
+
+_SHOWN = (0, 4, 8)  # of the nine fields: axis, middle of the field, corner
+_COLOURS = ("tab:blue", "tab:green", "tab:red")
+
+
+def draw(path: Path, title: str, lens: Lens, view: View, psf: Tensor, figures: dict) -> None:
+    """Write the picture of one lens.
+
+    Args:
+        lens: with finite clear apertures.
+        view: fields, colours and pixels.
+        psf: (F, 3, K, K) cached PSFs.
+        figures: what the lens file says of it, for the captions.
+    """
+    shape = plt.figure(figsize=(11, 7), layout="constrained")
+    grid = shape.add_gridspec(2, 6, height_ratios=(1.3, 1))
+    _cross_section(shape.add_subplot(grid[0, :]), lens, view)
+    rays = trace_fields(lens, view, sobol_disc(1024, 0))
+    middle = 1e3 * centroid(rays)
+    for k, field in enumerate(_SHOWN):
+        axes = shape.add_subplot(grid[1, 2 * k])
+        valid = rays.valid[field, 1]
+        x, y = (1e3 * v[field, 1][valid] - middle[field, i] for i, v in enumerate((rays.x, rays.y)))
+        axes.scatter(x, y, s=0.3, color=_COLOURS[k])
+        axes.add_patch(Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.8))
+        half = view.kernel * view.pixel_pitch / 2
+        axes.set(xlim=(-half, half), ylim=(half, -half), aspect="equal", xlabel="um")
+        axes.set_title(f"RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9)
+        axes = shape.add_subplot(grid[1, 2 * k + 1])
+        shown = psf[field].permute(1, 2, 0)
+        axes.imshow((shown / shown.max()).sqrt().numpy())  # the square root shows the tail
+        axes.set_title(f"inside {figures['energy_in_window'][field]:.2f}", fontsize=9)
+        axes.set(xticks=[], yticks=[])
+    shape.suptitle(f"{title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}")
+    with replacing(path) as temporary:
+        shape.savefig(temporary, dpi=110, format="png")
+    plt.close(shape)
+
+
+def _cross_section(axes, lens: Lens, view: View) -> None:
+    """The lens in the plane of the diagonal, with a fan of rays for axis, middle and corner."""
+    vertices = lens.vertices
+    edges = []
+    for i in range(len(lens.media)):
+        height = torch.linspace(-1, 1, 101, dtype=lens.dtype) * lens.semi_diameter[i]
+        z = vertices[i] + sag(height**2, lens.curvature[i], lens.conic[i], lens.alpha[i])[0]
+        edges.append((z, height))
+        if i == lens.stop:
+            for sign in (1, -1):
+                rim = sign * float(lens.semi_diameter[i])
+                axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2)
+        else:
+            axes.plot(z, height, color="black", lw=1)
+    for i, medium in enumerate(lens.media[:-1]):
+        if medium != "air":
+            for end in (0, -1):
+                (z0, h0), (z1, h1) = edges[i], edges[i + 1]
+                axes.plot([z0[end], z1[end]], [h0[end], h1[end]], color="black", lw=1)
+    radius = view.fields.norm(dim=-1)[list(_SHOWN)]
+    along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, view.wavelengths[1:2], 1.0, 1)
+    fan = torch.stack([torch.zeros(9), torch.linspace(-0.98, 0.98, 9)], -1).double()
+    record: list = []
+    image = trace_fields(lens, along_y, fan, record)
+    image_z = float(vertices[-1] + lens.thickness[-1])
+    z = torch.stack([r.z[:, 0] + vertices[i] for i, r in enumerate(record)] + [torch.full_like(image.y[:, 0], image_z)])
+    y = torch.stack([r.y[:, 0] for r in record] + [image.y[:, 0]])
+    for k, colour in enumerate(_COLOURS):
+        alive = image.valid[k, 0]
+        axes.plot(z[:, k, alive].numpy(), y[:, k, alive].numpy(), color=colour, lw=0.6)
+    half = float(view.fields.norm(dim=-1).max())
+    axes.plot([image_z] * 2, [-half, half], color="black", lw=2)
+    axes.set(aspect="equal", xlabel="z [mm]", ylabel="y [mm]")

@@ -1,0 +1,152 @@
+"""The paper's four tables from measured rows, with the paper's values beside them.
+
+A value of the paper is of another data set (ImageNet) and other networks: its columns end in `_paper`.
+"""
+
+import importlib.metadata
+import json
+import subprocess
+from pathlib import Path
+
+import pandas
+
+from tasklens.files import write_text
+from tasklens.jobs import TableJob
+from tasklens.layout import SHARP, Layout, restored
+
+PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
+_PAPER = Path(__file__).with_name("paper.csv")
+_COLUMNS = {
+    "table1": ["accuracy", "psnr_db", "rms_spot_um", "core_radius_um", "energy_in_window"],
+    "table2": ["parameters_m", "reference_accuracy", "accuracy"],
+    "table3": ["accuracy", "energy_in_window", "converged"],
+    "table4": ["psnr_db", "accuracy"],
+}
+_TITLES = {
+    "table1": "Classification accuracy, image quality and spot size of each lens",
+    "table2": "Accuracy with other classifiers",
+    "table3": "Task-driven against end-to-end design",
+    "table4": "After image restoration",
+}
+
+
+def lens_values(path: Path) -> dict[str, float]:
+    """Means over the nine fields of what a lens file says: RMS and 50 % radius [um], energy inside the window."""
+    import yaml
+
+    figures = yaml.load(path.read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))["figures"]
+
+    def mean(key: str) -> float:
+        return sum(figures[key]) / len(figures[key])
+
+    return {
+        "rms_spot_um": mean("rms_centroid_um"),
+        "core_radius_um": mean("radius_50_um"),
+        "energy_in_window": mean("energy_in_window"),
+    }
+
+
+def measured_values(path: Path) -> dict[str, float]:
+    """Mean over fields of every metric in a metrics file."""
+    rows = pandas.read_csv(path)
+    return rows.groupby("metric")["value"].mean().to_dict()
+
+
+def converged(accuracy: float, reference_accuracy: float, chance: float, energy_in_window: float) -> bool:
+    """Whether a design converged: it forms an image, and the image serves.
+
+    At least half of the light of the average field falls inside the PSF window, and the fine-tuned classifier recovers
+    at least half of what the sharp pictures give above chance.
+    """
+    return energy_in_window >= 0.5 and accuracy >= (reference_accuracy + chance) / 2
+
+
+def collect(job: TableJob, layout: Layout, partial: bool) -> pandas.DataFrame:
+    """One row per lens (or `reference`), classifier and seed.
+
+    Raises:
+        FileNotFoundError: a measurement is missing and `partial` is false.
+    """
+    rows = []
+    for seed in job.seeds:
+        for classifier in job.classifiers:
+            sharp_path = Path(layout.metrics(SHARP, seed, classifier))
+            if partial and not sharp_path.exists():
+                continue
+            sharp = measured_values(sharp_path)
+            reference = sharp["accuracy"]
+            if job.name == "table1":
+                rows.append({"elements": "", "design": "reference", "seed": seed, "accuracy": reference})
+            for lens in job.lenses:
+                elements, _, design = lens.partition("-")
+                name = restored(classifier) if job.name == "table4" else classifier
+                paths = [Path(layout.metrics(lens, seed, name)), Path(layout.lens(lens, seed))]
+                if partial and not all(path.exists() for path in paths):
+                    continue
+                values = measured_values(paths[0]) | lens_values(paths[1]) | {"reference_accuracy": reference}
+                values["converged"] = converged(
+                    values["accuracy"], reference, sharp["chance"], values["energy_in_window"]
+                )
+                keys = {"elements": elements, "design": design, "classifier": classifier, "seed": seed}
+                rows.append(keys | values)
+    return pandas.DataFrame(rows)
+
+
+def summarise(job: TableJob, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
+    """Means over seeds, with `_std` where several ran, beside the paper's values."""
+    columns = _COLUMNS[job.name]
+    keys = ["elements", "design", *(["classifier"] if job.name == "table2" else [])]
+    groups = rows.groupby(keys, sort=False)
+    table = groups[[c for c in columns if c != "converged"]].mean()
+    if "converged" in columns:
+        table["converged"] = groups["converged"].all()
+    if len(job.seeds) > 1:
+        spread = groups[[c for c in columns if c != "converged"]].std(ddof=1)
+        table = table.join(spread.add_suffix("_std"))
+    table = table.reset_index()
+    wanted = paper[(paper["table"] == job.name)]
+    printed = wanted.pivot_table(index=[*keys], columns="metric", values="value", sort=False)
+    shared = [c for c in columns if c in printed and c != "parameters_m"]
+    return table.merge(printed[shared].add_suffix("_paper").reset_index(), on=keys, how="left")
+
+
+def printed(job: TableJob, table: pandas.DataFrame) -> pandas.DataFrame:
+    """The table as people read it: rounded, gaps as dashes, a cross where a design did not converge."""
+    shown = table.copy()
+    for column in shown.columns:
+        if column.startswith("converged"):
+            shown[column] = shown[column].map({True: "yes", False: "×", 1.0: "yes", 0.0: "×"})
+        elif pandas.api.types.is_float_dtype(shown[column]):
+            digits = 3 if "energy" in column else 2
+            shown[column] = shown[column].map(lambda v, d=digits: "–" if pandas.isna(v) else f"{v:.{d}f}")
+    return shown.fillna("–")
+
+
+def make(job: TableJob, layout: Layout, study: str, partial: bool) -> None:
+    """Write a table as CSV, Markdown and LaTeX, and a sidecar that says what made it."""
+    paper = pandas.read_csv(_PAPER, keep_default_na=False)
+    paper["value"] = pandas.to_numeric(paper["value"])
+    rows = collect(job, layout, partial)
+    if rows.empty:
+        raise FileNotFoundError(f"{job.name}: nothing has been measured yet below {layout.root}/metrics")
+    table = summarise(job, rows, paper)
+    shown = printed(job, table)
+    title = f"Table {job.name[-1]}: {_TITLES[job.name]}"
+    note = f"Study `{study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
+    write_text(Path(layout.table(job.name, "csv")), table.to_csv(index=False))
+    markdown = shown.to_markdown(index=False, disable_numparse=True)
+    write_text(Path(layout.table(job.name, "md")), f"**{title}**\n\n{markdown}\n\n{note}\n")
+    latex = shown.to_latex(index=False, escape=True, caption=f"{title}. {note.replace('`', '')}")
+    write_text(Path(layout.table(job.name, "tex")), latex)
+    write_text(Path(layout.table(job.name, "json")), json.dumps(provenance(study, job), indent=1) + "\n")
+
+
+def provenance(study: str, job: TableJob) -> dict:
+    """What made a table: study, seeds, commit and versions."""
+    try:
+        command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
+        commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        commit = "unknown"
+    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"study": study, "seeds": list(job.seeds), "commit": commit, "versions": versions}

@@ -1,0 +1,363 @@
+"""The whole configuration of a study as frozen typed classes, checked before the first job; no torch here.
+
+A study file is YAML. An unknown key or an impossible value raises `StudyError` with the key, the value and what
+was expected. Each stage of the workflow receives one *job*: the slice of the study that it may read. The slice is
+also what Snakemake compares, so that a changed value reruns the jobs that read it and no others.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, computed_field, field_validator, model_validator
+
+from tasklens.optics.materials import PLASTICS
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(gt=0)]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+
+
+class StudyError(ValueError):
+    """A study file that cannot be run; the message names the key, the value and what was expected."""
+
+
+class Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Spec(Frozen):
+    """What every lens of the study has to do; the defaults are the paper's (section 3.3 and 4)."""
+
+    diagonal_mm: Positive = 4.0
+    aspect: tuple[Count, Count] = (16, 9)
+    field_of_view_deg: Annotated[float, Field(gt=0, lt=150)] = 68.8
+    f_number: Positive = 2.8
+    pixel_pitch_um: Positive = 1.8
+    kernel: Annotated[int, Field(ge=3)] = 51
+    wavelengths_um: tuple[Positive, Positive, Positive] = (0.6563, 0.5893, 0.4861)
+
+    @field_validator("kernel")
+    @classmethod
+    def _odd(cls, kernel: int) -> int:
+        if kernel % 2 == 0:
+            raise ValueError("expected an odd number, so that the kernel has a central pixel")
+        return kernel
+
+    @computed_field
+    @property
+    def efl_mm(self) -> float:
+        """Focal length [mm] that puts the field of view on the diagonal: (d / 2) / tan(FoV / 2)."""
+        return self.diagonal_mm / 2 / math.tan(math.radians(self.field_of_view_deg) / 2)
+
+    @computed_field
+    @property
+    def stop_radius_mm(self) -> float:
+        """Radius [mm] of the stop, which stands in front of the lens: EFL / (2 F)."""
+        return self.efl_mm / (2 * self.f_number)
+
+    @computed_field
+    @property
+    def fields_mm(self) -> tuple[tuple[float, float], ...]:
+        """Nine field points [mm] on the sensor: {0, 1/2, 1} x {0, 1/2, 1} of its half width and half height."""
+        unit = self.diagonal_mm / 2 / math.hypot(*self.aspect)
+        width, height = (unit * side for side in self.aspect)
+        return tuple((u * width, v * height) for v in (0, 0.5, 1) for u in (0, 0.5, 1))
+
+
+class Constraints(Frozen):
+    """Limits that every design keeps [mm; slope is d sag / d r]: moulded plastic elements in a phone."""
+
+    min_centre_thickness: Positive = 0.25
+    max_centre_thickness: Positive = 1.5
+    min_edge_thickness: Positive = 0.2
+    min_air_gap: Positive = 0.05
+    min_back_focus: Positive = 0.7
+    max_track: Positive = 4.4
+    max_slope: Positive = 0.57
+    stop_distance: Positive = 0.1
+    efl_tolerance: Fraction = 0.02
+    distortion: Fraction = 0.03
+
+
+class Rates(Frozen):
+    """AdamW step sizes of the lens; each asphere order above alpha_4 takes `decay` times the one before (paper 3.3)."""
+
+    curvature: Positive = 1e-4
+    thickness: Positive = 1e-4
+    alpha_4: Positive = 1e-4
+    decay: Fraction = 0.02
+    final: Fraction = 1.0  # the rates at the last step, as a fraction; reached on a cosine
+
+
+class ColdStart(Frozen):
+    """Coarse-to-fine pixels and an opening stop over the first `duration` of the steps."""
+
+    pixel_scale: Annotated[float, Field(ge=1)] = 20.0
+    stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
+    duration: Annotated[float, Field(gt=0, le=1)] = 0.5
+
+
+class Descent(Frozen):
+    """Stochastic descent of the classifier's loss through captures, PSFs and rays."""
+
+    steps: Count
+    images: Count = 64
+    micro_batch: Count = 64
+    rays: Count = 256
+    rates: Rates = Rates()
+    cold_start: ColdStart | None = None
+    penalty: Positive = 100.0
+    augment: bool = True
+
+
+class Task(Descent):
+    """Task-driven design: the classifier is frozen; then `polish_steps` of end-to-end design (paper 3.3)."""
+
+    method: Literal["task"]
+    polish_steps: Annotated[int, Field(ge=0)] = 0
+    network_rate: Positive = 1e-5
+
+
+class EndToEnd(Descent):
+    """Lens and classifier descend together, from flat plates or from the best imaging lens by minival accuracy."""
+
+    method: Literal["end_to_end"]
+    start: Literal["flat", "best_imaging"]
+    network_rate: Positive = 1e-5
+
+
+class Spot(Frozen):
+    """RMS spot size by AdamW from flat plates, with an opening stop."""
+
+    method: Literal["spot"]
+    steps: Count
+    rays: Count = 256
+    rates: Rates = Rates()
+    stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
+    opening: Fraction = 0.5
+    penalty: Positive = 100.0
+
+
+class LeastSquares(Frozen):
+    """Damped least squares on ray residuals, from many random paraxial starts, as a lens designer works."""
+
+    method: Literal["least_squares"]
+    starts: Count = 150
+    keep: Count = 12
+    evaluations: Count = 400
+    kicks: Annotated[int, Field(ge=0)] = 0
+    reference: Literal["centroid", "chief_ray"] = "centroid"
+    highest_order: Literal[4, 6, 8, 10] = 10
+    corner_weight: Positive = 1.0
+    max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
+
+
+STAGES = ("images", "reference", "design", "psf", "fine_tune", "restore", "fine_tune_restored", "table", "figure")
+
+Design = Annotated[Task | EndToEnd | Spot | LeastSquares, Field(discriminator="method")]
+
+
+class Images(Frozen):
+    """The labelled pictures: rendered by us, or read from `folder`/train/<class>/* and `folder`/test (or val)/<class>/*.
+
+    Counts limit what is read from a folder; null means all. The minival is cut out of the training pictures.
+    """
+
+    size: Annotated[int, Field(ge=16)] = 64
+    train: Count | None = None
+    minival: Count = 500
+    test: Count | None = None
+    seed: int = 0
+    folder: Path | None = None
+
+    @model_validator(mode="after")
+    def _rendered_need_counts(self):
+        if self.folder is None and (self.train is None or self.test is None):
+            raise ValueError("rendered images need the counts `train` and `test`")
+        return self
+
+
+class Training(Frozen):
+    """AdamW with linear warm-up and cosine; weight decay spares biases and norms."""
+
+    epochs: Positive
+    rate: Positive
+    batch: Count = 64
+    weight_decay: Annotated[float, Field(ge=0)] = 0.05
+    warmup: Fraction = 0.05
+
+
+class Classifier(Frozen):
+    """A timm network: its name and tag, keywords for `timm.create_model`, and where its weights come from.
+
+    `training` trains it on the sharp images, from `pretrained` (timm's hub), from `weights` (safetensors) or from
+    scratch; null takes it as loaded.
+    """
+
+    model: str
+    arguments: dict[str, Any] = {}
+    pretrained: bool = False
+    weights: Path | None = None
+    training: Training | None = None
+
+    @model_validator(mode="after")
+    def _one_origin(self):
+        if self.pretrained and self.weights:
+            raise ValueError("take either `pretrained` or `weights`, not both")
+        if not (self.pretrained or self.weights or self.training):
+            raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network judges nothing")
+        return self
+
+
+class Restoration(Frozen):
+    """NAFNet and its training; the default size is the paper's (section 5.3)."""
+
+    width: Count = 32
+    encoder: tuple[Count, ...] = (1, 1, 1, 8)
+    middle: Count = 1
+    decoder: tuple[Count, ...] = (1, 1, 1, 1)
+    steps: Count
+    batch: Count = 32
+    rate: Positive = 1e-3
+
+    @model_validator(mode="after")
+    def _symmetric(self):
+        if len(self.encoder) != len(self.decoder):
+            raise ValueError("`encoder` and `decoder` need the same number of levels")
+        return self
+
+    @property
+    def multiple(self) -> int:
+        """Image sides must be multiples of this: each encoder level halves them."""
+        return 2 ** len(self.encoder)
+
+
+class Capture(Frozen):
+    """How a picture becomes a capture: what the light outside the PSF window does, and where blur is applied."""
+
+    outside: Literal["veil", "renormalise"] = "veil"
+    colour: Literal["srgb", "linear"] = "srgb"
+
+
+class Lens(Frozen):
+    """One lens of the study: how many elements of which plastic, and how it comes about."""
+
+    name: str
+    elements: str
+    plastics: tuple[str, ...]
+    design_name: str
+    design: Design
+
+
+class Study(Frozen):
+    """Everything a study is made of. `lenses` = every entry of `elements` with every entry of `designs`."""
+
+    format: Literal[1]
+    name: Name
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
+    images: Images
+    spec: Spec = Spec()
+    constraints: Constraints = Constraints()
+    capture: Capture = Capture()
+    evaluation_rays: Count = 4096
+    elements: Annotated[dict[Name, tuple[str, ...]], Field(min_length=1)]
+    designs: Annotated[dict[Name, Design], Field(min_length=1)]
+    classifiers: Annotated[dict[Name, Classifier], Field(min_length=1)]
+    supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
+    fine_tuning: Training
+    restoration: Restoration
+    minutes: dict[Literal[STAGES], Annotated[float, Field(ge=0)]]  # measured per job of a stage: the forecast
+
+    @field_validator("elements")
+    @classmethod
+    def _known_plastics(cls, elements: dict) -> dict:
+        for name, plastics in elements.items():
+            if not plastics:
+                raise ValueError(f"{name}: expected at least one plastic")
+            for plastic in plastics:
+                if plastic not in PLASTICS:
+                    raise ValueError(f"{name}: unknown plastic {plastic!r}; expected one of {', '.join(sorted(PLASTICS))}")
+        return elements
+
+    @model_validator(mode="after")
+    def _consistent(self):
+        if self.supervisor not in self.classifiers:
+            raise ValueError(f"supervisor: {self.supervisor!r} is not one of {', '.join(self.classifiers)}")
+        for name, design in self.designs.items():
+            if isinstance(design, EndToEnd) and design.start == "best_imaging" and not self.imaging_designs:
+                raise ValueError(f"designs.{name}.start: 'best_imaging' needs a design by spot or least_squares")
+        if self.images.size % self.restoration.multiple:
+            raise ValueError(
+                f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
+                f"restoration network of {len(self.restoration.encoder)} levels needs"
+            )
+        if self.spec.kernel // 2 >= self.images.size:
+            raise ValueError(
+                f"spec.kernel: half of {self.spec.kernel} must be less than images.size = {self.images.size}, "
+                "since borders are reflected"
+            )
+        return self
+
+    @property
+    def lenses(self) -> dict[str, Lens]:
+        """Every lens by name, `{elements}-{design}`."""
+        return {
+            f"{elements}-{name}": Lens(
+                name=f"{elements}-{name}", elements=elements, plastics=plastics, design_name=name, design=design
+            )
+            for elements, plastics in self.elements.items()
+            for name, design in self.designs.items()
+        }
+
+    @property
+    def imaging_designs(self) -> tuple[str, ...]:
+        """Names of the designs that image quality alone supervises."""
+        return tuple(name for name, design in self.designs.items() if isinstance(design, Spot | LeastSquares))
+
+    def lens(self, name: str) -> Lens:
+        """The lens `name`; raises StudyError with the known names."""
+        return _pick(self.lenses, name, "lens")
+
+    def classifier(self, name: str) -> Classifier:
+        """The classifier `name`; raises StudyError with the known names."""
+        return _pick(self.classifiers, name, "classifier")
+
+
+def _pick(known: Mapping, name: str, kind: str):
+    if name not in known:
+        raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(known)}")
+    return known[name]
+
+
+def parse(config: Mapping) -> Study:
+    """The study that a mapping describes.
+
+    Raises:
+        StudyError: naming every wrong key with its value and what was expected.
+    """
+    try:
+        return Study.model_validate(dict(config))
+    except ValidationError as error:
+        lines = []
+        for item in error.errors():
+            key = ".".join(str(part) for part in item["loc"]) or "study"
+            value = item["input"]
+            shown = f" = {value!r}" if not isinstance(value, dict) else ""
+            lines.append(f"  {key}{shown}: {item['msg'].removeprefix('Value error, ')}")
+        raise StudyError("the study cannot be run:\n" + "\n".join(lines)) from None
+
+
+def load(path: str | Path) -> Study:
+    """The study in a YAML file."""
+    with open(path) as file:
+        return parse(yaml.safe_load(file) or {})
+
+
+def dump(study: Study) -> str:
+    """The resolved study as YAML, every default written out."""
+    computed = {"spec": set(Spec.model_computed_fields)}
+    return yaml.safe_dump(study.model_dump(mode="json", exclude=computed), sort_keys=False)

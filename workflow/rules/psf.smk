@@ -1,0 +1,13 @@
+rule psf:
+    input:
+        layout.lens("{lens}", "{seed}"),
+    output:
+        layout.psf("{lens}", "{seed}"),
+    log:
+        f"{layout.root}/logs/psf/{{lens}}-seed{{seed}}.log",
+    params:
+        job=jobs.psf(study).model_dump_json(),
+        code=code("psf"),
+    threads: 1
+    shell:
+        "{TASKLENS} psf {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -1,0 +1,36 @@
+rule restore:
+    input:
+        pictures=layout.images("train"),
+        psf=layout.psf("{lens}", "{seed}"),
+    output:
+        layout.restoration("{lens}", "{seed}"),
+    log:
+        f"{layout.root}/logs/restore/{{lens}}-seed{{seed}}.log",
+    params:
+        job=lambda wildcards: jobs.restore(study, wildcards.seed).model_dump_json(),
+        code=code("restore"),
+    threads: 1
+    shell:
+        "{TASKLENS} restore {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
+
+
+rule fine_tune_restored:
+    input:
+        pictures=PICTURES,
+        weights=layout.reference("{classifier}"),
+        psf=layout.psf("{lens}", "{seed}"),
+        restoration=layout.restoration("{lens}", "{seed}"),
+    output:
+        weights=layout.classifier("{lens}", "{seed}", restored("{classifier}")),
+        metrics=layout.metrics("{lens}", "{seed}", restored("{classifier}")),
+    log:
+        f"{layout.root}/logs/fine_tune_restored/{{lens}}-seed{{seed}}-{{classifier}}.log",
+    params:
+        job=lambda wildcards: jobs.fine_tune(
+            study, wildcards.lens, wildcards.classifier, wildcards.seed, True
+        ).model_dump_json(),
+        code=code("fine_tune"),
+    threads: 1
+    shell:
+        "{TASKLENS} fine-tune {layout.study} {wildcards.lens} {wildcards.classifier} --restored"
+        " --seed {wildcards.seed} 2> {log}"
