@@ -84,21 +84,32 @@ class Constraints(Frozen):
 
 
 class Rates(Frozen):
-    """AdamW step sizes of the lens; each asphere order above alpha_4 takes `decay` times the one before (paper 3.3)."""
+    """AdamW step sizes of the lens; each asphere order above alpha_4 takes `decay` times the one before (paper 3.3).
+
+    `normalised`: the step sizes of alpha_k are those of alpha_k R^(k - 1), R the radius that light uses on the surface
+    of the starting lens in mm; else of alpha_k itself, as in the paper.
+    """
 
     curvature: Positive = 1e-4
     thickness: Positive = 1e-4
     alpha_4: Positive = 1e-4
     decay: Fraction = 0.02
+    normalised: bool = True
     final: Fraction = 1.0  # the rates at the last step, as a fraction; reached on a cosine
+
+    def scaled(self, factor: float) -> "Rates":
+        """All step sizes times `factor`."""
+        sizes = {name: factor * getattr(self, name) for name in ("curvature", "thickness", "alpha_4")}
+        return self.model_copy(update=sizes)
 
 
 class ColdStart(Frozen):
-    """Coarse-to-fine pixels and an opening stop over the first `duration` of the steps."""
+    """Pixels that begin coarse and a stop that begins small; both reach their true size after a part of the steps."""
 
     pixel_scale: Annotated[float, Field(ge=1)] = 20.0
+    pixel_duration: Annotated[float, Field(gt=0, le=1)] = 0.8
     stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
-    duration: Annotated[float, Field(gt=0, le=1)] = 0.5
+    stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5
 
 
 class Descent(Frozen):
@@ -114,12 +125,19 @@ class Descent(Frozen):
     augment: bool = True
 
 
+class Polish(Frozen):
+    """End-to-end design after the task-driven one (paper 3.3): lens rates as a part of the design's, at full pixels."""
+
+    steps: Count
+    rates_scale: Annotated[float, Field(gt=0, le=1)] = 0.1
+    network_rate: Positive = 1e-5
+
+
 class Task(Descent):
-    """Task-driven design: the classifier is frozen; then `polish_steps` of end-to-end design (paper 3.3)."""
+    """Task-driven design: the classifier is frozen, and trained with the lens only in the final polish."""
 
     method: Literal["task"]
-    polish_steps: Annotated[int, Field(ge=0)] = 0
-    network_rate: Positive = 1e-5
+    polish: Polish | None = None
 
 
 class EndToEnd(Descent):
@@ -138,7 +156,7 @@ class Spot(Frozen):
     rays: Count = 256
     rates: Rates = Rates()
     stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
-    opening: Fraction = 0.5
+    stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5
     penalty: Positive = 100.0
 
 

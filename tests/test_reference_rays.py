@@ -19,7 +19,7 @@ class Tabulated(Lens):
     """A lens whose indices come from the reference file, column by wavelength."""
 
     def refractive_indices(self, wavelengths):
-        return torch.tensor([[1.0] * 3] + self.table, dtype=self.dtype)[:, [WAVELENGTHS.index(w) for w in wavelengths]]
+        return torch.tensor([[1.0] * 3, *self.table], dtype=self.dtype)[:, [WAVELENGTHS.index(w) for w in wavelengths]]
 
 
 WAVELENGTHS = [0.6563, 0.5893, 0.4861]
@@ -51,10 +51,10 @@ def test_rays(entry, dtype):
     image, direction, path = (1e-12, 1e-13, 1e-12) if dtype == torch.float64 else (max(1e-5, 3e-7 * track),) * 3
     for reference in entry["traces"]:
         origin = torch.tensor(reference["origin"], dtype=dtype)
-        l, m, n = torch.tensor(reference["direction"], dtype=dtype)
+        direction_cosines = torch.tensor(reference["direction"], dtype=dtype)
         indices = lens.refractive_indices((reference["wavelength_um"],))
         record = []
-        rays = trace(lens, launch(*origin.T[:, None], l, m, n), indices, record)
+        rays = trace(lens, launch(*origin.T[:, None], *direction_cosines), indices, record)
         assert rays.valid.all()
         expected = torch.tensor(reference["image_xy"], dtype=torch.float64)
         found = torch.stack([rays.x[0], rays.y[0]], -1).double()
@@ -63,7 +63,9 @@ def test_rays(entry, dtype):
         expected = torch.tensor(reference["image_direction"], dtype=torch.float64)
         torch.testing.assert_close(found, expected, rtol=0, atol=direction)
         expected = torch.tensor(reference["optical_path"], dtype=torch.float64)
-        torch.testing.assert_close(rays.path[0].double(), expected, rtol=1e-6 if dtype == torch.float32 else 0, atol=path)
+        torch.testing.assert_close(
+            rays.path[0].double(), expected, rtol=1e-6 if dtype == torch.float32 else 0, atol=path
+        )
         if "surface_points" in reference:
             expected = torch.tensor(reference["surface_points"], dtype=torch.float64)
             found = torch.stack([torch.stack([r.x[0], r.y[0], r.z[0]], -1) for r in record]).double()

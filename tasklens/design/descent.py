@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.design.constraints import penalty
-from tasklens.design.schedule import cosine
+from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import View, centroid, rms_spot_radius, trace_fields
@@ -24,8 +24,6 @@ from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.training import shuffled
 from tasklens.study import Capture, Constraints, Descent
-
-_FULL = 1.0  # cold-start scale of pixels and stop once it is over
 
 
 @dataclass(frozen=True)
@@ -58,17 +56,18 @@ def loss_at_psf(recogniser: nn.Module, images: Tensor, labels: Tensor, grid: Ten
         micro_batch: images rendered at once; each gives F captures.
 
     Returns:
-        loss (0-dim) and dL/dPSF like `grid`.
+        loss of each field (F,), whose mean is the loss, and its gradient dL/dPSF like `grid`.
     """
     leaf = grid.detach().requires_grad_()
-    total = torch.zeros(())
+    fields = len(grid)
+    losses = torch.zeros(fields)
     for part, wanted in zip(images.split(micro_batch), labels.split(micro_batch), strict=True):
         captures = Camera(leaf, capture.outside, capture.colour).grid(part)
         logits = recogniser(captures.flatten(0, 1))
-        loss = F.cross_entropy(logits, wanted.repeat(len(grid)), reduction="sum") / (len(images) * len(grid))
-        loss.backward()
-        total = total + loss.detach()
-    return total, leaf.grad
+        each = F.cross_entropy(logits, wanted.repeat(fields), reduction="none").reshape(fields, -1).sum(-1) / len(images)
+        each.mean().backward()
+        losses += each.detach()
+    return losses, leaf.grad
 
 
 def descend(
@@ -79,7 +78,6 @@ def descend(
     history: list[dict],
     label: str,
     network_rate: float | None = None,
-    steps: int | None = None,
 ) -> Lens:
     """Minimise the classifier's loss over the lens and, if `network_rate` is given, over the network as well.
 
@@ -93,17 +91,15 @@ def descend(
         history: receives a row per logged step.
         label: for progress lines and the history.
         network_rate: AdamW's rate for the network.
-        steps: instead of `settings.steps`; then there is no cold start.
 
     Returns:
         The lens after the last step.
     """
     view, pictures = problem.view, problem.pictures
-    cold = settings.cold_start if steps is None else None
-    steps = steps or settings.steps
+    cold, steps = settings.cold_start, settings.steps
     torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
     generator = torch.Generator().manual_seed(problem.seed)
-    variables = Variables(start)
+    variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     groups = parameter_groups(values, settings.rates)
     joint = network_rate is not None
@@ -116,10 +112,10 @@ def descend(
     micro_batch = settings.images if joint else settings.micro_batch
     progress = Progress(label, steps)
     for step, indices in enumerate(shuffled(len(pictures), settings.images, steps, generator), 1):
-        pixels = stop = _FULL
+        pixels = stop = 1.0
         if cold is not None:
-            left = max(0.0, 1 - (step - 1) / (cold.duration * steps))
-            pixels, stop = cold.pixel_scale**left, cold.stop_scale**left
+            pixels = geometric(cold.pixel_scale, (step - 1) / (cold.pixel_duration * steps))
+            stop = geometric(cold.stop_scale, (step - 1) / (cold.stop_duration * steps))
         lens = variables.assemble(values)
         pupil = sobol_disc(settings.rays, problem.seed * steps + step)
         rays = trace_fields(lens.stopped(stop), view, pupil)
@@ -128,9 +124,10 @@ def descend(
 
         images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
         optimizer.zero_grad()
-        loss, gradient = loss_at_psf(
+        losses, gradient = loss_at_psf(
             recogniser, images, pictures.labels[indices], grid.float(), problem.capture, micro_batch
         )
+        loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
             raise FloatingPointError(f"{label}: the loss became {loss.item()}, the penalty {bounds.item()} at step {step}")

@@ -77,7 +77,7 @@ class Merit:
 
 def improve(lens: Lens, merit: Merit, names: Sequence[str], evaluations: int) -> tuple[Lens, float]:
     """Damped least squares over the variables `names`; returns the lens and its root-sum-square residual [um]."""
-    variables = Variables(lens)
+    variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
     sizes = [len(value) for value in start.values()]
 
@@ -164,7 +164,7 @@ def design(
 
 def _kick(lens: Lens, rng: numpy.random.Generator) -> Lens:
     """The lens with about 40 % of its variables moved by a few per cent of their scale."""
-    variables = Variables(lens)
+    variables = Variables.plain(lens)
     size = rng.uniform(0.015, 0.15)
     moved = {}
     for name, value in variables.values().items():

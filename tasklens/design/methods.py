@@ -48,10 +48,16 @@ def design(
         case Task():
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
             lens = descent.descend(start, recogniser, problem, settings, history, "task-driven")
-            if settings.polish_steps:
-                lens = descent.descend(
-                    lens, recogniser, problem, settings, history, "polish", settings.network_rate, settings.polish_steps
+            if settings.polish is not None:
+                polish = settings.model_copy(
+                    update={
+                        "steps": settings.polish.steps,
+                        "rates": settings.rates.scaled(settings.polish.rates_scale),
+                        "cold_start": None,
+                    }
                 )
+                rate = settings.polish.network_rate
+                lens = descent.descend(lens, recogniser, problem, polish, history, "polish", rate)
         case EndToEnd():
             if rivals:
                 origin["start"] = best(rivals)

@@ -3,7 +3,7 @@
 import torch
 
 from tasklens.design.constraints import first_order_margins, penalty, shortfall
-from tasklens.design.schedule import cosine
+from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
 from tasklens.optics.analysis import View, centroid, chief_points, trace_fields
 from tasklens.optics.lens import Lens
@@ -13,7 +13,7 @@ from tasklens.study import Constraints, Spot
 
 
 def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: int, history: list[dict]) -> Lens:
-    """Minimise mean over fields of (1 / N) sum r^2 about the polychromatic centroid, with AdamW.
+    """Minimise the mean over fields of sqrt(mean(r^2)) about the polychromatic centroid, with AdamW.
 
     Args:
         start: the lens to begin with.
@@ -23,7 +23,7 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         seed: of the pupil points, which are redrawn at every step.
         history: receives a row per logged step.
     """
-    variables = Variables(start)
+    variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     optimizer = torch.optim.AdamW(parameter_groups(values, settings.rates))
     rates = torch.optim.lr_scheduler.LambdaLR(
@@ -32,22 +32,21 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
     progress = Progress("spot", settings.steps)
     for step in range(1, settings.steps + 1):
         lens = variables.assemble(values)
-        opened = min(1.0, (step - 1) / (settings.opening * settings.steps)) if settings.opening else 1.0
-        scale = settings.stop_scale ** (1 - opened)
+        scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
         rays = trace_fields(lens.stopped(scale), view, sobol_disc(settings.rays, seed * settings.steps + step))
         middle = centroid(rays)
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
-        spot = torch.where(rays.valid, squared, 1.0).mean()  # a lost ray counts as 1 mm away
+        spot = torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt().mean()  # a lost ray counts as 1 mm away
         bounds = penalty(lens, limits, view)
         bounds = bounds + shortfall(first_order_margins(lens, limits, view, chief_points(lens, view))).square().sum()
-        loss = spot / scale**2 + settings.penalty * bounds
+        loss = spot / scale + settings.penalty * bounds
         if not torch.isfinite(loss):
             raise FloatingPointError(f"spot: the loss became {loss.item()} at step {step}")
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         rates.step()
-        rms_um = 1e3 * spot.item() ** 0.5
+        rms_um = 1e3 * spot.item()
         progress(step, rms_um=rms_um, penalty=bounds.item())
         if step % max(1, settings.steps // 100) == 0:
             history.append({"step": step, "rms_um": rms_um, "penalty": bounds.item(), "rate": rates.get_last_lr()[0]})

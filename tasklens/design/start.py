@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis import View
+from tasklens.optics.analysis import View, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.study import Constraints, Rates, Spec
 
@@ -51,25 +51,46 @@ def flat(plastics: tuple[str, ...], spec: Spec, constraints: Constraints) -> Len
 
 @dataclass(frozen=True)
 class Variables:
-    """The numbers of `lens` that a design may change: curvatures and aspheres of glass, and the spaces behind them."""
+    """The numbers of `lens` that a design may change: curvatures and aspheres of glass, and the spaces behind them.
+
+    Attributes:
+        radius: (S,) R of each surface [mm]. A design sees alpha_2j R^(2j - 1), the slope that the coefficient gives at R
+            up to a factor, so that one step size suits small and large surfaces; files see alpha_2j.
+    """
 
     lens: Lens
+    radius: Tensor
+
+    @classmethod
+    def plain(cls, lens: Lens) -> "Variables":
+        """The coefficients as they are: R = 1 mm."""
+        return cls(lens, torch.ones_like(lens.curvature))
+
+    @classmethod
+    def stepped(cls, lens: Lens, view: View, rates: Rates) -> "Variables":
+        """As `rates` are meant: R = the radius that light uses on each surface of `lens` if they are normalised."""
+        return cls(lens, clear_semi_diameters(lens.detached(), view)) if rates.normalised else cls.plain(lens)
+
+    def _scale(self, order: int) -> Tensor:
+        return self.radius[list(self.lens.glass)] ** (order - 1)
 
     def values(self) -> dict[str, Tensor]:
         """Present values by name: `curvature`, `thickness`, `alpha_4` .. `alpha_10`, each (G,) for G glass surfaces."""
         glass = list(self.lens.glass)
         values = {"curvature": self.lens.curvature[glass], "thickness": self.lens.thickness[glass]}
-        values |= {f"alpha_{order}": self.lens.alpha[glass, order // 2 - 1] for order in ORDERS}
+        values |= {f"alpha_{order}": self.lens.alpha[glass, order // 2 - 1] * self._scale(order) for order in ORDERS}
         return {name: value.detach().clone() for name, value in values.items()}
 
     def assemble(self, values: Mapping[str, Tensor]) -> Lens:
         """The lens with these values in it, differentiable in them; what is not named keeps its value."""
         glass = torch.tensor(self.lens.glass)
 
-        def put(name: str, old: Tensor) -> Tensor:
-            return old.index_copy(0, glass, values[name]) if name in values else old
+        def put(name: str, old: Tensor, scale: Tensor | float = 1.0) -> Tensor:
+            return old.index_copy(0, glass, values[name] / scale) if name in values else old
 
-        columns = [put(f"alpha_{2 * j}", column) for j, column in enumerate(self.lens.alpha.unbind(-1), 1)]
+        columns = [
+            put(f"alpha_{2 * j}", column, self._scale(2 * j)) for j, column in enumerate(self.lens.alpha.unbind(-1), 1)
+        ]
         return replace(
             self.lens,
             curvature=put("curvature", self.lens.curvature),

@@ -68,7 +68,8 @@ def distances(rays: Rays, centre: Tensor) -> Tensor:
 def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
     """(F,) sqrt(mean(r^2)) of the valid rays about `centre` (F, 2) [mm]; infinite where no ray is valid."""
     squared = torch.where(rays.valid, distances(rays, centre).square(), 0.0)
-    return torch.sqrt(squared.sum((1, 2)) / rays.valid.sum((1, 2)))
+    count = rays.valid.sum((1, 2))
+    return torch.where(count > 0, torch.sqrt(squared.sum((1, 2)) / count.clamp(min=1)), torch.inf)
 
 
 def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tensor:

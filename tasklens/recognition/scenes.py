@@ -1,9 +1,10 @@
 """The built-in labelled data set: textured objects, rendered procedurally.
 
-A lens design supervised by a classifier needs images whose label depends on what a lens can lose. Here the class
-is the fine texture of an object and nothing else: pose, colours, shape, contrast and background are drawn alike for
-all classes, and every texture covers half of its surface and repeats with the same range of periods, so that blurring
-the period away leaves only chance. Rendering needs torch alone: no download, no licence, any amount of data.
+A lens design supervised by a classifier needs images whose label depends on what a lens can lose. Here the
+class is the fine texture of an object and nothing else: pose, colours, shape, contrast and background are
+drawn alike for all classes, and every texture covers half of its surface and repeats with the same range of
+periods, so that blurring the period away leaves only chance. Rendering needs torch alone: no download, no
+licence, any amount of data.
 """
 
 import math
@@ -70,11 +71,11 @@ def _weave(u: Tensor, v: Tensor) -> Tensor:
     # Cells of side 2 holding two parallel bars each, which end 0.1 short of the cell's border.
     upright = _both(_line(u / 4) - 0.25, _line(v / 4) - 0.25) > 0
     across, along = torch.where(upright, u, v), torch.where(upright, v, u)
-    return torch.maximum(_line(across + 0.5) - 0.278, 0.1 - 2 * _line(along / 2))
+    return torch.maximum(_line(across + 0.5) - 0.278, 0.1 - 2 * _line(along / 2 + 0.5))
 
 
 def _waves(u: Tensor, v: Tensor) -> Tensor:
-    # A slope of at most 1.5, one and a half times the zigzag's repeat length.
+    # Slopes of up to 1.4 and one and a half times the zigzag's repeat length.
     return _stripes(v * 0.7 + 0.5 * torch.sin(u * 2), u)
 
 
@@ -135,7 +136,7 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
     angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
     pixels = torch.arange(size) - half + 0.5
     x, y = pixels - uniform(-half / 2, half / 2), pixels[:, None] - uniform(-half / 2, half / 2)
-    depth = 1 + (uniform(-0.15, 0.15) * x + uniform(-0.15, 0.15) * y) / half
+    depth = 1 + (uniform(-0.05, 0.05) * x + uniform(-0.05, 0.05) * y) / half  # Keeps periods above 3 pixels.
     u = (angle.cos() * x + angle.sin() * y) * stretch / (period * depth)
     v = (angle.cos() * y - angle.sin() * x) / (stretch * period * depth)
     texture = _TEXTURES[name]

@@ -1,0 +1,129 @@
+"""Lenses, rays and studies that several test files build on, and differences to check gradients against."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays, launch
+from tasklens.recognition.data import Pictures
+
+WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
+
+
+def f64(values) -> Tensor:
+    return torch.as_tensor(values, dtype=torch.float64)
+
+
+def make_lens(curvature, thickness, media, *, conic=None, alpha=None, semi_diameter=None, stop=0) -> Lens:
+    """A lens in float64; spherical, without aspheres and unlimited where nothing else is said."""
+    surfaces = len(media)
+    return Lens(
+        curvature=f64(curvature),
+        conic=f64(conic if conic is not None else [0.0] * surfaces),
+        alpha=f64(alpha) if alpha is not None else torch.zeros(surfaces, 0, dtype=torch.float64),
+        thickness=f64(thickness),
+        semi_diameter=f64(semi_diameter if semi_diameter is not None else [torch.inf] * surfaces),
+        media=tuple(media),
+        stop=stop,
+    )
+
+
+def random_lens(seed: int) -> Lens:
+    """A stop and two elements with random conics and aspheres up to alpha_10."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
+
+    size = f64([0.02, 0.05, 0.05, 0.04, 0.03])  # of alpha_2 .. alpha_10
+    lens = make_lens(
+        uniform(-0.3, 0.3, 5),
+        uniform(0.3, 0.6, 5),
+        ("air", "COC", "air", "OKP4", "air"),
+        conic=uniform(-2.0, 1.0, 5),
+        alpha=uniform(-1.0, 1.0, 5, 5) * size,
+    )
+    flat_stop = f64([0.0, 1.0, 1.0, 1.0, 1.0])
+    return replace(lens, curvature=lens.curvature * flat_stop, alpha=lens.alpha * flat_stop[:, None])
+
+
+def random_rays(count: int, seed: int, height: float = 0.4, tangent: float = 0.25) -> Rays:
+    """(1, count) rays from the first vertex plane."""
+    generator = torch.Generator().manual_seed(seed)
+    x, y, tx, ty = 2 * torch.rand(4, 1, count, generator=generator, dtype=torch.float64) - 1
+    n = torch.rsqrt(1 + (tangent * tx) ** 2 + (tangent * ty) ** 2)
+    return launch(height * x, height * y, torch.zeros_like(n), tangent * tx * n, tangent * ty * n, n)
+
+
+def parallel_rays(heights) -> Rays:
+    """(1, N) rays along the axis at heights y."""
+    y = f64(heights)[None]
+    zero = torch.zeros_like(y)
+    return launch(zero, y, zero, zero, zero, torch.ones_like(y))
+
+
+def landed(x, y, valid=None) -> Rays:
+    """Rays that meet the image plane at (x, y), any shape; lost where not `valid`."""
+    x, y = f64(x), f64(y)
+    rays = launch(x, y, torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x), torch.ones_like(x))
+    return rays if valid is None else replace(rays, fate=(~valid).to(torch.int8))
+
+
+def difference(function: Callable[[Tensor], Tensor], x: Tensor, step: float) -> Tensor:
+    """Derivative of `function` by each element of x, from five points: exact for polynomials of degree 4."""
+    columns = []
+    for i in range(x.numel()):
+        unit = torch.zeros_like(x).flatten()
+        unit[i] = step
+        unit = unit.reshape(x.shape)
+        near, far = function(x + unit) - function(x - unit), function(x + 2 * unit) - function(x - 2 * unit)
+        columns.append((8 * near - far) / (12 * step))
+    stacked = torch.stack(columns, -1)
+    return stacked.reshape(*stacked.shape[:-1], *x.shape)
+
+
+def random_pictures(count: int, size: int, classes: int, seed: int) -> Pictures:
+    """Pictures of noise, each class brighter than the one before."""
+    generator = torch.Generator().manual_seed(seed)
+    labels = torch.arange(count) % classes
+    noise = torch.randint(0, 128, (count, 3, size, size), generator=generator)
+    bright = labels[:, None, None, None] * (127 // max(1, classes - 1))
+    return Pictures((noise + bright).byte(), labels, tuple(f"class{k}" for k in range(classes)))
+
+
+def tiny_study() -> dict:
+    """A study with one lens of every method, of a size that runs in seconds."""
+    rates = {"curvature": 1e-2, "thickness": 5e-3, "alpha_4": 1e-2}
+    return {
+        "format": 1,
+        "name": "tiny",
+        "seeds": [0],
+        "images": {"size": 16, "train": 40, "minival": 10, "test": 20},
+        "spec": {"kernel": 11},
+        "evaluation_rays": 64,
+        "elements": {"singlet": ["COC"]},
+        "supervisor": "small",
+        "classifiers": {
+            "small": {"model": "test_resnet", "training": {"epochs": 1, "rate": 1e-3, "batch": 20}},
+            "other": {"model": "test_vit", "arguments": {"img_size": 16, "patch_size": 8}, "weights": "/nowhere"},
+        },
+        "designs": {
+            "tasklens": {"method": "task", "steps": 2, "images": 2, "rays": 16, "polish": {"steps": 1}},
+            "imaging1": {"method": "spot", "steps": 3, "rays": 16, "rates": rates},
+            "imaging2": {"method": "least_squares", "starts": 3, "keep": 1, "evaluations": 6},
+            "end_to_end_from_imaging": {"method": "end_to_end", "start": "best_imaging", "steps": 2, "images": 2},
+            "end_to_end_from_flat": {"method": "end_to_end", "start": "flat", "steps": 2, "images": 2},
+        },
+        "fine_tuning": {"epochs": 1, "rate": 1e-3, "batch": 20},
+        "restoration": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1], "steps": 2, "batch": 4},
+        "minutes": {"images": 0.1},
+    }
+
+
+def changed(study: dict, key: str, value) -> dict:
+    """A copy of a study's mapping with the value at a dotted key replaced or added."""
+    head, _, rest = key.partition(".")
+    return study | {head: changed(study.get(head, {}), rest, value) if rest else value}

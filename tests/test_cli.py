@@ -1,0 +1,158 @@
+"""Every stage as a person types it, on a study of a few seconds; what each leaves, and how it complains."""
+
+import csv
+
+import pytest
+import torch
+import yaml
+from examples import changed, tiny_study
+
+from tasklens import cli
+from tasklens.files import read_tensors
+from tasklens.layout import Layout
+
+LAYOUT = Layout("results/tiny")
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    """A folder with the tiny study, its pictures and its reference classifier; stages run inside it."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "study.yaml").write_text(yaml.safe_dump(tiny_study()))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for stage in (["images"], ["reference", "small"]):
+            assert run(*stage) == 0
+        yield folder
+
+
+def run(stage: str, *arguments: str) -> int:
+    return cli.main([stage, "study.yaml", *arguments])
+
+
+def rows(path: str) -> list[dict]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def values(path: str, metric: str) -> list[float]:
+    return [float(row["value"]) for row in rows(path) if row["metric"] == metric]
+
+
+@pytest.fixture(scope="module")
+def lenses(workplace):
+    """All five designs with their PSFs, the imaging designs judged, one restoration."""
+    for name in ("imaging1", "imaging2", "tasklens", "end_to_end_from_flat"):
+        assert run("design", f"singlet-{name}") == 0
+    for name in ("imaging1", "imaging2"):
+        assert run("psf", f"singlet-{name}") == 0
+        assert run("fine-tune", f"singlet-{name}", "small") == 0
+    assert run("design", "singlet-end_to_end_from_imaging") == 0
+    assert run("fine-tune", "sharp", "small") == 0
+    return workplace
+
+
+def test_check_says_what_a_study_holds(workplace, capsys):
+    assert run("check") == 0
+    assert "tiny: 5 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
+
+
+def test_every_design_leaves_a_readable_lens(lenses):
+    """A prescription with its spec, origin, figures and margins, and a history of finite numbers."""
+    for name in tiny_study()["designs"]:
+        with open(LAYOUT.lens(f"singlet-{name}", 0)) as file:
+            content = yaml.safe_load(file)
+        assert [s["medium"] for s in content["surfaces"]] == ["air", "COC", "air"]
+        assert content["origin"]["design"] == name and content["spec"]["kernel"] == 11
+        assert len(content["figures"]["rms_centroid_um"]) == 9
+        assert content["worst_margin"]["value"] == min(content["margins"].values())
+        assert rows(LAYOUT.history(f"singlet-{name}", 0))
+    phases = [row["phase"] for row in rows(LAYOUT.history("singlet-tasklens", 0))]
+    assert phases == ["task-driven"] * 2 + ["polish"]
+
+
+def test_design_from_imaging_begins_with_the_better_lens(lenses):
+    judged = {
+        name: sum(values(LAYOUT.metrics(name, 0, "small"), "minival_accuracy"))
+        for name in ("singlet-imaging1", "singlet-imaging2")
+    }
+    with open(LAYOUT.lens("singlet-end_to_end_from_imaging", 0)) as file:
+        start = yaml.safe_load(file)["origin"]["start"]
+    assert judged[start] == max(judged.values())
+
+
+def test_a_design_is_repeatable_to_the_last_byte(lenses):
+    for name in ("imaging1", "tasklens"):
+        with open(LAYOUT.lens(f"singlet-{name}", 0)) as file:
+            before = file.read()
+        assert run("design", f"singlet-{name}") == 0
+        with open(LAYOUT.lens(f"singlet-{name}", 0)) as file:
+            assert file.read() == before
+
+
+def test_psf_file_says_what_it_holds(lenses):
+    """9 fields, 3 colours, 11 x 11 pixels; the metadata's energies are the sums of the PSFs."""
+    tensors, notes = read_tensors(LAYOUT.psf("singlet-imaging1", 0))
+    assert tensors["psf"].shape == (9, 3, 11, 11) and tensors["psf"].dtype == torch.float32
+    assert len(notes["fields_mm"]) == 9 and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
+    torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
+
+
+def test_metrics_are_tidy(lenses):
+    """Nine fields per metric through a lens; the pictures themselves have one field and no PSNR."""
+    through = LAYOUT.metrics("singlet-imaging1", 0, "small")
+    assert all(len(values(through, m)) == 9 for m in ("accuracy", "minival_accuracy", "psnr_db"))
+    assert values(through, "chance") == [10.0]
+    sharp = LAYOUT.metrics("sharp", 0, "small")
+    assert len(values(sharp, "accuracy")) == 1 and values(sharp, "psnr_db") == []
+    assert {(row["elements"], row["design"]) for row in rows(sharp)} == {("", "reference")}
+    assert {(row["elements"], row["design"], row["restored"]) for row in rows(through)} == {
+        ("singlet", "imaging1", "False")
+    }
+
+
+def test_restoration_and_tables_and_figure(lenses):
+    """The rest of the journey: restored captures have metrics of their own; tables and pictures come out."""
+    assert run("restore", "singlet-imaging1") == 0
+    assert run("fine-tune", "singlet-imaging1", "small", "--restored") == 0
+    restored = LAYOUT.metrics("singlet-imaging1", 0, "small-restored")
+    assert values(restored, "psnr_db") != values(LAYOUT.metrics("singlet-imaging1", 0, "small"), "psnr_db")
+    assert run("table", "table1", "--partial") == 0
+    assert [row["design"] for row in rows(LAYOUT.table("table1", "csv"))] == ["reference", "imaging1", "imaging2"]
+    assert run("figure", "singlet-imaging1") == 0
+    with open(LAYOUT.figure("singlet-imaging1", 0), "rb") as file:
+        assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["design", "doublet-imaging1"], ["doublet-imaging1", "singlet-imaging1"]),
+        (["fine-tune", "singlet-imaging1", "nobody"], ["nobody", "small"]),
+        (["psf", "singlet-imaging1", "--seed", "7"], ["seed7", "lens.yaml"]),
+        (["reference", "other"], ["/nowhere"]),
+        (["table", "table3"], ["metrics"]),
+    ],
+)
+def test_a_mistake_is_one_message_and_exit_status_2(workplace, capsys, arguments, words):
+    assert run(*arguments) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("tasklens: ") and len(message.splitlines()) == 1
+    assert all(word in message for word in words)
+
+
+def test_a_wrong_study_is_a_message_too(workplace, capsys):
+    (workplace / "wrong.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "spec.kernel", 50)))
+    assert cli.main(["check", "wrong.yaml"]) == 2
+    assert "spec.kernel = 50" in capsys.readouterr().err
+    assert cli.main(["check", "absent.yaml"]) == 2
+    assert "absent.yaml" in capsys.readouterr().err
+
+
+@pytest.mark.xfail(strict=True, raises=ValueError, reason="a broken lens file is a traceback in the CLI")
+def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
+    path = workplace / LAYOUT.lens("singlet-imaging1", 5)
+    path.parent.mkdir(parents=True)
+    path.write_text("format: 2\n")
+    assert run("psf", "singlet-imaging1", "--seed", "5") == 2
+    assert "lens.yaml" in capsys.readouterr().err

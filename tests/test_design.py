@@ -1,0 +1,442 @@
+"""Designs: their variables, limits, gradients, and that each method improves a lens."""
+
+import copy
+import math
+from dataclasses import replace
+
+import numpy
+import pytest
+import torch
+import torch.nn.functional as F
+from examples import changed, difference, f64, random_lens, random_pictures, tiny_study
+from torch import nn
+
+from tasklens import jobs
+from tasklens.design import descent, least_squares, methods, spot
+from tasklens.design.constraints import (
+    first_order_margins,
+    manufacturing_margins,
+    penalty,
+    shortfall,
+    worst_margin,
+)
+from tasklens.design.schedule import cosine
+from tasklens.design.start import Variables, flat, parameter_groups, view
+from tasklens.imaging import Camera
+from tasklens.optics.analysis import centroid, chief_points, rms_spot_radius, trace_fields
+from tasklens.optics.paraxial import paraxial
+from tasklens.optics.psf import psf
+from tasklens.optics.pupil import sobol_disc
+from tasklens.study import Capture, Constraints, Descent, LeastSquares, Rates, Spec, Spot, parse
+
+SPEC, LIMITS = Spec(kernel=11), Constraints()
+LOOKS = view(SPEC)
+PLASTICS = ("COC", "OKP4")
+SETTINGS = LeastSquares(method="least_squares")
+
+
+@pytest.fixture(scope="module")
+def start():
+    """A random doublet of the right focal length."""
+    flat_lens = flat(PLASTICS, SPEC, LIMITS)
+    return least_squares.random_starts(flat_lens, LOOKS, LIMITS, 1, numpy.random.default_rng(0))[0]
+
+
+# ---- starts and variables
+
+
+@pytest.mark.parametrize("elements", [1, 2, 3, 4])
+def test_flat_start_keeps_the_limits_and_has_no_power(elements):
+    """Plane plates that can be made, a stop of EFL / (2 F), nothing bent."""
+    lens = flat(("COC",) * elements, SPEC, LIMITS)
+    assert float(paraxial(lens, 0.5893).power) == 0
+    assert float(lens.semi_diameter[lens.stop]) == pytest.approx(SPEC.efl_mm / (2 * SPEC.f_number), rel=1e-15)
+    margins = manufacturing_margins(lens, LIMITS, torch.full_like(lens.thickness, 1.5))
+    del margins["max_centre_thickness"]  # few plates fill the track with thick glass
+    assert worst_margin(margins)[1] >= 0
+
+
+def test_variables_there_and_back():
+    """Assembling what was taken out changes nothing; assembling other values changes these and no others."""
+    lens = random_lens(0)
+    variables = Variables.plain(lens)
+    same = variables.assemble(variables.values())
+    for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
+        assert torch.equal(getattr(same, name), getattr(lens, name)), name
+    values = {name: torch.full_like(v, 0.1 * k) for k, (name, v) in enumerate(variables.values().items(), 1)}
+    again = Variables.plain(variables.assemble(values)).values()
+    assert all(torch.equal(values[name], again[name]) for name in values)
+    other = variables.assemble(values)
+    assert torch.equal(other.alpha[:, 0], lens.alpha[:, 0]) and torch.equal(other.conic, lens.conic)
+    assert other.thickness[0] == lens.thickness[0] and other.curvature[0] == lens.curvature[0]
+    partial = variables.assemble({"curvature": values["curvature"]})
+    assert torch.equal(partial.thickness, lens.thickness) and torch.equal(partial.alpha, lens.alpha)
+
+
+def test_normalised_variables_are_slopes_at_the_radius_that_light_uses():
+    """alpha_2j R^(2j - 1) is 1 / (2j) of the slope that the term has at R; taking out and putting in is exact."""
+    lens, used = random_lens(0), f64([0.3, 0.4, 0.7, 1.1, 1.9])
+    variables = Variables(lens, used)
+    for order in (4, 6, 8, 10):
+        r = used.clone().requires_grad_()
+        slope = torch.autograd.grad((lens.alpha[:, order // 2 - 1] * r**order).sum(), r)[0]
+        torch.testing.assert_close(variables.values()[f"alpha_{order}"], slope[1:] / order, rtol=1e-13, atol=0)
+    torch.testing.assert_close(variables.assemble(variables.values()).alpha, lens.alpha, rtol=1e-14, atol=0)
+
+
+def test_each_asphere_order_learns_more_slowly_by_one_factor():
+    values = Variables.plain(random_lens(0)).values()
+    groups = parameter_groups(values, Rates(curvature=1, thickness=2, alpha_4=3, decay=0.5))
+    assert [group["lr"] for group in groups] == [1, 2, 3, 1.5, 0.75, 0.375]
+    assert [group["params"][0] is value for group, value in zip(groups, values.values(), strict=True)] == [True] * 6
+
+
+def test_cosine_schedule():
+    """From 1 to the final fraction, their mean half-way, symmetric about it."""
+    assert [cosine(x, 0.2) for x in (0, 0.5, 1, 2)] == pytest.approx([1, 0.6, 0.2, 0.2])
+    assert cosine(0.3, 0.2) + cosine(0.7, 0.2) == pytest.approx(1.2)
+    assert cosine(0.7, 1.0) == 1
+
+
+# ---- limits
+
+
+def sphere_sag(radius: float, r: float) -> float:
+    return radius - math.sqrt(radius**2 - r**2)
+
+
+SEMI, R = 0.8, 2.0
+FLAT = flat(("COC",), SPEC, LIMITS)
+
+
+def plates(thickness, curvature=(0.0, 0.0, 0.0)):
+    return replace(FLAT, thickness=f64(thickness), curvature=f64(curvature))
+
+
+BROKEN = {
+    "min_centre_thickness": (plates([0.1, 0.22, 2.0]), 0.22 - 0.25),
+    "max_centre_thickness": (plates([0.1, 1.62, 2.0]), 1.5 - 1.62),
+    "min_edge_thickness": (plates([0.1, 0.4, 2.0], [0, 1 / R, -1 / R]), 0.4 - 2 * sphere_sag(R, SEMI) - 0.2),
+    "min_air_gap": (plates([0.1, 0.9, 2.0], [0, -1 / R, 0]), 0.1 - sphere_sag(R, SEMI) - 0.05),
+    "min_back_focus": (plates([0.1, 0.9, 0.8], [0, 0, 1 / R]), 0.8 - sphere_sag(R, SEMI) - 0.7),
+    "max_track": (plates([0.1, 1.0, 3.5]), 4.4 - 4.6),
+    "max_slope": (plates([0.3, 1.0, 2.0], [0, 0, 1 / 1.1]), 0.57 - SEMI / math.sqrt(1.1**2 - SEMI**2)),
+}
+
+
+@pytest.mark.parametrize("limit", BROKEN)
+def test_a_broken_limit_reports_by_how_much(limit):
+    """Spheres and plates whose shortfall is known in closed form; the other limits hold."""
+    lens, expected = BROKEN[limit]
+    assert expected < 0
+    margins = manufacturing_margins(lens, LIMITS, torch.full((3,), SEMI, dtype=torch.float64))
+    assert set(margins) == set(BROKEN)
+    assert float(margins[limit].min()) == pytest.approx(expected, abs=1e-12)
+    others = {name: value for name, value in margins.items() if name != limit}
+    assert worst_margin(others)[1] > 0
+    assert worst_margin(margins) == (limit, pytest.approx(expected, abs=1e-12))
+
+
+@pytest.mark.parametrize("semi", [(SEMI, SEMI, 0.5), (SEMI, 0.5, SEMI)])
+def test_edges_count_up_to_the_larger_of_two_apertures(semi):
+    """An element is moulded up to where light leaves either of its surfaces."""
+    lens, expected = BROKEN["min_edge_thickness"]
+    margins = manufacturing_margins(lens, LIMITS, f64(semi))
+    assert float(margins["min_edge_thickness"].min()) == pytest.approx(expected, abs=1e-12)
+
+
+def test_elements_that_overlap_only_between_axis_and_rim_are_found():
+    """Air gaps are checked at several heights: aspheres may touch where neither vertex nor edge shows it."""
+    alpha = torch.zeros(5, 5, dtype=torch.float64)
+    alpha[3, 0], alpha[3, 1] = -0.64, 1.0  # sag r^2 (r^2 - 0.64): zero at the vertex and at r = 0.8, -0.1 between
+    base = flat(PLASTICS, SPEC, LIMITS)
+    lens = replace(base, alpha=alpha, thickness=f64([0.1, 0.8, 0.1, 0.8, 1.5]))
+    margins = manufacturing_margins(lens, LIMITS, torch.full((5,), 0.8, dtype=torch.float64))
+    assert float(margins["min_air_gap"].min()) == pytest.approx(0.1 - 0.32**2 - 0.05, abs=2e-3)
+
+
+def test_focal_length_and_distortion_margins(start):
+    """A lens 5 % too long, and chief rays 6 % too far out, miss their limits of 2 and 3 % by the rest."""
+    longer = replace(LOOKS, efl=LOOKS.efl / 1.05)
+    margins = first_order_margins(start, LIMITS, longer, 1.06 * longer.fields)
+    assert float(margins["efl_tolerance"]) == pytest.approx(0.02 - (1 - 1 / 1.05), abs=1e-9)
+    torch.testing.assert_close(margins["distortion"], torch.full((8,), 0.03 - 0.06, dtype=torch.float64))
+
+
+def test_penalty_is_zero_inside_and_pushes_outward():
+    """Steepest descent of the penalty thickens a plate that is too thin and flattens a surface that is too steep."""
+    good = plates([0.2, 0.9, 2.0])
+    assert float(penalty(good, LIMITS, LOOKS)) == 0
+
+    def slope(lens, name):
+        leaf = getattr(lens, name).clone().requires_grad_()
+        return torch.autograd.grad(penalty(replace(lens, **{name: leaf}), LIMITS, LOOKS), leaf)[0]
+
+    assert slope(plates([0.2, 0.1, 2.0]), "thickness")[1] < 0
+    assert slope(plates([0.2, 1.0, 3.5]), "thickness").min() > 0  # track: every space shrinks
+    for sign in (1, -1):
+        assert sign * slope(plates([0.6, 1.0, 2.0], [0, sign / 1.1, 0]), "curvature")[1] > 0
+
+
+def test_shortfall_begins_before_the_limit():
+    """Designs aim a buffer inside: at the limit itself the shortfall is already positive, far inside it is zero."""
+    found = shortfall({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
+    assert found[0] > 0 and found[1] == 0 and float(found[2] - found[0]) == pytest.approx(0.5)
+    assert 0 < found[3] < found[0]
+
+
+# ---- descent of a classifier's loss
+
+
+def small_network(seed: int = 0) -> nn.Module:
+    torch.manual_seed(seed)
+    layers = nn.Conv2d(3, 6, 3, stride=2), nn.BatchNorm2d(6), nn.ReLU(), nn.AdaptiveAvgPool2d(2), nn.Flatten()
+    return nn.Sequential(*layers, nn.Linear(24, 3))
+
+
+def coarse(lens, looks=LOOKS):
+    """PSFs on coarse pixels, where light of a bad lens falls into the window."""
+    rays = trace_fields(lens, looks, sobol_disc(32, 0))
+    return psf(rays, looks.fields, 20.0, 11)
+
+
+@pytest.mark.parametrize("colour", ["srgb", "linear"])
+@pytest.mark.parametrize("micro_batch", [1, 2, 8])
+def test_two_stages_give_the_gradient_of_one(start, micro_batch, colour):
+    """dL/dPSF from micro-batches, carried through the rays, equals backward through everything at once."""
+    pictures, network = random_pictures(5, 16, 3, seed=0), small_network().eval().requires_grad_(False)
+    images, labels = pictures.batch(torch.arange(5))
+    variables = Variables.plain(start)
+    gradients = []
+    for two_stages in (True, False):
+        values = {name: v.requires_grad_() for name, v in variables.values().items()}
+        grid = coarse(variables.assemble(values))
+        if two_stages:
+            losses, upstream = descent.loss_at_psf(
+                network, images, labels, grid.float(), Capture(colour=colour), micro_batch
+            )
+            grid.backward(upstream.double())
+        else:
+            logits = network(Camera(grid, colour=colour).grid(images).flatten(0, 1))
+            whole = F.cross_entropy(logits, labels.repeat(len(grid)))
+            whole.backward()
+        gradients.append(torch.cat([values[name].grad for name in values]))
+    each = F.cross_entropy(logits, labels.repeat(len(grid)), reduction="none").reshape(9, 5).mean(1).detach()
+    torch.testing.assert_close(losses, each, rtol=1e-5, atol=0)
+    assert float(gradients[1].abs().max()) > 0
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
+
+
+RATES = Rates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
+
+
+def descended(network, lens, **settings):
+    problem = descent.Problem(LOOKS, LIMITS, Capture(), random_pictures(12, 16, 3, seed=0), seed=1)
+    rate = settings.pop("network_rate", None)
+    settings = Descent(**({"steps": 3, "images": 4, "rays": 16, "rates": RATES} | settings))
+    history: list[dict] = []
+    return descent.descend(lens, network, problem, settings, history, "test", rate), history
+
+
+def test_frozen_network_stays_frozen(start):
+    """Task-driven design moves the lens and neither a weight nor a batch statistic."""
+    network = small_network().train()
+    before = copy.deepcopy(network.state_dict())
+    lens, history = descended(network, start)
+    assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
+    assert not network.training
+    assert not torch.equal(lens.curvature, start.curvature) and not torch.equal(lens.thickness, start.thickness)
+    assert torch.equal(lens.semi_diameter, start.semi_diameter)
+    assert len(history) == 3 and all(math.isfinite(row["loss"]) for row in history)
+
+
+def test_end_to_end_design_moves_the_network_too(start):
+    network = small_network()
+    before = copy.deepcopy(network.state_dict())
+    lens, _ = descended(network, start, network_rate=1e-3)
+    assert all(not torch.equal(v, before[k]) for k, v in network.state_dict().items())
+    assert not torch.equal(lens.curvature, start.curvature)
+    assert not network.training
+
+
+def test_descent_is_deterministic(start):
+    first, again = (descended(small_network(), start, steps=2)[0] for _ in range(2))
+    for name in ("curvature", "thickness", "alpha"):
+        assert torch.equal(getattr(first, name), getattr(again, name))
+
+
+def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
+    """Both scales go to 1 in equal ratios by the end of their durations, and stay there."""
+    settings = {"pixel_scale": 16.0, "pixel_duration": 0.5, "stop_scale": 0.25, "stop_duration": 0.25}
+    _, history = descended(small_network(), start, steps=8, cold_start=settings)
+    assert [row["pixel_scale"] for row in history] == pytest.approx([16, 8, 4, 2, 1, 1, 1, 1])
+    assert [row["stop_scale"] for row in history] == pytest.approx([0.25, 0.5, 1, 1, 1, 1, 1, 1])
+
+
+def test_descent_lowers_the_loss(start):
+    """Three dozen steps on a fixed network reduce its loss on the captures."""
+    network = small_network()
+    pictures = random_pictures(12, 16, 3, seed=0)
+    from tasklens.recognition.training import fit
+    from tasklens.study import Training
+
+    fit(network, pictures, Training(epochs=60, rate=1e-2, batch=12), 0, "sharp")
+    images, labels = pictures.batch(torch.arange(12))
+
+    def loss(lens):
+        grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, LOOKS.pixel_pitch, 11)
+        return float(descent.loss_at_psf(network, images, labels, grid.float(), Capture(), 12)[0].mean())
+
+    lens, _ = descended(network, start, steps=36, images=12, augment=False)
+    assert loss(lens) < loss(start)
+
+
+# ---- imaging designs
+
+
+def mean_rms(lens) -> float:
+    rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
+    return float(rms_spot_radius(rays, centroid(rays)).mean())
+
+
+def test_spot_descent_from_flat_makes_a_lens():
+    """Thirty steps from plane plates: less blur and no shorter of its focal length than before."""
+    settings = Spot(method="spot", steps=30, rays=64, rates=Rates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2))
+    begin, history = flat(PLASTICS, SPEC, LIMITS), []
+    lens = spot.design(begin, LOOKS, LIMITS, settings, 0, history)
+    assert mean_rms(lens) < 0.7 * mean_rms(begin)
+    assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
+    assert len(history) == 30
+
+
+def test_random_starts_have_the_focal_length_and_a_focus():
+    """The last curvature and the back focus are solved for; limits on track and back focus hold."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    again = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    for lens, same in zip(starts, again, strict=True):
+        found = paraxial(lens, LOOKS.wavelengths[1])
+        assert float(found.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
+        assert float(found.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
+        assert LIMITS.min_back_focus < float(found.bfl) and float(lens.thickness.sum()) < LIMITS.max_track
+        assert torch.equal(lens.curvature, same.curvature)
+    assert len({float(lens.curvature[1]) for lens in starts}) == 20
+
+
+def merit_parts(start, names):
+    merit, variables = least_squares.Merit(LOOKS, LIMITS, SETTINGS), Variables.plain(start)
+    values = {name: v for name, v in variables.values().items() if name in names}
+    sizes = [len(v) for v in values.values()]
+
+    def residuals(vector):
+        return merit.residuals(variables.assemble(dict(zip(values, vector.split(sizes), strict=True))))
+
+    return residuals, torch.cat(list(values.values()))
+
+
+def test_merit_jacobian_is_the_limit_of_differences(start):
+    """Forward mode through rays, centroid, focal length and distortion; limits take apertures as given (see below)."""
+    residuals, vector = merit_parts(start, ("curvature", "thickness", "alpha_4"))
+    rays = 2 * len(least_squares._HEIGHTS) * 3 * least_squares._RINGS * least_squares._ARMS
+    rows = [*range(rays), *range(-len(least_squares._HEIGHTS), 0)]
+    found = torch.func.jacfwd(residuals)(vector)[rows]
+    expected = difference(residuals, vector, 1e-6)[rows]
+    assert (expected.abs().amax(0) > 1).all()
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
+def test_margins_are_differentiable_at_a_given_aperture(start, name):
+    semi = torch.full_like(start.thickness, 0.7)
+
+    def margins(value):
+        return torch.cat(list(manufacturing_margins(replace(start, **{name: value}), LIMITS, semi).values()))
+
+    found = torch.func.jacfwd(margins)(getattr(start, name))
+    expected = difference(margins, getattr(start, name), 1e-4)
+    assert float(expected.abs().max()) > 0
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-8)
+
+
+def test_merit_is_the_mean_square_spot(start):
+    """Without broken limits the squares sum to the mean over fields of the squared RMS spot radius."""
+    easy = Constraints(
+        min_centre_thickness=1e-6, max_centre_thickness=99, min_edge_thickness=1e-6, min_air_gap=1e-6,
+        min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
+    )  # fmt: skip
+    merit = least_squares.Merit(LOOKS, easy, SETTINGS)
+    gentle = start.stopped(0.3)
+    found = float(merit.residuals(gentle).square().sum())
+    heights = torch.tensor(least_squares._HEIGHTS, dtype=torch.float64)
+    fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
+    looks = replace(LOOKS, fields=fields)
+    rays = trace_fields(gentle, looks, sobol_disc(8192, 0))
+    expected = float((1e3 * rms_spot_radius(rays, centroid(rays))).square().mean())
+    assert found == pytest.approx(expected, rel=1e-2)
+
+
+def test_improve_never_increases_the_merit():
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    merit = least_squares.Merit(LOOKS, LIMITS, SETTINGS)
+    for lens in least_squares.random_starts(begin, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
+        before = float(merit.residuals(lens).norm())
+        better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
+        assert error <= before
+        assert error == pytest.approx(float(merit.residuals(better).norm()), rel=1e-9)
+        assert torch.equal(better.alpha, lens.alpha)
+
+
+def test_more_evaluations_make_a_better_lens():
+    """A staged least-squares design of a few seconds beats each of its starts, with or without kicks."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=1)
+    history: list[dict] = []
+    lens = least_squares.design(begin, LOOKS, LIMITS, settings, 0, history)
+    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
+    merit = least_squares.Merit(LOOKS, LIMITS, settings)
+    best = min(float(merit.residuals(x).norm()) for x in starts)
+    final = float(merit.residuals(lens).norm())
+    assert final < 0.5 * best
+    assert final == pytest.approx(history[-1]["rms_um"], rel=1e-9)
+    assert history[-1]["rms_um"] <= min(row["rms_um"] for row in history if row["stage"] == 3)
+
+
+def test_a_kick_that_makes_it_worse_is_forgotten(monkeypatch):
+    """Kicked to plane plates, nothing better comes of a dozen evaluations: the lens from before is returned."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=0)
+    best = least_squares.design(begin, LOOKS, LIMITS, settings, 0, [])
+    monkeypatch.setattr(least_squares, "_kick", lambda lens, rng: begin)
+    monkeypatch.setattr(least_squares, "_KICK_EVALUATIONS", 2)
+    kicked = least_squares.design(begin, LOOKS, LIMITS, settings.model_copy(update={"kicks": 1}), 0, [])
+    assert torch.equal(kicked.curvature, best.curvature) and torch.equal(kicked.alpha, best.alpha)
+
+
+# ---- a finished lens
+
+
+def test_finished_lens_passes_its_light_and_tells_its_margins(start):
+    study = parse(changed(tiny_study(), "elements", {"doublet": PLASTICS}))
+    job = jobs.design(study, "doublet-imaging1", 0)
+    lens, notes = methods.finished(start, job, {"method": "spot"})
+    assert torch.isfinite(lens.semi_diameter).all()
+    assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
+    valid = trace_fields(start, LOOKS, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
+    assert notes["figures"]["valid_fraction"] == pytest.approx(valid, abs=1e-12)
+    assert notes["figures"]["efl_mm"] == pytest.approx(study.spec.efl_mm, rel=1e-9)
+    assert notes["worst_margin"]["value"] == min(notes["margins"].values())
+    assert len(notes["margins"]) == 9
+    assert chief_points(lens, LOOKS).isfinite().all()
+    reopened = methods.open_apertures(lens)
+    assert torch.equal(reopened.semi_diameter, start.semi_diameter)
+
+
+def test_best_rival_is_chosen_by_the_minival(tmp_path):
+    """The test split has no say."""
+    rivals = {}
+    for name, minival, test in (("a", 40, 90), ("b", 60, 10), ("c", 50, 99)):
+        path = tmp_path / f"{name}.csv"
+        rows = "\n".join(f"{field},minival_accuracy,{minival}\n{field},accuracy,{test}" for field in range(9))
+        path.write_text(f"field,metric,value\n{rows}\n")
+        rivals[name] = (None, path)
+    assert methods.best(rivals) == "b"

@@ -1,0 +1,178 @@
+"""Materials, paraxial data and pupils, against tables, textbook formulas and real rays close to the axis."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+import torch
+from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens
+
+from tasklens.design.start import flat, view
+from tasklens.optics.analysis import chief_points, trace_fields
+from tasklens.optics.materials import FITTED_UM, PLASTICS, refractive_index
+from tasklens.optics.paraxial import paraxial
+from tasklens.optics.pupil import bundles, gauss_quadrature, rim, sobol_disc
+from tasklens.optics.rays import trace
+from tasklens.study import Constraints, Spec
+
+# nd and Vd as the makers of the plastics state them
+CATALOGUE = {
+    "COC": (1.53373, 56.20),
+    "PMMA": (1.49175, 57.42),
+    "PS": (1.59048, 30.85),
+    "PC": (1.58547, 29.90),
+    "OKP4HT": (1.63280, 23.33),
+    "OKP4": (1.60792, 26.89),
+}
+F_LINE, D_LINE, C_LINE = 0.4861, 0.5876, 0.6563
+
+
+def test_every_plastic_stands_in_the_catalogue():
+    assert set(CATALOGUE) == set(PLASTICS)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_index_and_abbe_number(name):
+    """nd and Vd = (nd - 1) / (nF - nC), to the digits of the catalogue."""
+    nd = refractive_index(name, D_LINE)
+    vd = (nd - 1) / (refractive_index(name, F_LINE) - refractive_index(name, C_LINE))
+    assert nd == pytest.approx(CATALOGUE[name][0], abs=2e-5)
+    assert vd == pytest.approx(CATALOGUE[name][1], abs=3e-2)
+
+
+@pytest.mark.parametrize("name", PLASTICS)
+def test_dispersion_is_normal(name):
+    """In the visible a plastic's index falls with the wavelength."""
+    low, high = FITTED_UM
+    indices = [refractive_index(name, low + (high - low) * k / 40) for k in range(41)]
+    assert all(a > b for a, b in pairwise(indices))
+
+
+def test_unknown_medium_and_wavelength_outside_the_fit_raise():
+    assert refractive_index("air", 5.0) == 1.0
+    with pytest.raises(ValueError, match="PLASTIC"):
+        refractive_index("PLASTIC", 0.55)
+    for wavelength in (0.39, 0.81):
+        with pytest.raises(ValueError, match=str(wavelength)):
+            refractive_index("COC", wavelength)
+
+
+N = refractive_index("COC", 0.5893)
+
+
+@pytest.mark.parametrize("c1, c2, t", [(0.4, -0.2, 0.0), (0.4, -0.2, 1.1), (-0.3, 0.5, 0.7), (0.0, -0.5, 2.0)])
+def test_lens_makers_formula(c1, c2, t):
+    """1 / f = (n - 1) (c1 - c2 + (n - 1) t c1 c2 / n), and the back focus f (1 - (n - 1) t c1 / n)."""
+    found = paraxial(make_lens([c1, c2], [t, 1.0], ("COC", "air")), 0.5893)
+    power = (N - 1) * (c1 - c2 + (N - 1) * t * c1 * c2 / N)
+    assert float(found.power) == pytest.approx(power, rel=1e-14)
+    assert float(found.efl) == pytest.approx(1 / power, rel=1e-14)
+    assert float(found.bfl) == pytest.approx((1 - (N - 1) * t * c1 / N) / power, rel=1e-13)
+
+
+def test_pupil_of_a_stop_behind_a_thin_lens():
+    """A stop at distance d behind a thin lens of focal length f appears at d f / (f - d), larger by f / (f - d)."""
+    f, d, radius = 4.0, 1.5, 0.6
+    c = 1 / f / (N - 1)
+    lens = make_lens([c, 0, 0], [0, d, 2], ("COC", "air", "air"), semi_diameter=[9, 9, radius], stop=2)
+    found = paraxial(lens, 0.5893)
+    assert float(found.entrance_pupil_z) == pytest.approx(d * f / (f - d), rel=1e-13)
+    assert float(found.entrance_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
+
+
+def test_pupil_of_a_front_stop_is_the_stop():
+    lens = replace(random_lens(0), semi_diameter=f64([0.4, 9, 9, 9, 9]))
+    found = paraxial(lens, 0.5893)
+    assert float(found.entrance_pupil_z) == 0.0
+    assert float(found.entrance_pupil_radius) == 0.4
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("wavelength", WAVELENGTHS)
+def test_rays_close_to_the_axis_are_paraxial(seed, wavelength):
+    """A real ray at height h << f leaves under -h / f and crosses the axis at the back focus, up to order h^3."""
+    lens, h = random_lens(seed), 1e-4
+    found = paraxial(lens, wavelength)
+    lens = replace(lens, thickness=torch.cat([lens.thickness[:-1], found.bfl[None]]))
+    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((wavelength,)))
+    cubic = h**3 * (1 + abs(float(found.efl)) + abs(float(found.bfl))) ** 2
+    assert float(ray.m / ray.n) == pytest.approx(-h / float(found.efl), abs=cubic)
+    assert float(ray.y) == pytest.approx(0, abs=cubic)
+
+
+def test_alpha_2_is_a_curvature():
+    """c r^2 / 2 = alpha_2 r^2: the paraxial trace cannot tell c from 2 alpha_2."""
+    lens = random_lens(2)
+    swapped = replace(lens, curvature=0 * lens.curvature, alpha=lens.alpha.clone())
+    swapped.alpha[:, 0] += lens.curvature / 2
+    for name in ("power", "bfl", "entrance_pupil_z"):
+        first, second = (float(getattr(paraxial(x, 0.5893), name)) for x in (lens, swapped))
+        assert first == pytest.approx(second, rel=1e-12, abs=1e-15)
+
+
+def test_afocal_lens_has_no_power_but_a_gradient():
+    lens = make_lens([0.0, 0.0], [1.0, 1.0], ("COC", "air"))
+    curvature = lens.curvature.clone().requires_grad_()
+    found = paraxial(replace(lens, curvature=curvature), 0.5893)
+    assert float(found.power.detach()) == 0 and math.isinf(float(found.efl.detach()))
+    gradient = torch.autograd.grad(found.power, curvature)[0]
+    torch.testing.assert_close(gradient, f64([N - 1, 1 - N]), rtol=1e-14, atol=0)
+
+
+def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
+    """A bundle enters through the entrance pupil: behind a lens, its middle meets the stop's middle, up to order 3."""
+    c = 1 / 4.0 / (N - 1)
+    lens = make_lens([c, 0, 0], [0.3, 1.2, 2], ("COC", "air", "air"), semi_diameter=[9, 9, 0.6], stop=2)
+    tangent = 1e-3
+    record: list = []
+    rays = bundles(lens, f64([[tangent, -tangent]]), torch.zeros(1, 2, dtype=torch.float64), (0.5893,))
+    trace(lens, rays, lens.refractive_indices((0.5893,)), record)
+    assert float(rays.x.abs()) > tangent
+    assert abs(float(record[2].x)) < 10 * tangent**3 and abs(float(record[2].y)) < 10 * tangent**3
+
+
+def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
+    """With the stop at a thin lens and the image at its focus, chief rays meet the pinhole points exactly."""
+    looks = view(Spec(wavelengths_um=(0.5893, 0.5893, 0.5893)))
+    c = 1 / looks.efl / (N - 1)
+    lens = make_lens([0, c / 2, -c / 2], [0, 0, looks.efl], ("air", "COC", "air"), semi_diameter=[0.3, 9, 9])
+    torch.testing.assert_close(chief_points(lens, looks), looks.fields, rtol=0, atol=1e-14)
+
+
+def test_bundles_fill_the_stop():
+    """In front of the stop nothing bends: every field's rim rays meet the rim of the stop."""
+    looks = view(Spec())
+    lens = flat(("COC",), Spec(), Constraints())
+    record: list = []
+    trace_fields(lens, looks, rim(16), record)
+    radius = torch.hypot(record[0].x, record[0].y)
+    torch.testing.assert_close(radius, torch.full_like(radius, Spec().stop_radius_mm), rtol=0, atol=1e-15)
+    rays = bundles(lens, looks.tangents, rim(16), WAVELENGTHS)
+    torch.testing.assert_close(rays.l / rays.n, looks.tangents[:, 0, None, None].expand_as(rays.l), rtol=1e-14, atol=0)
+
+
+def test_sobol_points_are_uniform_over_the_disc():
+    """Moments of the unit disc: <x> = <y> = <xy> = 0, <r^2> = 1 / 2, <r^4> = 1 / 3; one set per seed."""
+    x, y = sobol_disc(4096, seed=3).unbind(-1)
+    square = x**2 + y**2
+    assert square.max() <= 1
+    moments = torch.stack([v.mean() for v in (x, y, x * y, x**2 - y**2, square, square**2)])
+    torch.testing.assert_close(moments, f64([0, 0, 0, 0, 1 / 2, 1 / 3]), rtol=0, atol=1e-3)
+    assert torch.equal(sobol_disc(64, seed=3), sobol_disc(64, seed=3))
+    assert not torch.equal(sobol_disc(64, seed=3), sobol_disc(64, seed=4))
+
+
+@pytest.mark.parametrize("rings", [1, 2, 4, 6])
+def test_gauss_quadrature_is_exact_on_polynomials(rings):
+    """Over the disc <x^2a y^2b> = (2a)! (2b)! / (4^(a+b) a! b! (a+b+1)!), odd powers of y vanish."""
+    degree = 4 * rings - 2
+    points, weights = gauss_quadrature(rings, degree)
+    assert float(weights.sum()) == pytest.approx(1, abs=1e-14)
+    x, y = points.unbind(-1)
+    for a in range(degree // 2 + 1):
+        for p in range(degree - 2 * a + 1):
+            found, b = float((weights * x ** (2 * a) * y**p).sum()), p // 2
+            f = math.factorial
+            exact = f(2 * a) * f(2 * b) / (4 ** (a + b) * f(a) * f(b) * f(a + b + 1)) if p % 2 == 0 else 0
+            assert found == pytest.approx(exact, abs=1e-14), (a, p)

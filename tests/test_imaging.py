@@ -1,0 +1,151 @@
+"""Captures against a direct convolution by another library, and what happens to the light outside the window."""
+
+import pytest
+import torch
+from kornia.filters import filter2d
+
+from tasklens.imaging import Camera, psnr
+
+F, B, K = 4, 3, 11
+
+
+def random_psf(seed: int, size: int = K) -> torch.Tensor:
+    """(F, 3, K, K) without any symmetry, with energies of 0.5 to 0.9."""
+    generator = torch.Generator().manual_seed(seed)
+    grid = torch.rand(F, 3, size, size, generator=generator) ** 4
+    energy = 0.5 + 0.4 * torch.rand(F, 3, 1, 1, generator=generator)
+    return grid / grid.sum((-2, -1), keepdim=True) * energy
+
+
+def random_images(seed: int, height: int = 25, width: int = 32) -> torch.Tensor:
+    return torch.rand(B, 3, height, width, generator=torch.Generator().manual_seed(seed))
+
+
+def impulse() -> torch.Tensor:
+    grid = torch.zeros(F, 3, K, K)
+    grid[..., K // 2, K // 2] = 1
+    return grid
+
+
+def direct(images: torch.Tensor, psf: torch.Tensor) -> torch.Tensor:
+    """Convolution with reflected borders by kornia, plane by plane, and the veil of the light that is missing."""
+    fields = []
+    for kernels in psf:
+        planes = [
+            filter2d(images[:, c : c + 1], kernels[c : c + 1], border_type="reflect", behaviour="conv")
+            + (1 - kernels[c].sum()) * images[:, c : c + 1].mean((-2, -1), keepdim=True)
+            for c in range(3)
+        ]
+        fields.append(torch.cat(planes, 1))
+    return torch.stack(fields)
+
+
+@pytest.mark.parametrize("shape", [(25, 32), (16, 16), (64, 64), (37, 41)])
+def test_grid_is_a_convolution_with_a_veil(shape):
+    images, psf = random_images(0, *shape), random_psf(1)
+    torch.testing.assert_close(Camera(psf).grid(images), direct(images, psf), rtol=0, atol=1e-5)
+
+
+def test_the_largest_kernel_that_reflection_allows():
+    images, psf = random_images(0, 16, 16), random_psf(1, 31)
+    torch.testing.assert_close(Camera(psf).grid(images), direct(images, psf), rtol=0, atol=1e-5)
+    with pytest.raises(ValueError, match=r"15 x 16.*31"):
+        Camera(psf).grid(images[..., :15, :])
+
+
+def test_light_moves_with_the_psf():
+    """A PSF one row below and two columns right of the centre moves the picture down and to the right."""
+    grid = torch.zeros(F, 3, K, K)
+    grid[..., K // 2 + 1, K // 2 + 2] = 1
+    images = random_images(2)
+    moved = Camera(grid).grid(images)
+    torch.testing.assert_close(moved[0, :, :, 1:, 2:], images[:, :, :-1, :-2], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("colour", ["srgb", "linear"])
+@pytest.mark.parametrize("outside", ["veil", "renormalise"])
+def test_an_impulse_changes_nothing(colour, outside):
+    """A perfect lens is the identity, in linear light as well: there and back again."""
+    images = random_images(3)
+    captures = Camera(impulse(), outside, colour).grid(images)
+    torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=3e-5 if colour == "linear" else 1e-6)
+
+
+@pytest.mark.parametrize("colour", ["srgb", "linear"])
+@pytest.mark.parametrize("outside", ["veil", "renormalise"])
+def test_a_uniform_picture_stays_uniform(colour, outside):
+    """Blur cannot change what has no detail, whatever share of the light the window holds."""
+    images = torch.tensor([0.2, 0.5, 0.9])[:, None, None].expand(B, 3, 20, 20)
+    captures = Camera(random_psf(4), outside, colour).grid(images)
+    torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("outside", ["veil", "renormalise"])
+def test_mean_flux_is_conserved(outside):
+    """A picture whose border is dark loses no light over the edge: its captures have the same mean."""
+    images = random_images(5, 40, 40)
+    border = torch.zeros(40, 40)
+    border[K:-K, K:-K] = 1
+    images = images * border
+    captures = Camera(random_psf(6), outside).grid(images)
+    expected = images.mean((-2, -1)).expand(F, B, 3)
+    torch.testing.assert_close(captures.mean((-2, -1)), expected, rtol=0, atol=1e-6)
+
+
+def test_renormalising_deletes_the_veil():
+    """It equals a PSF of unit energy; with a veil the contrast is less by just the energy inside."""
+    images, psf = random_images(7), random_psf(8)
+    energy = psf.sum((-2, -1), keepdim=True)
+    renormalised = Camera(psf, "renormalise").grid(images)
+    torch.testing.assert_close(renormalised, Camera(psf / energy).grid(images), rtol=0, atol=1e-6)
+    mean = images.mean((-2, -1), keepdim=True)
+    inside = energy[:, None]
+    expected = inside * renormalised + (1 - inside) * mean
+    torch.testing.assert_close(Camera(psf).grid(images), expected, rtol=0, atol=1e-6)
+
+
+def test_light_adds_up_linearly():
+    """Half of the light from black, half from white neighbours: 0.5 as values, 0.735 once encoded from linear light."""
+    grid = torch.zeros(1, 3, K, K)
+    grid[..., K // 2, K // 2] = grid[..., K // 2, K // 2 + 1] = 0.5
+    images = torch.zeros(1, 3, 16, 16)
+    images[..., ::2] = 1
+    encoded = 1.055 * 0.5 ** (1 / 2.4) - 0.055  # IEC 61966-2-1
+    for colour, value in (("srgb", 0.5), ("linear", encoded)):
+        captures = Camera(grid, colour=colour).grid(images)[..., 2:-2]
+        torch.testing.assert_close(captures, torch.full_like(captures, value), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("colour", ["srgb", "linear"])
+def test_single_is_one_field_of_the_grid(colour):
+    images, camera = random_images(9), Camera(random_psf(10), colour=colour)
+    fields = torch.tensor([3, 0, 3])
+    expected = camera.grid(images)[fields, torch.arange(B)]
+    torch.testing.assert_close(camera.single(images, fields), expected, rtol=0, atol=1e-6)
+
+
+def test_one_camera_renders_pictures_of_several_sizes():
+    """What a camera remembers of one size does not leak into another."""
+    psf = random_psf(11)
+    camera = Camera(psf)
+    for shape in ((25, 32), (32, 25), (20, 20), (25, 32)):
+        images = random_images(12, *shape)
+        torch.testing.assert_close(camera.grid(images), Camera(psf).grid(images), rtol=0, atol=0)
+
+
+def test_gradient_at_the_psf_is_that_of_the_direct_convolution():
+    images, psf = random_images(13), random_psf(14)
+    weight = torch.randn(F, B, 3, 25, 32, generator=torch.Generator().manual_seed(15))
+    gradients = []
+    for render in (lambda grid: Camera(grid).grid(images), lambda grid: direct(images, grid)):
+        leaf = psf.clone().requires_grad_()
+        gradients.append(torch.autograd.grad((render(leaf) * weight).sum(), leaf)[0])
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-3)
+
+
+def test_psnr_is_taken_per_image():
+    """An error of 0.1 everywhere is 20 dB, of 0.01 is 40 dB; the mean is of decibels, not of errors."""
+    reference = torch.full((2, 3, 8, 8), 0.5)
+    found = psnr(reference + torch.tensor([0.1, 0.01])[:, None, None, None], reference)
+    torch.testing.assert_close(found, torch.tensor([20.0, 40.0]), rtol=0, atol=1e-3)
+    assert torch.isfinite(psnr(reference, reference)).all()

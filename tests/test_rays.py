@@ -1,0 +1,275 @@
+"""Aspheres and ray tracing: the laws of refraction, exact systems, gradients, and what becomes of lost rays."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import WAVELENGTHS, difference, f64, make_lens, parallel_rays, random_lens, random_rays
+
+from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.optics.lens import Lens
+from tasklens.optics.materials import refractive_index
+from tasklens.optics.rays import Fate, launch, trace
+
+SEEDS = range(4)
+
+
+def exact(found, expected, atol):
+    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+
+
+def profile(lens: Lens, i: int, r):
+    """Sag and slope of surface i at radius r, written out from the definition of an even asphere."""
+    c, k = lens.curvature[i], lens.conic[i]
+    root = torch.sqrt(1 - (1 + k) * c**2 * r**2)
+    orders = range(1, lens.alpha.shape[1] + 1)
+    height = c * r**2 / (1 + root) + sum(lens.alpha[i, j - 1] * r ** (2 * j) for j in orders)
+    return height, c * r / root + sum(2 * j * lens.alpha[i, j - 1] * r ** (2 * j - 1) for j in orders)
+
+
+def steps(lens: Lens, seed: int):
+    """Per surface: the surface, where a ray came from, where it met it, its directions, the normal and both indices."""
+    start = random_rays(100, seed)
+    record = []
+    rays = trace(lens, start, lens.refractive_indices(WAVELENGTHS), record)
+    assert rays.valid.all()
+    z = f64([0.0, *lens.vertices.tolist()])
+    before = start
+    for i, behind in enumerate(record):
+        origin = torch.stack([before.x, before.y, before.z + z[i]], -1)
+        point = torch.stack([behind.x, behind.y, behind.z + lens.vertices[i]], -1)
+        incoming = torch.stack([before.l, before.m, before.n], -1)
+        outgoing = torch.stack([behind.l, behind.m, behind.n], -1)
+        r = torch.hypot(behind.x, behind.y)
+        slope = profile(lens, i, r)[1]
+        normal = torch.stack([-slope * behind.x / r, -slope * behind.y / r, torch.ones_like(r)], -1)
+        normal = normal / normal.norm(dim=-1, keepdim=True)
+        n = lens.refractive_indices(WAVELENGTHS)[i : i + 2, :, None, None]
+        origin, incoming = origin.expand_as(point), incoming.expand_as(outgoing)
+        yield i, behind, origin, point, incoming, outgoing, normal, n[0], n[1]
+        before = behind
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_snells_law(seed):
+    """n d x N = n' d' x N: the sines obey Snell, and d, N and d' lie in one plane on the right side of each other."""
+    for *_, incoming, outgoing, normal, n, behind in steps(random_lens(seed), seed):
+        left, right = (torch.linalg.cross(d, normal) for d in (incoming, outgoing))
+        exact(n * left - behind * right, 0.0, 1e-14)
+        assert ((outgoing * normal).sum(-1) > 0).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_refracted_ray_lies_in_the_plane_of_incidence(seed):
+    for *_, incoming, outgoing, normal, _n, _behind in steps(random_lens(seed), seed):
+        exact((torch.linalg.cross(incoming, normal) * outgoing).sum(-1), 0.0, 1e-14)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_rays_are_straight_and_meet_the_surfaces(seed):
+    """Each point lies on its surface and on the line of its ray; directions have unit length."""
+    lens = random_lens(seed)
+    for i, rays, origin, point, incoming, outgoing, *_ in steps(lens, seed):
+        exact(rays.z - profile(lens, i, torch.hypot(rays.x, rays.y))[0], 0.0, 2e-14)
+        exact(torch.linalg.cross(point - origin, incoming), 0.0, 2e-14)
+        exact(outgoing.square().sum(-1), 1.0, 4e-15)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_malus_and_dupin(seed):
+    """Rays stay normal to their wavefronts: d(path) = n' d' . dp' - n d . dp for every change of the launch point."""
+    lens, start = random_lens(seed), random_rays(50, seed)
+    push = f64([0.6, -0.8])
+
+    def image(x, y):
+        rays = trace(lens, replace(start, x=x, y=y), lens.refractive_indices(WAVELENGTHS))
+        return rays.x, rays.y, rays.path, rays.l, rays.m
+
+    values, tangents = torch.func.jvp(
+        image, (start.x, start.y), (push[0].expand_as(start.x), push[1].expand_as(start.y))
+    )
+    dx, dy, dpath = tangents[:3]
+    valid = trace(lens, start, lens.refractive_indices(WAVELENGTHS)).valid
+    assert valid.double().mean() > 0.9
+    residual = dpath - (values[3] * dx + values[4] * dy) + (start.l * push[0] + start.m * push[1])
+    exact(residual[valid], 0.0, 1e-13)
+
+
+def test_flat_plate_shifts_and_does_not_turn():
+    """A plane plate leaves directions alone and shifts a ray by t (tan i - tan i')."""
+    t, back = 1.3, 0.7
+    lens = make_lens([0.0, 0.0], [t, back], ("COC", "air"))
+    start = random_rays(50, 0)
+    rays = trace(lens, start, lens.refractive_indices((0.5893,)))
+    exact(rays.l - start.l, 0.0, 1e-15)
+    exact(rays.m - start.m, 0.0, 1e-15)
+    n = refractive_index("COC", 0.5893)
+    inside = torch.sqrt(1 - (start.l**2 + start.m**2) / n**2)
+    exact(rays.x - start.x - t * start.l / n / inside - back * start.l / start.n, 0.0, 2e-15)
+
+
+def test_ellipsoid_focuses_collimated_light():
+    """A surface of conic -1 / n^2 images a distant axial point without aberration at n R / (n - 1), on equal paths."""
+    n, radius = refractive_index("PMMA", 0.5893), 2.5
+    lens = make_lens([1 / radius], [n * radius / (n - 1)], ("PMMA",), conic=[-1 / n**2])
+    heights = torch.linspace(-1.5, 1.5, 31)
+    rays = trace(lens, parallel_rays(heights), lens.refractive_indices((0.5893,)))
+    assert rays.valid.all()
+    exact(rays.y, 0.0, 5e-15)
+    exact(rays.path, n * lens.thickness[0], 1e-14)
+
+
+def test_sphere_and_paraboloid():
+    """k = 0 is R - sqrt(R^2 - r^2), k = -1 is r^2 / (2 R)."""
+    u, radius = torch.linspace(0, 3.9, 40, dtype=torch.float64), 2.0
+    none = torch.zeros(0, dtype=torch.float64)
+    exact(sag(u, f64(1 / radius), f64(0.0), none)[0], radius - torch.sqrt(radius**2 - u), 2e-15)
+    exact(sag(u, f64(1 / radius), f64(-1.0), none)[0], u / (2 * radius), 1e-15)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_slope_is_the_derivative_of_the_sag(seed):
+    lens = random_lens(seed)
+    r = torch.linspace(0, 1.2, 30, dtype=torch.float64, requires_grad=True)
+    for i in range(1, 5):
+        surface = lens.curvature[i], lens.conic[i], lens.alpha[i]
+        value, slope, inside = sag(r * r, *surface)
+        assert inside.all()
+        u = (r * r).detach().requires_grad_()
+        exact(slope, torch.autograd.grad(sag(u, *surface)[0].sum(), u)[0], 1e-14)
+        exact(radial_slope(r, *surface), torch.autograd.grad(value.sum(), r)[0], 1e-14)
+
+
+def test_sag_beyond_the_edge_of_the_conic_is_finite():
+    """Where the sphere ends the mask says so, and neither values nor gradients become infinite."""
+    values = [f64(v).requires_grad_() for v in (1.0, 0.0, [0.1, 0.2])]
+    u = f64([0.5, 1.0, 1.5, 100.0]).requires_grad_()
+    value, slope, inside = sag(u, *values)
+    assert inside.tolist() == [True, False, False, False]
+    gradients = torch.autograd.grad((value + slope).sum(), [u, *values])
+    assert all(torch.isfinite(t).all() for t in (value, slope, *gradients))
+
+
+PARAMETERS = ("curvature", "conic", "alpha", "thickness")
+
+
+def image_of(lens: Lens, **parameters):
+    """A fixed random combination of image points, directions and paths; it depends on every parameter."""
+    rays = trace(replace(lens, **parameters), random_rays(20, 7), lens.refractive_indices(WAVELENGTHS))
+    weights = torch.randn(4, *rays.x.shape, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
+    return (weights * torch.stack([rays.x, rays.y, rays.l, rays.path])).sum()
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gradient_is_the_limit_of_differences(name, seed):
+    """Each parameter's derivative through the tracer agrees with a five-point difference to 1e-6."""
+    lens = random_lens(seed)
+    leaf = getattr(lens, name).clone().requires_grad_()
+    gradient = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf)[0]
+    expected = difference(lambda value: image_of(lens, **{name: value}), leaf.detach(), 1e-3)
+    assert (expected.abs().flatten(1 if expected.dim() > 1 else 0) > 1e-9).any()
+    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_forward_and_backward_mode_agree(seed):
+    """<gradient, v> = directional derivative along v, for all parameters at once."""
+    lens = random_lens(seed)
+    values = {name: getattr(lens, name) for name in PARAMETERS}
+    generator = torch.Generator().manual_seed(seed)
+    push = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
+    gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
+    _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (push,))
+    exact(along, sum((gradient[k] * push[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
+
+
+def fate_of(lens: Lens, rays) -> tuple[Fate, int]:
+    traced = trace(lens, rays, lens.refractive_indices((0.5893,)))
+    return Fate(int(traced.fate)), int(traced.lost_at)
+
+
+def test_fates():
+    """A ray that misses, hits the mount or is totally reflected says so, with the surface."""
+    ball = make_lens([0.0, 1.0, 0.0], [0.5, 0.5, 1.0], ("air", "COC", "air"))
+    assert fate_of(ball, parallel_rays([1.5])) == (Fate.MISSED, 1)
+    assert fate_of(ball, parallel_rays([0.4])) == (Fate.HIT, -1)
+    mount = replace(ball, semi_diameter=f64([9.0, 9.0, 0.3]))
+    assert fate_of(mount, parallel_rays([0.6])) == (Fate.OUTSIDE, 2)
+    assert fate_of(mount, parallel_rays([0.2])) == (Fate.HIT, -1)
+    stop = replace(ball, semi_diameter=f64([0.3, 9.0, 9.0]))
+    assert fate_of(stop, parallel_rays([0.3 * (1 - 1e-9)])) == (Fate.HIT, -1)
+    assert fate_of(stop, parallel_rays([0.3 * (1 + 1e-5)])) == (Fate.OUTSIDE, 0)
+
+
+def test_total_internal_reflection_begins_at_the_critical_angle():
+    """Leaving glass through a sphere at height r, sin i = r / R: light passes while that is below 1 / n."""
+    lens = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"))
+    critical = 1 / refractive_index("COC", 0.5893) / 0.8
+    assert fate_of(lens, parallel_rays([critical - 1e-3])) == (Fate.HIT, -1)
+    assert fate_of(lens, parallel_rays([critical + 1e-3])) == (Fate.REFLECTED, 1)
+
+
+def test_a_lost_ray_stays_lost_and_does_not_disturb_others():
+    """Rays are traced as if alone, and a fate once decided survives all later surfaces."""
+    lens = make_lens([0.0, 1.0, 0.0], [0.5, 0.5, 1.0], ("air", "COC", "air"), semi_diameter=[0.9, 9.0, 0.5])
+    indices, heights = lens.refractive_indices((0.5893,)), [0.1, 0.95, 0.8, -0.3]
+    together = trace(lens, parallel_rays(heights), indices)
+    assert together.lost_at.tolist() == [[-1, 0, 2, -1]]
+    for k, height in enumerate(heights):
+        alone = trace(lens, parallel_rays([height]), indices)
+        for name in ("x", "y", "path", "fate"):
+            exact(getattr(together, name)[0, k], getattr(alone, name)[0, 0], 0.0)
+
+
+def hostile() -> dict[str, Lens]:
+    steep = random_lens(0)
+    return {
+        "flat": make_lens([0.0] * 5, [0.5] * 5, steep.media, alpha=torch.zeros(5, 5)),
+        "steep": replace(steep, curvature=4 * steep.curvature, alpha=20 * steep.alpha),
+        "overlapping": replace(steep, thickness=f64([0.1, -0.4, 0.0, -0.2, 1.0])),
+        "half balls": make_lens([0.0, 1.0, -1.0, 1.0, -1.0], [0.1] * 5, steep.media),
+    }
+
+
+@pytest.mark.parametrize("name", hostile())
+@pytest.mark.parametrize("tangent", [0.0, 0.5, 5.0, 1e5], ids="tangent{}".format)
+def test_nothing_is_ever_nan(name, tangent):
+    """Whatever becomes of a ray, values and gradients are finite, in both modes."""
+    lens = hostile()[name]
+    values = {key: getattr(lens, key).clone().requires_grad_() for key in PARAMETERS}
+    start = random_rays(200, 3, height=1.5, tangent=tangent)
+
+    def image(parameters):
+        rays = trace(replace(lens, **parameters), start, lens.refractive_indices(WAVELENGTHS))
+        return torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n, rays.path])
+
+    result = image(values)
+    assert torch.isfinite(result).all()
+    gradients = torch.autograd.grad(result.sum(), list(values.values()), allow_unused=True)
+    assert all(torch.isfinite(g).all() for g in gradients if g is not None)
+    pushed = torch.func.jvp(image, (values,), ({k: torch.ones_like(v) for k, v in values.items()},))[1]
+    assert torch.isfinite(pushed).all()
+
+
+@pytest.mark.xfail(strict=True, reason="0 / 0 at the vertex plane: position NaN")
+def test_a_ray_that_never_moves_along_the_axis_is_missed_and_finite():
+    zero, one = f64([[0.0]]), f64([[1.0]])
+    rays = trace(
+        random_lens(0), launch(zero, one / 10, zero, one, zero, zero), random_lens(0).refractive_indices((0.5893,))
+    )
+    assert Fate(int(rays.fate)) == Fate.MISSED
+    assert torch.isfinite(torch.stack([rays.x, rays.y, rays.path])).all()
+
+
+def test_float32_follows_float64():
+    """Single precision stays within 1e-5 mm of double precision."""
+    lens, start = random_lens(1), random_rays(100, 1)
+    single = {k: v.float() for k, v in vars(lens).items() if isinstance(v, torch.Tensor)}
+    low = replace(lens, **single)
+    rays = trace(lens, start, lens.refractive_indices(WAVELENGTHS))
+    start = launch(*(getattr(start, k).float() for k in "xyzlmn"))
+    found = trace(low, start, low.refractive_indices(WAVELENGTHS))
+    assert found.x.dtype == torch.float32 and found.valid.all()
+    exact(found.x.double() - rays.x, 0.0, 1e-5)
+    exact(found.y.double() - rays.y, 0.0, 1e-5)

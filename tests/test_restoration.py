@@ -1,0 +1,99 @@
+"""NAFNet and its training."""
+
+import pytest
+import torch
+from examples import random_pictures
+
+from restoration import training
+from restoration.nafnet import NAFBlock, NAFNet
+from tasklens.imaging import Camera, psnr
+from tasklens.study import Restoration
+
+
+def small(seed: int = 0) -> NAFNet:
+    torch.manual_seed(seed)
+    return NAFNet(4, (1, 2), 1, (1, 1))
+
+
+def pictures(seed: int, *shape) -> torch.Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def test_paper_size_has_the_papers_parameters():
+    """Width 32, encoder 1 1 1 8, middle 1, decoder 1 1 1 1: 7 767 907 parameters, as the original's code counts."""
+    network = training.build(Restoration(steps=1))
+    assert sum(p.numel() for p in network.parameters()) == 7_767_907
+
+
+def test_blocks_begin_as_the_identity():
+    """beta = gamma = 0 close both branches."""
+    torch.manual_seed(1)
+    block, x = NAFBlock(8), pictures(0, 2, 8, 6, 6)
+    assert torch.equal(block(x), x)
+    torch.nn.init.ones_(block.beta)
+    assert not torch.equal(block(x), x)
+
+
+def test_network_adds_a_correction_to_its_input():
+    """With a silent last layer nothing is added; otherwise output - input is what the last layer says."""
+    network, x = small(), pictures(1, 2, 3, 16, 20)
+    assert not torch.equal(network(x), x)
+    torch.nn.init.zeros_(network.ending.weight)
+    torch.nn.init.constant_(network.ending.bias, 0.25)
+    torch.testing.assert_close(network(x), x + 0.25, rtol=0, atol=1e-7)
+
+
+def test_output_has_the_shape_of_the_input():
+    for shape in ((1, 3, 4, 4), (3, 3, 16, 8)):
+        assert small()(torch.zeros(shape)).shape == shape
+
+
+@pytest.mark.parametrize("size", [(18, 16), (16, 30)])
+def test_wrong_size_is_refused(size):
+    with pytest.raises(ValueError, match=rf"{size[0]} x {size[1]}.*multiples of 4"):
+        small()(torch.zeros(1, 3, *size))
+
+
+def test_the_whole_picture_informs_each_pixel():
+    """Channel attention pools globally: once trained, a change in one corner reaches the other."""
+    network = small()
+    for name, p in network.named_parameters():
+        if name.endswith(("beta", "gamma")):
+            torch.nn.init.ones_(p)
+    x = pictures(2, 1, 3, 32, 32).requires_grad_()
+    reach = torch.autograd.grad(network(x)[0, :, 0, 0].sum(), x)[0]
+    assert reach[0, :, -1, -1].abs().max() > 0
+
+
+def test_gradient_reaches_every_parameter_after_one_step():
+    """At the start beta and gamma alone open the branches; after a step all else follows."""
+    network, x, y = small(), pictures(3, 4, 3, 16, 16), pictures(4, 4, 3, 16, 16)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
+    silent = []
+    for _ in range(2):
+        optimizer.zero_grad()
+        (network(x) - y).square().mean().backward()
+        silent.append([n for n, p in network.named_parameters() if p.grad is None or not p.grad.abs().max() > 0])
+        optimizer.step()
+    assert any("conv3" in name for name in silent[0])
+    assert not silent[1]
+
+
+def test_training_restores_and_is_deterministic():
+    """Sixty steps raise the PSNR of captures blurred by one pixel to each side; one seed, one result."""
+    torch.manual_seed(0)
+    grid = torch.zeros(2, 3, 5, 5)
+    grid[..., 1:4, 1:4] = 1 / 9
+    camera, sharp = Camera(grid), random_pictures(16, 16, 2, seed=0)
+    settings = Restoration(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch=8, rate=5e-3)
+    network = training.train(settings, sharp, camera, 0)
+    assert not network.training
+    images, _ = sharp.batch(torch.arange(16))
+    captures = camera.single(images, torch.zeros(16, dtype=torch.long))
+    with torch.no_grad():
+        gain = (psnr(network(captures), images) - psnr(captures, images)).mean()
+    assert gain > 0.5
+    short = settings.model_copy(update={"steps": 2})
+    first, again, other = (training.train(short, sharp, camera, seed).state_dict() for seed in (0, 0, 1))
+    assert all(torch.equal(first[k], again[k]) for k in first)
+    assert any(not torch.equal(first[k], other[k]) for k in first)

@@ -1,0 +1,235 @@
+"""The study's configuration: what it accepts, what it refuses and how, and which job reads what of it."""
+
+import itertools
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+from examples import changed, tiny_study
+
+from tasklens import jobs
+from tasklens.layout import SHARP
+from tasklens.study import Spec, StudyError, dump, load, parse
+
+CONFIGS = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
+
+# key to change, its bad value, words that the message must hold beside the last part of the key
+MISTAKES = [
+    ("images.sise", 32, ["not permitted"]),
+    ("nmae", "x", ["not permitted"]),
+    ("name", "My Study", ["My Study"]),
+    ("format", 2, ["2", "1"]),
+    ("elements.doublet", ["COC", "GLASS"], ["GLASS", "OKP4"]),
+    ("elements.doublet", [], ["at least one"]),
+    ("elements", {}, ["at least 1"]),
+    ("spec.kernel", 50, ["50", "odd"]),
+    ("spec.kernel", 1, ["1", "3"]),
+    ("spec.kernel", 33, ["33", "16"]),
+    ("spec.f_number", 0, ["0", "greater than 0"]),
+    ("spec.field_of_view_deg", 180, ["180", "150"]),
+    ("images.size", 17, ["17", "multiple of 2"]),
+    ("images.train", -5, ["-5", "greater than 0"]),
+    ("images.train", None, ["train"]),
+    ("evaluation_rays", 0, ["0", "greater than 0"]),
+    ("seeds", [], ["at least 1"]),
+    ("seeds", [-1], ["-1"]),
+    ("seeds", "many", ["many"]),
+    ("supervisor", "nobody", ["nobody", "small"]),
+    ("capture.outside", "ignore", ["ignore", "veil", "renormalise"]),
+    ("fine_tuning.rate", "fast", ["fast", "number"]),
+    ("fine_tuning.warmup", 1.5, ["1.5", "less than or equal to 1"]),
+    ("designs.imaging1.method", "magic", ["magic", "spot", "least_squares"]),
+    ("designs.imaging1.steps", -1, ["-1", "greater than 0"]),
+    ("designs.imaging1.images", 8, ["8", "not permitted"]),
+    ("designs.imaging2.highest_order", 5, ["5", "4, 6, 8 or 10"]),
+    ("designs.tasklens.cold_start", {"stop_scale": 2}, ["stop_scale", "2"]),
+    ("classifiers.small.training", None, ["pretrained", "weights", "training"]),
+    ("classifiers.small.weights", 3, ["3"]),
+    ("restoration.decoder", [1, 1], ["encoder", "decoder"]),
+    ("constraints.distortion", -0.1, ["-0.1"]),
+    ("minutes.design", -1, ["-1"]),
+]
+
+
+@pytest.mark.parametrize("key, value, words", MISTAKES, ids=[f"{k}={v}" for k, v, _ in MISTAKES])
+def test_a_mistake_is_named(key, value, words):
+    """One StudyError tells the key, the value and what was expected."""
+    with pytest.raises(StudyError) as error:
+        parse(changed(tiny_study(), key, value))
+    message = str(error.value)
+    assert all(word in message for word in [key.split(".")[-1], *words]), message
+
+
+@pytest.mark.parametrize("section", ["format", "name", "images", "elements", "designs", "supervisor", "fine_tuning"])
+def test_a_missing_section_is_named(section):
+    study = tiny_study()
+    del study[section]
+    with pytest.raises(StudyError, match=rf"{section}.*required"):
+        parse(study)
+
+
+def test_all_mistakes_are_reported_at_once():
+    study = changed(changed(tiny_study(), "spec.kernel", 50), "images.sise", 3)
+    with pytest.raises(StudyError) as error:
+        parse(study)
+    assert "spec.kernel = 50" in str(error.value) and "images.sise = 3" in str(error.value)
+
+
+def test_best_imaging_needs_an_imaging_design():
+    study = tiny_study()
+    study["designs"] = {"e2e": study["designs"]["end_to_end_from_imaging"]}
+    with pytest.raises(StudyError, match=r"designs\.e2e\.start"):
+        parse(study)
+
+
+IMPOSSIBLE = [
+    ("spec.wavelengths_um", [0.9, 0.6, 0.5], "outside the fitted range: ValueError in the design job"),
+    (
+        "images",
+        {"size": 16, "train": 1, "minival": 1, "test": 3},
+        "fewer than 10 classes: ValueError in the images job",
+    ),
+    ("seeds", [0, 0], "a seed that counts twice"),
+    ("fine_tuning.rate", math.inf, "infinite rates are accepted"),
+]
+
+
+def bug(*values, why):
+    return pytest.param(*values, marks=pytest.mark.xfail(strict=True, reason=why))
+
+
+@pytest.mark.parametrize("key, value", [bug(key, value, why=why) for key, value, why in IMPOSSIBLE])
+def test_an_impossible_value_fails_before_the_first_job(key, value):
+    with pytest.raises(StudyError):
+        parse(changed(tiny_study(), key, value))
+
+
+def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
+    """YAML 1.1 wants 1.0e-4; what people write is taken as meant."""
+    text = yaml.safe_dump(changed(tiny_study(), "fine_tuning.rate", 1)).replace("rate: 1\n", "rate: 1e-4\n")
+    assert isinstance(yaml.safe_load(text)["fine_tuning"]["rate"], str)
+    (tmp_path / "study.yaml").write_text(text)
+    assert load(tmp_path / "study.yaml").fine_tuning.rate == 1e-4
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", *(bug(text, why="not a StudyError") for text in ("- 1", "just words", "a: [1", "3"))]
+)
+def test_a_file_that_is_no_mapping_is_a_mistake_like_any_other(tmp_path, text):
+    (tmp_path / "study.yaml").write_text(text)
+    with pytest.raises(StudyError):
+        load(tmp_path / "study.yaml")
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
+def test_the_studies_we_ship_can_be_read(path):
+    study = load(path)
+    assert study.lenses and study.supervisor in study.classifiers
+
+
+def test_the_resolved_study_is_the_same_study(tmp_path):
+    """What is written for the jobs has every default in it and reads back as an equal."""
+    study = parse(tiny_study())
+    (tmp_path / "study.yaml").write_text(dump(study))
+    assert load(tmp_path / "study.yaml") == study
+    assert "evaluation_rays" in dump(study) and "max_slope" in dump(study)
+
+
+def test_a_study_cannot_be_changed():
+    study = parse(tiny_study())
+    with pytest.raises(Exception, match="frozen"):
+        study.images.size = 32
+
+
+def test_specification_of_the_paper():
+    """EFL = 2 mm / tan 34.4 deg, stop EFL / 5.6, fields over a quarter of a 16:9 sensor of 4 mm diagonal."""
+    spec = Spec()
+    assert spec.efl_mm == pytest.approx(2.921, abs=5e-4)
+    assert spec.stop_radius_mm == pytest.approx(0.52, abs=2e-3)
+    assert len(set(spec.fields_mm)) == 9
+    heights = [math.hypot(*field) for field in spec.fields_mm]
+    assert min(heights) == 0 and max(heights) == pytest.approx(2.0, rel=1e-15)
+    width, height = spec.fields_mm[-1]
+    assert width / height == pytest.approx(16 / 9, rel=1e-15)
+    assert spec.fields_mm[4] == (width / 2, height / 2)
+
+
+def test_lenses_are_every_element_choice_with_every_design():
+    study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
+    expected = {f"{e}-{d}" for e, d in itertools.product(["singlet", "doublet"], tiny_study()["designs"])}
+    assert set(study.lenses) == expected
+    assert study.lens("doublet-imaging1").plastics == ("COC", "OKP4")
+    for call, name in ((study.lens, "doublet"), (study.classifier, "nobody")):
+        with pytest.raises(StudyError, match=name):
+            call(name)
+
+
+# ---- jobs
+
+
+def slices(mapping: dict) -> dict[tuple, str]:
+    """What Snakemake compares, for every job of a study."""
+    study, found = parse(mapping), {("images",): jobs.images(parse(mapping))}
+    for classifier in study.classifiers:
+        found["reference", classifier] = jobs.reference(study, classifier)
+        for lens, seed in itertools.product([SHARP, *study.lenses], study.seeds):
+            for restored in (False, True) if lens != SHARP else (False,):
+                key = "restored" if restored else "fine_tune", lens, classifier
+                found[key] = jobs.fine_tune(study, lens, classifier, seed, restored)
+    for lens, seed in itertools.product(study.lenses, study.seeds):
+        found["design", lens] = jobs.design(study, lens, seed)
+        found["psf", lens] = jobs.psf(study)
+        found["restore", lens] = jobs.restore(study, seed)
+    for table in jobs.TABLES:
+        found["table", table] = jobs.table(study, table)
+    return {key: job.model_dump_json() for key, job in found.items()}
+
+
+SUPERVISED = ("singlet-tasklens", "singlet-end_to_end_from_imaging", "singlet-end_to_end_from_flat")
+READERS = [
+    ("fine_tuning.rate", 3e-3, lambda job: job[0] in ("fine_tune", "restored")),
+    ("minutes.design", 7, lambda job: False),
+    ("images.seed", 5, lambda job: job == ("images",)),
+    ("evaluation_rays", 128, lambda job: job[0] in ("psf", "design")),
+    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf", "design")),
+    ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
+    ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
+    ("restoration.steps", 9, lambda job: job[0] in ("restore", "restored")),
+    ("capture.outside", "renormalise",
+     lambda job: job[0] in ("restore", "restored") or (job[0] == "fine_tune" and job[1] != SHARP)
+     or (job[0] == "design" and job[1] in SUPERVISED)),
+    ("classifiers.small.training.rate", 2e-3,
+     lambda job: job == ("reference", "small") or (job[0] in ("fine_tune", "restored") and job[2] == "small")
+     or (job[0] == "design" and job[1] in SUPERVISED)),
+    ("classifiers.other.model", "test_vit2",
+     lambda job: job == ("reference", "other") or (job[0] in ("fine_tune", "restored") and job[2] == "other")),
+    ("elements.singlet", ["PMMA"], lambda job: job[0] == "design"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("key, value, reads", READERS, ids=[key for key, *_ in READERS])
+def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value, reads):
+    before, after = slices(tiny_study()), slices(changed(tiny_study(), key, value))
+    assert before.keys() == after.keys()
+    touched = {job for job in before if before[job] != after[job]}
+    assert touched == {job for job in before if reads(job)}
+
+
+def test_tables_hold_the_lenses_of_the_paper():
+    """Task-driven against imaging; in table 3 against end-to-end; in table 2 with all classifiers."""
+    study = parse(tiny_study())
+    found = {name: jobs.table(study, name) for name in jobs.TABLES}
+    imaging = ("singlet-tasklens", "singlet-imaging1", "singlet-imaging2")
+    assert all(found[name].lenses == imaging for name in ("table1", "table2", "table4"))
+    assert found["table3"].lenses == SUPERVISED
+    assert found["table2"].classifiers == ("small", "other")
+    assert all(found[name].classifiers == ("small",) for name in ("table1", "table3", "table4"))
+
+
+def test_rivals_are_the_imaging_lenses_of_the_same_elements():
+    study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
+    expected = ("doublet-imaging1", "doublet-imaging2")
+    assert jobs.imaging_rivals(study, "doublet-end_to_end_from_imaging") == expected
+    assert jobs.imaging_rivals(study, "doublet-end_to_end_from_flat") == ()
+    assert jobs.imaging_rivals(study, "doublet-tasklens") == ()
