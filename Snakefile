@@ -9,11 +9,11 @@ from snakemake.utils import min_version
 from tasklens import files, jobs
 from tasklens import study as studies
 from tasklens.digest import code
-from tasklens.layout import SHARP, Layout, restored
+from tasklens.layout import PAPER, SHARP, Layout, restored
 
 min_version("9.10")
 
-if "format" not in config:  # no study file was given, at most single values
+if not workflow.config_settings.configfiles:
 
     configfile: "config/config.yaml"
 
@@ -24,7 +24,6 @@ except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
 layout = Layout.of(study)
-files.write_if_changed(layout.study, studies.dump(study))
 TASKLENS = f"{sys.executable} -m tasklens.cli"
 
 
@@ -74,9 +73,9 @@ for name in jobs.TABLES:
     rule:
         name:
             name
-        localrule: True
         input:
             layout.table(name, "csv"),
+        localrule: True
 
 
 include: "workflow/rules/data.smk"
@@ -88,9 +87,13 @@ include: "workflow/rules/report.smk"
 
 
 onstart:
+    # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
+    files.write_if_changed(layout.study, studies.dump(study))
     planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
     total = sum(study.minutes[job.rule.name] for job in planned)
-    print(f"Study {study.name}: {len(planned)} jobs, about {total / workflow.cores:.0f} minutes on {workflow.cores} cores.")
+    print(
+        f"Study {study.name}: {len(planned)} jobs, about {total / workflow.cores:.0f} minutes on {workflow.cores} cores."
+    )
 
 
 onsuccess:

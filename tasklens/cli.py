@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from tasklens import jobs
+from tasklens.files import FileError
 from tasklens.layout import SHARP, Layout, restored
 from tasklens.study import Study, StudyError, load
 
@@ -35,7 +36,8 @@ def reference(study: Study, args: argparse.Namespace) -> None:
     recogniser = classifiers.build(job.classifier, len(pictures.classes))
     if job.classifier.training is not None:
         training.fit(recogniser, pictures, job.classifier.training, 0, f"reference {args.classifier}")
-    write_tensors(Path(layout.reference(args.classifier)), recogniser.network.state_dict(), {"model": job.classifier.model})
+    weights = recogniser.network.state_dict()
+    write_tensors(Path(layout.reference(args.classifier)), weights, {"model": job.classifier.model})
 
 
 def design(study: Study, args: argparse.Namespace) -> None:
@@ -49,9 +51,7 @@ def design(study: Study, args: argparse.Namespace) -> None:
     recogniser = pictures = None
     if job.classifier is not None:
         pictures = data.read(Path(layout.images("train")))
-        recogniser = classifiers.build(
-            job.classifier, len(pictures.classes), Path(layout.reference(study.supervisor))
-        )
+        recogniser = classifiers.build(job.classifier, len(pictures.classes), Path(layout.reference(study.supervisor)))
     rivals = {}
     for name in jobs.imaging_rivals(study, args.lens):
         metrics = Path(layout.metrics(name, args.seed, study.supervisor))
@@ -199,7 +199,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     try:
         args.stage(load(args.study), args)
-    except (StudyError, FileNotFoundError) as error:
+    except (StudyError, FileError, FileNotFoundError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
         return 2
     return 0

@@ -27,6 +27,8 @@ def _fast_size(size: int) -> int:
 class Camera:
     """Renders captures through a fixed set of PSFs.
 
+    The spectra of the PSFs are kept, with their graph: PSFs that carry a gradient need a new Camera per backward pass.
+
     Args:
         psf: (F, 3, K, K) one PSF per field and colour, K odd.
         outside: "veil" as above, or "renormalise" the PSF to unit energy, which deletes that light for free.

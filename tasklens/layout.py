@@ -1,9 +1,11 @@
 """Where the files of a study are; the arguments may also be Snakemake wildcards such as "{lens}"."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from tasklens.study import Study
 
+PAPER = str(Path(__file__).parent / "report" / "paper.csv")  # the values that the paper prints
 SHARP = "sharp"  # stands where a lens name stands, for a classifier that sees the pictures themselves
 
 

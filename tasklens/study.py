@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, computed_field, field_validator, model_validator
 
-from tasklens.optics.materials import PLASTICS
+from tasklens.optics.materials import FITTED_UM, PLASTICS
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(gt=0)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 
@@ -39,6 +39,14 @@ class Spec(Frozen):
     pixel_pitch_um: Positive = 1.8
     kernel: Annotated[int, Field(ge=3)] = 51
     wavelengths_um: tuple[Positive, Positive, Positive] = (0.6563, 0.5893, 0.4861)
+
+    @field_validator("wavelengths_um")
+    @classmethod
+    def _fitted(cls, wavelengths: tuple) -> tuple:
+        low, high = FITTED_UM
+        if not all(low <= wavelength <= high for wavelength in wavelengths):
+            raise ValueError(f"expected wavelengths from {low} to {high} um, where the plastics' indices are known")
+        return wavelengths
 
     @field_validator("kernel")
     @classmethod
@@ -176,11 +184,13 @@ class LeastSquares(Frozen):
 
 STAGES = ("images", "reference", "design", "psf", "fine_tune", "restore", "fine_tune_restored", "table", "figure")
 
+RENDERED_CLASSES = 10  # of the built-in pictures, recognition.scenes
+
 Design = Annotated[Task | EndToEnd | Spot | LeastSquares, Field(discriminator="method")]
 
 
 class Images(Frozen):
-    """The labelled pictures: rendered by us, or read from `folder`/train/<class>/* and `folder`/test (or val)/<class>/*.
+    """The labelled pictures: rendered by us, or read from `folder`: train/<class>/* and test/<class>/* (or val).
 
     Counts limit what is read from a folder; null means all. The minival is cut out of the training pictures.
     """
@@ -196,6 +206,8 @@ class Images(Frozen):
     def _rendered_need_counts(self):
         if self.folder is None and (self.train is None or self.test is None):
             raise ValueError("rendered images need the counts `train` and `test`")
+        if self.folder is None and min(self.train + self.minival, self.test) < RENDERED_CLASSES:
+            raise ValueError(f"expected at least {RENDERED_CLASSES} rendered pictures of each split, one per class")
         return self
 
 
@@ -290,15 +302,22 @@ class Study(Frozen):
     restoration: Restoration
     minutes: dict[Literal[STAGES], Annotated[float, Field(ge=0)]]  # measured per job of a stage: the forecast
 
+    @field_validator("seeds")
+    @classmethod
+    def _distinct(cls, seeds: tuple) -> tuple:
+        if len(set(seeds)) < len(seeds):
+            raise ValueError("expected every seed once")
+        return seeds
+
     @field_validator("elements")
     @classmethod
     def _known_plastics(cls, elements: dict) -> dict:
         for name, plastics in elements.items():
             if not plastics:
                 raise ValueError(f"{name}: expected at least one plastic")
-            for plastic in plastics:
-                if plastic not in PLASTICS:
-                    raise ValueError(f"{name}: unknown plastic {plastic!r}; expected one of {', '.join(sorted(PLASTICS))}")
+            for plastic in set(plastics) - set(PLASTICS):
+                known = ", ".join(sorted(PLASTICS))
+                raise ValueError(f"{name}: unknown plastic {plastic!r}; expected one of {known}")
         return elements
 
     @model_validator(mode="after")
@@ -370,9 +389,15 @@ def parse(config: Mapping) -> Study:
 
 
 def load(path: str | Path) -> Study:
-    """The study in a YAML file."""
-    with open(path) as file:
-        return parse(yaml.safe_load(file) or {})
+    """The study in a YAML file; raises StudyError as `parse` does, and where the file is no YAML mapping."""
+    try:
+        with open(path) as file:
+            content = yaml.safe_load(file)
+    except yaml.YAMLError as error:
+        raise StudyError(f"{path}: not valid YAML: {error}") from None
+    if not isinstance(content, Mapping):
+        raise StudyError(f"{path}: expected keys and values, found {type(content).__name__}")
+    return parse(content)
 
 
 def dump(study: Study) -> str:

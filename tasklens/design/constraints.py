@@ -27,16 +27,14 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
 
     def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:
-        return sag(
-            heights**2, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None]
-        )[0]
+        return sag(heights**2, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None])[
+            0
+        ]
 
     gap = lens.thickness[:-1, None] + surface_sag(slice(1, None), shared) - surface_sag(slice(None, -1), shared)
     centre, edge = lens.thickness[:-1][element], gap[element]
     last = surface_sag(slice(-1, None), semi[-1:, None] * _HEIGHTS)
-    slope = radial_slope(
-        semi[:, None] * _HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None]
-    )
+    slope = radial_slope(semi[:, None] * _HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None])
     return {
         "min_centre_thickness": centre - limits.min_centre_thickness,
         "max_centre_thickness": limits.max_centre_thickness - centre,

@@ -22,6 +22,7 @@ from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
+from tasklens.recognition.training import parameter_groups as network_groups
 from tasklens.recognition.training import shuffled
 from tasklens.study import Capture, Constraints, Descent
 
@@ -45,7 +46,9 @@ class Problem:
     seed: int
 
 
-def loss_at_psf(recogniser: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: Capture, micro_batch: int):
+def loss_at_psf(
+    recogniser: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: Capture, micro_batch: int
+) -> tuple[Tensor, Tensor]:
     """Mean cross-entropy over all captures, and its gradient at the PSFs.
 
     Network parameters that require a gradient accumulate theirs.
@@ -64,9 +67,10 @@ def loss_at_psf(recogniser: nn.Module, images: Tensor, labels: Tensor, grid: Ten
     for part, wanted in zip(images.split(micro_batch), labels.split(micro_batch), strict=True):
         captures = Camera(leaf, capture.outside, capture.colour).grid(part)
         logits = recogniser(captures.flatten(0, 1))
-        each = F.cross_entropy(logits, wanted.repeat(fields), reduction="none").reshape(fields, -1).sum(-1) / len(images)
-        each.mean().backward()
-        losses += each.detach()
+        each = F.cross_entropy(logits, wanted.repeat(fields), reduction="none").reshape(fields, -1)
+        part_losses = each.sum(-1) / len(images)
+        part_losses.mean().backward()
+        losses += part_losses.detach()
     return losses, leaf.grad
 
 
@@ -105,7 +109,7 @@ def descend(
     joint = network_rate is not None
     recogniser.train(joint).requires_grad_(joint)
     if joint:
-        groups.append({"params": list(recogniser.parameters()), "lr": network_rate, "weight_decay": 0.05})
+        groups += [group | {"lr": network_rate} for group in network_groups(recogniser, weight_decay=0.05)]
     optimizer = torch.optim.AdamW(groups)
     rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: cosine(step / steps, settings.rates.final))
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
@@ -130,7 +134,7 @@ def descend(
         loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
-            raise FloatingPointError(f"{label}: the loss became {loss.item()}, the penalty {bounds.item()} at step {step}")
+            raise FloatingPointError(f"{label}, step {step}: loss per field {losses.tolist()}, penalty {bounds.item()}")
         torch.autograd.backward([grid, settings.penalty * bounds], [gradient.to(grid.dtype), None])
         optimizer.step()
         rates.step()

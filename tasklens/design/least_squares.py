@@ -48,22 +48,18 @@ class Merit:
     def residuals(self, lens: Lens) -> Tensor:
         view = self._view()
         pupil, weight = gauss_quadrature(_RINGS, _ARMS)
-        pupil = torch.cat([pupil, torch.zeros(1, 2, dtype=torch.float64)])  # the last ray of each bundle is the chief ray
+        chief_ray = torch.zeros(1, 2, dtype=torch.float64)
+        pupil = torch.cat([pupil, chief_ray])  # the last ray of each bundle
         record: list = []
         rays = trace_fields(lens, view, pupil, record)
         middle = len(view.wavelengths) // 2
         x, y, valid = rays.x[..., :-1], rays.y[..., :-1], rays.valid[..., :-1]
         chief_y = rays.y[:, middle, -1]
-        if self.settings.reference == "centroid":
-            centre = (y * weight).sum(-1).mean(-1)
-        else:
-            centre = chief_y
+        centre = (y * weight).sum(-1).mean(-1) if self.settings.reference == "centroid" else chief_y
         # From axis to corner the weight of a field goes geometrically from 1 to `corner_weight`.
         field = self.settings.corner_weight ** torch.tensor(_HEIGHTS, dtype=torch.float64)
         share = torch.sqrt(field[:, None, None] / field.sum() * weight / len(view.wavelengths))
-        errors = [
-            torch.where(valid, 1e3 * share * error, _LOST * share) for error in (x, y - centre[:, None, None])
-        ]
+        errors = [torch.where(valid, 1e3 * share * error, _LOST * share) for error in (x, y - centre[:, None, None])]
         semi_diameter = _RIM * torch.stack([torch.hypot(r.x, r.y).detach().max() for r in record])
         chief = torch.stack([rays.x[:, middle, -1], chief_y], -1)
         margins = manufacturing_margins(lens, self.limits, semi_diameter)
@@ -129,9 +125,7 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
     return found
 
 
-def design(
-    flat: Lens, view: View, limits: Constraints, settings: LeastSquares, seed: int, history: list[dict]
-) -> Lens:
+def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, seed: int, history: list[dict]) -> Lens:
     """The best lens found within the budget of `settings`; arguments as for `spot.design`."""
     rng = numpy.random.default_rng(seed)
     merit = Merit(view, limits, settings)

@@ -25,7 +25,7 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
     """
     variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
-    optimizer = torch.optim.AdamW(parameter_groups(values, settings.rates))
+    optimizer = torch.optim.AdamW(parameter_groups(values, settings.rates), betas=(0.9, 0.99))
     rates = torch.optim.lr_scheduler.LambdaLR(
         optimizer, lambda step: cosine(step / settings.steps, settings.rates.final)
     )

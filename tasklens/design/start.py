@@ -54,8 +54,8 @@ class Variables:
     """The numbers of `lens` that a design may change: curvatures and aspheres of glass, and the spaces behind them.
 
     Attributes:
-        radius: (S,) R of each surface [mm]. A design sees alpha_2j R^(2j - 1), the slope that the coefficient gives at R
-            up to a factor, so that one step size suits small and large surfaces; files see alpha_2j.
+        radius: (S,) R of each surface [mm]. A design sees alpha_2j R^(2j - 1), up to a factor the slope at R, so that
+            one step size suits small and large surfaces; files see alpha_2j.
     """
 
     lens: Lens
@@ -69,7 +69,9 @@ class Variables:
     @classmethod
     def stepped(cls, lens: Lens, view: View, rates: Rates) -> "Variables":
         """As `rates` are meant: R = the radius that light uses on each surface of `lens` if they are normalised."""
-        return cls(lens, clear_semi_diameters(lens.detached(), view)) if rates.normalised else cls.plain(lens)
+        if not rates.normalised:
+            return cls.plain(lens)
+        return cls(lens, clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop])))
 
     def _scale(self, order: int) -> Tensor:
         return self.radius[list(self.lens.glass)] ** (order - 1)

@@ -87,10 +87,10 @@ def relative_illumination(lens: Lens, view: View) -> Tensor:
     middle = (view.wavelengths[len(view.wavelengths) // 2],)
     with_axis = View(torch.cat([on_axis, view.fields]), view.efl, middle, view.pixel_pitch, view.kernel)
     rays = trace_fields(lens, with_axis, rim(_RIM))
-    l, m = rays.l[:, 0], rays.m[:, 0]  # noqa: E741
+    l, m = rays.l[:, 0], rays.m[:, 0]
     area = 0.5 * (l * m.roll(-1, -1) - m * l.roll(-1, -1)).sum(-1).abs()
     area = torch.where(rays.valid[:, 0].all(-1), area, 0.0)
-    return area[1:] / area[0]
+    return torch.where(area[0] > 0, area[1:] / area[0].clamp(min=1e-12), 0.0)
 
 
 def clear_semi_diameters(lens: Lens, view: View) -> Tensor:

@@ -6,8 +6,9 @@ from pathlib import Path
 import torch
 import yaml
 
-from tasklens.files import write_text
+from tasklens.files import FileError, write_text
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import PLASTICS
 
 FORMAT = 1
 
@@ -31,25 +32,31 @@ def to_dict(lens: Lens) -> dict:
     return {"format": FORMAT, "units": "mm", "stop": lens.stop, "surfaces": surfaces}
 
 
-def from_dict(content: dict) -> Lens:
+def from_dict(content: dict, name: str = "lens file") -> Lens:
     """The lens of a prescription; the last thickness is the image distance.
 
     Raises:
-        ValueError: another format, or a surface with a missing or unknown key.
+        FileError: another format, an unknown medium, a missing or unknown key; `name` begins its message.
     """
-    if content.get("format") != FORMAT:
-        raise ValueError(f"lens file: format {content.get('format')!r}, expected {FORMAT}")
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else content
+        raise FileError(f"{name}: format {found!r}, expected {FORMAT}")
+    for key in ("surfaces", "stop"):
+        if key not in content:
+            raise FileError(f"{name}: has no {key}")
     surfaces = content["surfaces"]
     known = ("curvature", "conic", "thickness", "medium", "semi_diameter")
     orders = 0
     for i, surface in enumerate(surfaces):
         for key in known:
             if key not in surface:
-                raise ValueError(f"lens file: surface {i} has no {key}")
+                raise FileError(f"{name}: surface {i} has no {key}")
+        if surface["medium"] != "air" and surface["medium"] not in PLASTICS:
+            raise FileError(f"{name}: surface {i} has the unknown medium {surface['medium']!r}")
         for key in surface.keys() - set(known):
-            name, _, order = key.partition("_")
-            if name != "alpha" or not order.isdigit() or int(order) % 2 or int(order) < 2:
-                raise ValueError(f"lens file: surface {i} has an unknown key {key!r}")
+            letter, _, order = key.partition("_")
+            if letter != "alpha" or not order.isdigit() or int(order) % 2 or int(order) < 2:
+                raise FileError(f"{name}: surface {i} has an unknown key {key!r}")
             orders = max(orders, int(order) // 2)
 
     def column(key: str) -> torch.Tensor:
@@ -81,4 +88,4 @@ def read(path: Path) -> tuple[Lens, dict]:
     """The lens in a file, and everything that the file says."""
     with open(path) as file:
         content = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    return from_dict(content), content
+    return from_dict(content, str(path)), content

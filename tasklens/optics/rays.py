@@ -10,6 +10,8 @@ from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
 
 _NEWTON_STEPS = 30
+_STEEP = 1e-3  # smallest derivative of the distance to a surface along a ray that Newton divides by
+_STRIDE = 2.0  # longest Newton step [mm]: without a limit a ray may leave for good
 _PARALLEL = 1e-6  # a direction cosine n below this runs along the surface and never comes to the image
 
 
@@ -37,7 +39,7 @@ class Rays:
     x: Tensor
     y: Tensor
     z: Tensor
-    l: Tensor  # noqa: E741
+    l: Tensor
     m: Tensor
     n: Tensor
     path: Tensor
@@ -50,9 +52,9 @@ class Rays:
         return self.fate == Fate.HIT
 
 
-def launch(x: Tensor, y: Tensor, z: Tensor, l: Tensor, m: Tensor, n: Tensor) -> Rays:  # noqa: E741
+def launch(x: Tensor, y: Tensor, z: Tensor, l: Tensor, m: Tensor, n: Tensor) -> Rays:
     """Rays that start at (x, y, z) [mm from the first vertex] along (l, m, n); the arguments broadcast."""
-    x, y, z, l, m, n = torch.broadcast_tensors(x, y, z, l, m, n)  # noqa: E741
+    x, y, z, l, m, n = torch.broadcast_tensors(x, y, z, l, m, n)
     fate = torch.zeros(x.shape, dtype=torch.int8)
     return Rays(x, y, z, l, m, n, torch.zeros_like(x), fate, fate - 1)
 
@@ -68,9 +70,10 @@ def _newton(position, direction, surface, t: Tensor, tolerance: float) -> tuple[
         if converged.all():
             break
         derivative = n - 2 * slope * (px * l + py * m)
-        step = error / torch.where(derivative.abs() < 1e-3, torch.copysign(1e-3 * torch.ones_like(n), derivative), derivative)
-        # A ray never needs to travel further in one step than the size of a lens; without the limit it may leave for good.
-        t = t - step.clamp(-2.0, 2.0)
+        steep = torch.where(
+            derivative.abs() < _STEEP, torch.copysign(torch.full_like(n, _STEEP), derivative), derivative
+        )
+        t = t - (error / steep).clamp(-_STRIDE, _STRIDE)
     return t, converged
 
 
@@ -129,9 +132,14 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
     Returns:
         The rays on the image plane, z = 0.
     """
-    x, y, z, l, m, n = rays.x, rays.y, rays.z, rays.l, rays.m, rays.n  # noqa: E741
+    x, y, z, l, m, n = rays.x, rays.y, rays.z, rays.l, rays.m, rays.n
     path, fate, lost_at = rays.path, rays.fate, rays.lost_at
     alive = fate == Fate.HIT
+    along = n > _PARALLEL  # a ray that runs along the first surface or away from it never meets it
+    fate = torch.where(alive & ~along, torch.tensor(Fate.MISSED, dtype=torch.int8), fate)
+    lost_at = torch.where(alive & ~along, torch.tensor(0, dtype=torch.int8), lost_at)
+    alive = alive & along
+    l, m, n = torch.where(along, l, 0.0), torch.where(along, m, 0.0), torch.where(along, n, 1.0)
     for i in range(len(lens.media)):
         surface = (lens.curvature[i], lens.conic[i], lens.alpha[i])
         before, behind = indices[i][:, None], indices[i + 1][:, None]
@@ -154,12 +162,13 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
         lx, my, nz = mu * l + bend * gx, mu * m + bend * gy, mu * n + bend
 
         within = x * x + y * y <= (lens.semi_diameter[i] * (1 + 1e-6)) ** 2  # rays on the rim pass
-        for code, passed in ((Fate.MISSED, met), (Fate.OUTSIDE, within), (Fate.REFLECTED, transmitted & (nz > _PARALLEL))):
+        onward = transmitted & (nz > _PARALLEL)
+        for code, passed in ((Fate.MISSED, met), (Fate.OUTSIDE, within), (Fate.REFLECTED, onward)):
             lost = alive & ~passed
             fate = torch.where(lost, torch.tensor(code, dtype=torch.int8), fate)
             lost_at = torch.where(lost, torch.tensor(i, dtype=torch.int8), lost_at)
             alive = alive & passed
-        l, m, n = torch.where(alive, lx, 0.0), torch.where(alive, my, 0.0), torch.where(alive, nz, 1.0)  # noqa: E741
+        l, m, n = torch.where(alive, lx, 0.0), torch.where(alive, my, 0.0), torch.where(alive, nz, 1.0)
         if record is not None:
             record.append(Rays(x, y, z, l, m, n, path, fate, lost_at))
         z = z - lens.thickness[i]

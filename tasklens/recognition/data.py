@@ -98,7 +98,10 @@ def _read_picture(path: Path, size: int) -> Tensor:
 
     try:
         with Image.open(path) as file:
-            picture = ImageOps.fit(file.convert("RGB"), (size, size), Image.Resampling.BICUBIC)
+            picture = ImageOps.exif_transpose(file)
+            if picture.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
+                picture = picture.convert("I").point(lambda value: value * (1 / 256)).convert("L")
+            picture = ImageOps.fit(picture.convert("RGB"), (size, size), Image.Resampling.BICUBIC)
     except (UnidentifiedImageError, OSError) as error:
         raise StudyError(f"{path}: cannot be read as a picture ({error})") from error
     return torch.from_numpy(numpy.array(picture)).permute(2, 0, 1)

@@ -40,7 +40,7 @@ class Sight:
 
 @torch.no_grad()
 def evaluate(recogniser: nn.Module, pictures: Pictures, sight: Sight) -> tuple[Tensor, Tensor]:
-    """Whether each of N pictures is recognised at each field, (F, N) bool, and the PSNR of what is seen [dB], (F, N)."""
+    """Whether each of N pictures is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N)."""
     correct, quality = [], []
     for images, labels in pictures.batches(_BATCH):
         captures = sight.all_fields(images)

@@ -22,11 +22,9 @@ def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict]:
 def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -> LRScheduler:
     """Linear warm-up over the fraction `warmup` of the steps, then a cosine to zero."""
     rising = max(1, round(warmup * steps))
-    return SequentialLR(
-        optimizer,
-        [LinearLR(optimizer, 1 / (rising + 1), total_iters=rising), CosineAnnealingLR(optimizer, max(1, steps - rising))],
-        [rising],
-    )
+    up = LinearLR(optimizer, 1 / (rising + 1), total_iters=rising)
+    down = CosineAnnealingLR(optimizer, max(1, steps - rising))
+    return SequentialLR(optimizer, [up, down], [rising])
 
 
 def shuffled(count: int, batch: int, steps: int, generator: torch.Generator):

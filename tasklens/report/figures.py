@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402
-from matplotlib.patches import Circle  # noqa: E402
+from matplotlib import pyplot as plt
+from matplotlib.patches import Circle
 
-from tasklens.files import replacing  # noqa: E402
-from tasklens.optics.analysis import View, centroid, trace_fields  # noqa: E402
-from tasklens.optics.aspheres import sag  # noqa: E402
-from tasklens.optics.lens import Lens  # noqa: E402
-from tasklens.optics.pupil import sobol_disc  # noqa: E402
+from tasklens.files import replacing
+from tasklens.optics.analysis import View, centroid, trace_fields
+from tasklens.optics.aspheres import sag
+from tasklens.optics.lens import Lens
+from tasklens.optics.pupil import sobol_disc
 
 _SHOWN = (0, 4, 8)  # of the nine fields: axis, middle of the field, corner
 _COLOURS = ("tab:blue", "tab:green", "tab:red")

@@ -12,10 +12,9 @@ import pandas
 
 from tasklens.files import write_text
 from tasklens.jobs import TableJob
-from tasklens.layout import SHARP, Layout, restored
+from tasklens.layout import PAPER, SHARP, Layout, restored
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
-_PAPER = Path(__file__).with_name("paper.csv")
 _COLUMNS = {
     "table1": ["accuracy", "psnr_db", "rms_spot_um", "core_radius_um", "energy_in_window"],
     "table2": ["parameters_m", "reference_accuracy", "accuracy"],
@@ -104,10 +103,10 @@ def summarise(job: TableJob, rows: pandas.DataFrame, paper: pandas.DataFrame) ->
         spread = groups[[c for c in columns if c != "converged"]].std(ddof=1)
         table = table.join(spread.add_suffix("_std"))
     table = table.reset_index()
-    wanted = paper[(paper["table"] == job.name)]
-    printed = wanted.pivot_table(index=[*keys], columns="metric", values="value", sort=False)
-    shared = [c for c in columns if c in printed and c != "parameters_m"]
-    return table.merge(printed[shared].add_suffix("_paper").reset_index(), on=keys, how="left")
+    wanted = paper[paper["table"] == job.name]
+    published = wanted.pivot_table(index=keys, columns="metric", values="value", sort=False)
+    shared = [c for c in columns if c in published and c != "parameters_m"]
+    return table.merge(published[shared].add_suffix("_paper").reset_index(), on=keys, how="left")
 
 
 def printed(job: TableJob, table: pandas.DataFrame) -> pandas.DataFrame:
@@ -115,7 +114,7 @@ def printed(job: TableJob, table: pandas.DataFrame) -> pandas.DataFrame:
     shown = table.copy()
     for column in shown.columns:
         if column.startswith("converged"):
-            shown[column] = shown[column].map({True: "yes", False: "×", 1.0: "yes", 0.0: "×"})
+            shown[column] = shown[column].map(lambda v: "–" if pandas.isna(v) else "yes" if v else "×")
         elif pandas.api.types.is_float_dtype(shown[column]):
             digits = 3 if "energy" in column else 2
             shown[column] = shown[column].map(lambda v, d=digits: "–" if pandas.isna(v) else f"{v:.{d}f}")
@@ -124,7 +123,7 @@ def printed(job: TableJob, table: pandas.DataFrame) -> pandas.DataFrame:
 
 def make(job: TableJob, layout: Layout, study: str, partial: bool) -> None:
     """Write a table as CSV, Markdown and LaTeX, and a sidecar that says what made it."""
-    paper = pandas.read_csv(_PAPER, keep_default_na=False)
+    paper = pandas.read_csv(PAPER, keep_default_na=False)
     paper["value"] = pandas.to_numeric(paper["value"])
     rows = collect(job, layout, partial)
     if rows.empty:
@@ -136,9 +135,14 @@ def make(job: TableJob, layout: Layout, study: str, partial: bool) -> None:
     write_text(Path(layout.table(job.name, "csv")), table.to_csv(index=False))
     markdown = shown.to_markdown(index=False, disable_numparse=True)
     write_text(Path(layout.table(job.name, "md")), f"**{title}**\n\n{markdown}\n\n{note}\n")
-    latex = shown.to_latex(index=False, escape=True, caption=f"{title}. {note.replace('`', '')}")
+    latex = shown.to_latex(index=False, escape=True, caption=_latex(f"{title}. {note}"))
     write_text(Path(layout.table(job.name, "tex")), latex)
     write_text(Path(layout.table(job.name, "json")), json.dumps(provenance(study, job), indent=1) + "\n")
+
+
+def _latex(text: str) -> str:
+    """Our own plain sentences as LaTeX."""
+    return text.replace("`", "").replace("_", r"\_")
 
 
 def provenance(study: str, job: TableJob) -> dict:

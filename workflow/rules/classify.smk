@@ -1,17 +1,24 @@
 PICTURES = [layout.images(split) for split in ("train", "minival", "test")]
 
 
+def published_weights(wildcards):
+    """The local file that a classifier starts from, if its study names one."""
+    path = study.classifiers[wildcards.classifier].weights
+    return [] if path is None else str(path)
+
+
 rule reference:
     input:
-        layout.images("train"),
+        pictures=layout.images("train"),
+        weights=published_weights,
     output:
         layout.reference("{classifier}"),
     log:
         f"{layout.root}/logs/reference/{{classifier}}.log",
+    threads: 1
     params:
         job=lambda wildcards: jobs.reference(study, wildcards.classifier).model_dump_json(),
         code=code("reference"),
-    threads: 1
     shell:
         "{TASKLENS} reference {layout.study} {wildcards.classifier} 2> {log}"
 
@@ -31,11 +38,11 @@ rule fine_tune:
         metrics=layout.metrics("{lens}", "{seed}", "{classifier}"),
     log:
         f"{layout.root}/logs/fine_tune/{{lens}}-seed{{seed}}-{{classifier}}.log",
+    threads: 1
     params:
         job=lambda wildcards: jobs.fine_tune(
             study, wildcards.lens, wildcards.classifier, wildcards.seed, False
         ).model_dump_json(),
         code=code("fine_tune"),
-    threads: 1
     shell:
         "{TASKLENS} fine-tune {layout.study} {wildcards.lens} {wildcards.classifier} --seed {wildcards.seed} 2> {log}"

@@ -3,9 +3,9 @@ rule images:
         [layout.images(split) for split in ("train", "minival", "test")],
     log:
         f"{layout.root}/logs/images.log",
+    threads: 1
     params:
         job=jobs.images(study).model_dump_json(),
         code=code("images"),
-    threads: 1
     shell:
         "{TASKLENS} images {layout.study} 2> {log}"

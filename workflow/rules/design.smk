@@ -20,9 +20,9 @@ rule design:
         history=layout.history("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/design/{{lens}}-seed{{seed}}.log",
+    threads: 1
     params:
         job=lambda wildcards: jobs.design(study, wildcards.lens, wildcards.seed).model_dump_json(),
         code=code("design"),
-    threads: 1
     shell:
         "{TASKLENS} design {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -5,9 +5,9 @@ rule psf:
         layout.psf("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/psf/{{lens}}-seed{{seed}}.log",
+    threads: 1
     params:
         job=jobs.psf(study).model_dump_json(),
         code=code("psf"),
-    threads: 1
     shell:
         "{TASKLENS} psf {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

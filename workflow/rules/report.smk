@@ -17,14 +17,15 @@ def table_inputs(wildcards):
 rule table:
     input:
         unpack(table_inputs),
+        paper=PAPER,
     output:
         multiext(f"{layout.root}/tables/{{table}}", ".csv", ".md", ".tex", ".json"),
     log:
         f"{layout.root}/logs/{{table}}.log",
+    threads: 1
     params:
         job=lambda wildcards: jobs.table(study, wildcards.table).model_dump_json(),
         code=code("table"),
-    threads: 1
     shell:
         "{TASKLENS} table {layout.study} {wildcards.table} 2> {log}"
 
@@ -37,9 +38,9 @@ rule figure:
         layout.figure("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/figure/{{lens}}-seed{{seed}}.log",
+    threads: 1
     params:
         job=jobs.psf(study).model_dump_json(),
         code=code("figure"),
-    threads: 1
     shell:
         "{TASKLENS} figure {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

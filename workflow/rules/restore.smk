@@ -6,10 +6,10 @@ rule restore:
         layout.restoration("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/restore/{{lens}}-seed{{seed}}.log",
+    threads: 1
     params:
         job=lambda wildcards: jobs.restore(study, wildcards.seed).model_dump_json(),
         code=code("restore"),
-    threads: 1
     shell:
         "{TASKLENS} restore {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
 
@@ -25,12 +25,12 @@ rule fine_tune_restored:
         metrics=layout.metrics("{lens}", "{seed}", restored("{classifier}")),
     log:
         f"{layout.root}/logs/fine_tune_restored/{{lens}}-seed{{seed}}-{{classifier}}.log",
+    threads: 1
     params:
         job=lambda wildcards: jobs.fine_tune(
             study, wildcards.lens, wildcards.classifier, wildcards.seed, True
         ).model_dump_json(),
         code=code("fine_tune"),
-    threads: 1
     shell:
         "{TASKLENS} fine-tune {layout.study} {wildcards.lens} {wildcards.classifier} --restored"
         " --seed {wildcards.seed} 2> {log}"
