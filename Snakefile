@@ -1,6 +1,7 @@
 """The study as a workflow: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
 
 import os
+import shlex
 import sys
 
 from snakemake.exceptions import WorkflowError
@@ -24,7 +25,8 @@ except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
 layout = Layout.of(study)
-TASKLENS = f"{sys.executable} -m tasklens.cli"
+# `tasklens` is that of the Python that runs Snakemake, also where its environment is not activated.
+shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")
 
 
 wildcard_constraints:
@@ -78,6 +80,7 @@ for name in jobs.TABLES:
         localrule: True
 
 
+include: "workflow/rules/inputs.smk"
 include: "workflow/rules/data.smk"
 include: "workflow/rules/design.smk"
 include: "workflow/rules/psf.smk"
@@ -103,4 +106,4 @@ onsuccess:
 
 
 onerror:
-    print(f"Tables of what has finished: {TASKLENS} table {layout.study} table1 --partial")
+    print(f"Tables of what has finished: tasklens table {layout.study} table1 --partial")

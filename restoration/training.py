@@ -8,7 +8,7 @@ from tasklens.imaging import Camera, psnr
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.training import shuffled
-from tasklens.study import Restoration
+from tasklens.settings import Restoration
 
 
 def build(settings: Restoration) -> NAFNet:

@@ -1,8 +1,8 @@
 """A digest of the code that a stage executes: Snakemake reruns the jobs whose code changed, and no others.
 
 It covers the stage's function in `tasklens.cli` and every module of ours that the stage imports, directly or through
-others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.study` and
-`tasklens.jobs` are left out, since what a stage reads of them is its job slice.
+others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.settings`,
+`tasklens.study` and `tasklens.jobs` are left out, since what a stage reads of them is its job slice.
 """
 
 import ast
@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("tasklens", "restoration")
-DATA_ONLY = ("tasklens.study", "tasklens.jobs")
+DATA_ONLY = ("tasklens.settings", "tasklens.study", "tasklens.jobs")
 
 
 def _file(module: str) -> Path | None:

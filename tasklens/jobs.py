@@ -5,7 +5,7 @@ jobs that read it and no others. What a job reads from other jobs are files.
 """
 
 from tasklens.layout import SHARP
-from tasklens.study import (
+from tasklens.settings import (
     Capture,
     Classifier,
     Constraints,
@@ -17,10 +17,10 @@ from tasklens.study import (
     Restoration,
     Spec,
     Spot,
-    Study,
     Task,
     Training,
 )
+from tasklens.study import Study
 
 TABLES = ("table1", "table2", "table3", "table4")
 

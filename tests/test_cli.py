@@ -149,7 +149,6 @@ def test_a_wrong_study_is_a_message_too(workplace, capsys):
     assert "absent.yaml" in capsys.readouterr().err
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="a broken lens file is a traceback in the CLI")
 def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
     path = workplace / LAYOUT.lens("singlet-imaging1", 5)
     path.parent.mkdir(parents=True)

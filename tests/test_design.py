@@ -27,7 +27,8 @@ from tasklens.optics.analysis import centroid, chief_points, rms_spot_radius, tr
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
-from tasklens.study import Capture, Constraints, Descent, LeastSquares, Rates, Spec, Spot, parse
+from tasklens.settings import Capture, Constraints, Descent, LeastSquares, Rates, Spec, Spot
+from tasklens.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
 LOOKS = view(SPEC)
@@ -278,7 +279,7 @@ def test_descent_lowers_the_loss(start):
     network = small_network()
     pictures = random_pictures(12, 16, 3, seed=0)
     from tasklens.recognition.training import fit
-    from tasklens.study import Training
+    from tasklens.settings import Training
 
     fit(network, pictures, Training(epochs=60, rate=1e-2, batch=12), 0, "sharp")
     images, labels = pictures.batch(torch.arange(12))

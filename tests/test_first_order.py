@@ -14,7 +14,7 @@ from tasklens.optics.materials import FITTED_UM, PLASTICS, refractive_index
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import bundles, gauss_quadrature, rim, sobol_disc
 from tasklens.optics.rays import trace
-from tasklens.study import Constraints, Spec
+from tasklens.settings import Constraints, Spec
 
 # nd and Vd as the makers of the plastics state them
 CATALOGUE = {

@@ -23,7 +23,7 @@ from tasklens.optics.analysis import (
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import rim, sobol_disc
 from tasklens.optics.rays import Fate
-from tasklens.study import Spec
+from tasklens.settings import Spec
 
 PITCH, K = 2.0, 9  # [um], pixels
 ORIGIN = f64([[0.0, 0.0]])

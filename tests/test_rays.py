@@ -252,7 +252,6 @@ def test_nothing_is_ever_nan(name, tangent):
     assert torch.isfinite(pushed).all()
 
 
-@pytest.mark.xfail(strict=True, reason="0 / 0 at the vertex plane: position NaN")
 def test_a_ray_that_never_moves_along_the_axis_is_missed_and_finite():
     zero, one = f64([[0.0]]), f64([[1.0]])
     rays = trace(

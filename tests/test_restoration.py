@@ -7,7 +7,7 @@ from examples import random_pictures
 from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet
 from tasklens.imaging import Camera, psnr
-from tasklens.study import Restoration
+from tasklens.settings import Restoration
 
 
 def small(seed: int = 0) -> NAFNet:

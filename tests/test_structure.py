@@ -18,6 +18,7 @@ MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglo
 # From the ground up: a module imports only from its own floor (its own package) and from the floors below.
 FLOORS = [
     ("tasklens.files", "tasklens.progress", "tasklens.digest", "tasklens.optics.materials"),
+    ("tasklens.settings",),
     ("tasklens.study",),
     ("tasklens.layout",),
     ("tasklens.jobs",),
@@ -93,11 +94,7 @@ def test_tables_need_no_torch():
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_a_module_holds_one_idea(path):
     assert path.stem not in ("utils", "util", "helpers", "common", "misc")
-    too_long = len(path.read_text().splitlines()) >= 300
-    if name_of(path) == "tasklens.study":
-        assert too_long, "it has become short enough: delete this exception"
-    else:
-        assert not too_long
+    assert len(path.read_text().splitlines()) < 300
 
 
 # ---- digests of code
@@ -162,12 +159,6 @@ def test_code_changes_the_digests_of_the_stages_that_run_it(copy, path, old, new
     copy("psf", path, old, new)
     found = {stage for stage in STAGES if copy(stage) != before[stage]}
     assert found == touched
-
-
-@pytest.mark.xfail(strict=True, reason="tasklens/report/paper.csv is in no digest and no input: tables keep old values")
-def test_the_papers_values_are_part_of_the_table_stage(copy):
-    before = copy("table")
-    assert copy("table", "tasklens/report/paper.csv", "70.08", "71.08") != before
 
 
 def test_unknown_stage_raises():

@@ -10,7 +10,8 @@ from examples import changed, tiny_study
 
 from tasklens import jobs
 from tasklens.layout import SHARP
-from tasklens.study import Spec, StudyError, dump, load, parse
+from tasklens.settings import Spec
+from tasklens.study import StudyError, dump, load, parse
 
 CONFIGS = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
 
@@ -84,22 +85,14 @@ def test_best_imaging_needs_an_imaging_design():
 
 
 IMPOSSIBLE = [
-    ("spec.wavelengths_um", [0.9, 0.6, 0.5], "outside the fitted range: ValueError in the design job"),
-    (
-        "images",
-        {"size": 16, "train": 1, "minival": 1, "test": 3},
-        "fewer than 10 classes: ValueError in the images job",
-    ),
-    ("seeds", [0, 0], "a seed that counts twice"),
-    ("fine_tuning.rate", math.inf, "infinite rates are accepted"),
+    ("spec.wavelengths_um", [0.9, 0.6, 0.5]),  # outside the fitted range
+    ("images", {"size": 16, "train": 1, "minival": 1, "test": 3}),  # fewer pictures than classes
+    ("seeds", [0, 0]),
+    ("fine_tuning.rate", math.inf),
 ]
 
 
-def bug(*values, why):
-    return pytest.param(*values, marks=pytest.mark.xfail(strict=True, reason=why))
-
-
-@pytest.mark.parametrize("key, value", [bug(key, value, why=why) for key, value, why in IMPOSSIBLE])
+@pytest.mark.parametrize("key, value", IMPOSSIBLE)
 def test_an_impossible_value_fails_before_the_first_job(key, value):
     with pytest.raises(StudyError):
         parse(changed(tiny_study(), key, value))
@@ -113,9 +106,7 @@ def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
     assert load(tmp_path / "study.yaml").fine_tuning.rate == 1e-4
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[]", *(bug(text, why="not a StudyError") for text in ("- 1", "just words", "a: [1", "3"))]
-)
+@pytest.mark.parametrize("text", ["", "[]", "- 1", "just words", "a: [1", "3"])
 def test_a_file_that_is_no_mapping_is_a_mistake_like_any_other(tmp_path, text):
     (tmp_path / "study.yaml").write_text(text)
     with pytest.raises(StudyError):

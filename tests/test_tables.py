@@ -174,7 +174,6 @@ def test_files_of_a_table_agree(study, layout, name):
     assert notes["study"] == "tiny" and notes["seeds"] == [0, 1] and set(notes["versions"]) == set(tables.PACKAGES)
 
 
-@pytest.mark.xfail(strict=True, reason="the caption of the LaTeX table has bare underscores")
 def test_latex_escapes_underscores_everywhere(study, layout):
     tables.make(jobs.table(study, "table1"), layout, "my_study", partial=False)
     with open(layout.table("table1", "tex")) as file:

@@ -10,7 +10,7 @@ from tasklens.optics.analysis import View, clear_semi_diameters
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.paraxial import paraxial
-from tasklens.study import Constraints
+from tasklens.settings import Constraints
 
 _HEIGHTS = torch.linspace(0, 1, 9, dtype=torch.float64)  # parts of the semi-diameter at which limits are checked
 _BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty ends with the limit kept

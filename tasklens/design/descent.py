@@ -24,7 +24,7 @@ from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.training import parameter_groups as network_groups
 from tasklens.recognition.training import shuffled
-from tasklens.study import Capture, Constraints, Descent
+from tasklens.settings import Capture, Constraints, Descent
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import gauss_quadrature
 from tasklens.progress import Progress
-from tasklens.study import Constraints, LeastSquares
+from tasklens.settings import Constraints, LeastSquares
 
 _HEIGHTS = (0.0, 0.3, 0.5, 0.7, 0.87, 1.0)  # fields of the merit function, as parts of the largest
 _RINGS, _ARMS = 6, 4

@@ -13,7 +13,7 @@ from tasklens.jobs import DesignJob
 from tasklens.optics.analysis import chief_points, clear_semi_diameters, figures
 from tasklens.optics.lens import Lens
 from tasklens.recognition.data import Pictures
-from tasklens.study import EndToEnd, LeastSquares, Spot, Task
+from tasklens.settings import EndToEnd, LeastSquares, Spot, Task
 
 _APERTURE = 1.02  # semi-diameter of a finished surface over what light uses of it
 

@@ -9,7 +9,7 @@ from tasklens.optics.analysis import View, centroid, chief_points, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
-from tasklens.study import Constraints, Spot
+from tasklens.settings import Constraints, Spot
 
 
 def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: int, history: list[dict]) -> Lens:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis import View, clear_semi_diameters
 from tasklens.optics.lens import Lens
-from tasklens.study import Constraints, Rates, Spec
+from tasklens.settings import Constraints, Rates, Spec
 
 ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
 

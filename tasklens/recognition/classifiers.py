@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from tasklens.study import Classifier
+from tasklens.settings import Classifier
 
 
 class Recogniser(nn.Module):

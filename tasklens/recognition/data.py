@@ -6,7 +6,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tasklens.study import Images, StudyError
+from tasklens.settings import Images
+from tasklens.study import StudyError
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 SPLITS = ("train", "minival", "test")

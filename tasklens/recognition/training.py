@@ -9,7 +9,7 @@ from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, S
 
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
-from tasklens.study import Training
+from tasklens.settings import Training
 
 
 def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict]:

@@ -1,12 +1,3 @@
-PICTURES = [layout.images(split) for split in ("train", "minival", "test")]
-
-
-def published_weights(wildcards):
-    """The local file that a classifier starts from, if its study names one."""
-    path = study.classifiers[wildcards.classifier].weights
-    return [] if path is None else str(path)
-
-
 rule reference:
     input:
         pictures=layout.images("train"),
@@ -17,15 +8,11 @@ rule reference:
         f"{layout.root}/logs/reference/{{classifier}}.log",
     threads: 1
     params:
+        study=layout.study,
         job=lambda wildcards: jobs.reference(study, wildcards.classifier).model_dump_json(),
         code=code("reference"),
     shell:
-        "{TASKLENS} reference {layout.study} {wildcards.classifier} 2> {log}"
-
-
-def seen_through(wildcards):
-    """The PSF grid of a lens; nothing for a classifier that sees the pictures themselves."""
-    return [] if wildcards.lens == SHARP else layout.psf(wildcards.lens, wildcards.seed)
+        "tasklens reference {params.study} {wildcards.classifier} 2> {log}"
 
 
 rule fine_tune:
@@ -40,9 +27,10 @@ rule fine_tune:
         f"{layout.root}/logs/fine_tune/{{lens}}-seed{{seed}}-{{classifier}}.log",
     threads: 1
     params:
+        study=layout.study,
         job=lambda wildcards: jobs.fine_tune(
             study, wildcards.lens, wildcards.classifier, wildcards.seed, False
         ).model_dump_json(),
         code=code("fine_tune"),
     shell:
-        "{TASKLENS} fine-tune {layout.study} {wildcards.lens} {wildcards.classifier} --seed {wildcards.seed} 2> {log}"
+        "tasklens fine-tune {params.study} {wildcards.lens} {wildcards.classifier} --seed {wildcards.seed} 2> {log}"

@@ -5,7 +5,8 @@ rule images:
         f"{layout.root}/logs/images.log",
     threads: 1
     params:
+        study=layout.study,
         job=jobs.images(study).model_dump_json(),
         code=code("images"),
     shell:
-        "{TASKLENS} images {layout.study} 2> {log}"
+        "tasklens images {params.study} 2> {log}"

@@ -7,7 +7,8 @@ rule psf:
         f"{layout.root}/logs/psf/{{lens}}-seed{{seed}}.log",
     threads: 1
     params:
+        study=layout.study,
         job=jobs.psf(study).model_dump_json(),
         code=code("psf"),
     shell:
-        "{TASKLENS} psf {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
+        "tasklens psf {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -8,10 +8,11 @@ rule restore:
         f"{layout.root}/logs/restore/{{lens}}-seed{{seed}}.log",
     threads: 1
     params:
+        study=layout.study,
         job=lambda wildcards: jobs.restore(study, wildcards.seed).model_dump_json(),
         code=code("restore"),
     shell:
-        "{TASKLENS} restore {layout.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
+        "tasklens restore {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
 
 
 rule fine_tune_restored:
@@ -27,10 +28,11 @@ rule fine_tune_restored:
         f"{layout.root}/logs/fine_tune_restored/{{lens}}-seed{{seed}}-{{classifier}}.log",
     threads: 1
     params:
+        study=layout.study,
         job=lambda wildcards: jobs.fine_tune(
             study, wildcards.lens, wildcards.classifier, wildcards.seed, True
         ).model_dump_json(),
         code=code("fine_tune"),
     shell:
-        "{TASKLENS} fine-tune {layout.study} {wildcards.lens} {wildcards.classifier} --restored"
+        "tasklens fine-tune {params.study} {wildcards.lens} {wildcards.classifier} --restored"
         " --seed {wildcards.seed} 2> {log}"

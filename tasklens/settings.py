@@ -1,0 +1,270 @@
+"""What the stages of a study are told: frozen typed classes with units, limits and defaults; no torch here."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, computed_field, field_validator, model_validator
+
+from tasklens.optics.materials import FITTED_UM
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(gt=0)]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+
+
+class Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Spec(Frozen):
+    """What every lens of the study has to do; the defaults are the paper's (section 3.3 and 4)."""
+
+    diagonal_mm: Positive = 4.0
+    aspect: tuple[Count, Count] = (16, 9)
+    field_of_view_deg: Annotated[float, Field(gt=0, lt=150)] = 68.8
+    f_number: Positive = 2.8
+    pixel_pitch_um: Positive = 1.8
+    kernel: Annotated[int, Field(ge=3)] = 51
+    wavelengths_um: tuple[Positive, Positive, Positive] = (0.6563, 0.5893, 0.4861)
+
+    @field_validator("wavelengths_um")
+    @classmethod
+    def _fitted(cls, wavelengths: tuple) -> tuple:
+        low, high = FITTED_UM
+        if not all(low <= wavelength <= high for wavelength in wavelengths):
+            raise ValueError(f"expected wavelengths from {low} to {high} um, where the plastics' indices are known")
+        return wavelengths
+
+    @field_validator("kernel")
+    @classmethod
+    def _odd(cls, kernel: int) -> int:
+        if kernel % 2 == 0:
+            raise ValueError("expected an odd number, so that the kernel has a central pixel")
+        return kernel
+
+    @computed_field
+    @property
+    def efl_mm(self) -> float:
+        """Focal length [mm] that puts the field of view on the diagonal: (d / 2) / tan(FoV / 2)."""
+        return self.diagonal_mm / 2 / math.tan(math.radians(self.field_of_view_deg) / 2)
+
+    @computed_field
+    @property
+    def stop_radius_mm(self) -> float:
+        """Radius [mm] of the stop, which stands in front of the lens: EFL / (2 F)."""
+        return self.efl_mm / (2 * self.f_number)
+
+    @computed_field
+    @property
+    def fields_mm(self) -> tuple[tuple[float, float], ...]:
+        """Nine field points [mm] on the sensor: {0, 1/2, 1} x {0, 1/2, 1} of its half width and half height."""
+        unit = self.diagonal_mm / 2 / math.hypot(*self.aspect)
+        width, height = (unit * side for side in self.aspect)
+        return tuple((u * width, v * height) for v in (0, 0.5, 1) for u in (0, 0.5, 1))
+
+
+class Constraints(Frozen):
+    """Limits that every design keeps [mm; slope is d sag / d r]: moulded plastic elements in a phone."""
+
+    min_centre_thickness: Positive = 0.25
+    max_centre_thickness: Positive = 1.5
+    min_edge_thickness: Positive = 0.2
+    min_air_gap: Positive = 0.05
+    min_back_focus: Positive = 0.7
+    max_track: Positive = 4.4
+    max_slope: Positive = 0.57
+    stop_distance: Positive = 0.1
+    efl_tolerance: Fraction = 0.02
+    distortion: Fraction = 0.03
+
+
+class Rates(Frozen):
+    """AdamW step sizes of the lens; each asphere order above alpha_4 takes `decay` times the one before (paper 3.3).
+
+    `normalised`: the step sizes of alpha_k are those of alpha_k R^(k - 1), R the radius that light uses on the surface
+    of the starting lens in mm; else of alpha_k itself, as in the paper.
+    """
+
+    curvature: Positive = 1e-4
+    thickness: Positive = 1e-4
+    alpha_4: Positive = 1e-4
+    decay: Fraction = 0.02
+    normalised: bool = True
+    final: Fraction = 1.0  # the rates at the last step, as a fraction; reached on a cosine
+
+    def scaled(self, factor: float) -> "Rates":
+        """All step sizes times `factor`."""
+        sizes = {name: factor * getattr(self, name) for name in ("curvature", "thickness", "alpha_4")}
+        return self.model_copy(update=sizes)
+
+
+class ColdStart(Frozen):
+    """Pixels that begin coarse and a stop that begins small; both reach their true size after a part of the steps."""
+
+    pixel_scale: Annotated[float, Field(ge=1)] = 20.0
+    pixel_duration: Annotated[float, Field(gt=0, le=1)] = 0.8
+    stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
+    stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5
+
+
+class Descent(Frozen):
+    """Stochastic descent of the classifier's loss through captures, PSFs and rays."""
+
+    steps: Count
+    images: Count = 64
+    micro_batch: Count = 64
+    rays: Count = 256
+    rates: Rates = Rates()
+    cold_start: ColdStart | None = None
+    penalty: Positive = 100.0
+    augment: bool = True
+
+
+class Polish(Frozen):
+    """End-to-end design after the task-driven one (paper 3.3): lens rates as a part of the design's, at full pixels."""
+
+    steps: Count
+    rates_scale: Annotated[float, Field(gt=0, le=1)] = 0.1
+    network_rate: Positive = 1e-5
+
+
+class Task(Descent):
+    """Task-driven design: the classifier is frozen, and trained with the lens only in the final polish."""
+
+    method: Literal["task"]
+    polish: Polish | None = None
+
+
+class EndToEnd(Descent):
+    """Lens and classifier descend together, from flat plates or from the best imaging lens by minival accuracy."""
+
+    method: Literal["end_to_end"]
+    start: Literal["flat", "best_imaging"]
+    network_rate: Positive = 1e-5
+
+
+class Spot(Frozen):
+    """RMS spot size by AdamW from flat plates, with an opening stop."""
+
+    method: Literal["spot"]
+    steps: Count
+    rays: Count = 256
+    rates: Rates = Rates()
+    stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
+    stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5
+    penalty: Positive = 100.0
+
+
+class LeastSquares(Frozen):
+    """Damped least squares on ray residuals, from many random paraxial starts, as a lens designer works."""
+
+    method: Literal["least_squares"]
+    starts: Count = 150
+    keep: Count = 12
+    evaluations: Count = 400
+    kicks: Annotated[int, Field(ge=0)] = 0
+    reference: Literal["centroid", "chief_ray"] = "centroid"
+    highest_order: Literal[4, 6, 8, 10] = 10
+    corner_weight: Positive = 1.0
+    max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
+
+
+RENDERED_CLASSES = 10  # of the built-in pictures, recognition.scenes
+
+Design = Annotated[Task | EndToEnd | Spot | LeastSquares, Field(discriminator="method")]
+
+
+class Images(Frozen):
+    """The labelled pictures: rendered by us, or read from `folder`: train/<class>/* and test/<class>/* (or val).
+
+    Counts limit what is read from a folder; null means all. The minival is cut out of the training pictures.
+    """
+
+    size: Annotated[int, Field(ge=16)] = 64
+    train: Count | None = None
+    minival: Count = 500
+    test: Count | None = None
+    seed: int = 0
+    folder: Path | None = None
+
+    @model_validator(mode="after")
+    def _rendered_need_counts(self):
+        if self.folder is None and (self.train is None or self.test is None):
+            raise ValueError("rendered images need the counts `train` and `test`")
+        if self.folder is None and min(self.train + self.minival, self.test) < RENDERED_CLASSES:
+            raise ValueError(f"expected at least {RENDERED_CLASSES} rendered pictures of each split, one per class")
+        return self
+
+
+class Training(Frozen):
+    """AdamW with linear warm-up and cosine; weight decay spares biases and norms."""
+
+    epochs: Positive
+    rate: Positive
+    batch: Count = 64
+    weight_decay: Annotated[float, Field(ge=0)] = 0.05
+    warmup: Fraction = 0.05
+
+
+class Classifier(Frozen):
+    """A timm network: its name and tag, keywords for `timm.create_model`, and where its weights come from.
+
+    `training` trains it on the sharp images, from `pretrained` (timm's hub), from `weights` (safetensors) or from
+    scratch; null takes it as loaded.
+    """
+
+    model: str
+    arguments: dict[str, Any] = {}
+    pretrained: bool = False
+    weights: Path | None = None
+    training: Training | None = None
+
+    @model_validator(mode="after")
+    def _one_origin(self):
+        if self.pretrained and self.weights:
+            raise ValueError("take either `pretrained` or `weights`, not both")
+        if not (self.pretrained or self.weights or self.training):
+            raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network judges nothing")
+        return self
+
+
+class Restoration(Frozen):
+    """NAFNet and its training; the default size is the paper's (section 5.3)."""
+
+    width: Count = 32
+    encoder: tuple[Count, ...] = (1, 1, 1, 8)
+    middle: Count = 1
+    decoder: tuple[Count, ...] = (1, 1, 1, 1)
+    steps: Count
+    batch: Count = 32
+    rate: Positive = 1e-3
+
+    @model_validator(mode="after")
+    def _symmetric(self):
+        if len(self.encoder) != len(self.decoder):
+            raise ValueError("`encoder` and `decoder` need the same number of levels")
+        return self
+
+    @property
+    def multiple(self) -> int:
+        """Image sides must be multiples of this: each encoder level halves them."""
+        return 2 ** len(self.encoder)
+
+
+class Capture(Frozen):
+    """How a picture becomes a capture: what the light outside the PSF window does, and where blur is applied."""
+
+    outside: Literal["veil", "renormalise"] = "veil"
+    colour: Literal["srgb", "linear"] = "srgb"
+
+
+class Lens(Frozen):
+    """One lens of the study: how many elements of which plastic, and how it comes about."""
+
+    name: str
+    elements: str
+    plastics: tuple[str, ...]
+    design_name: str
+    design: Design

@@ -1,0 +1,44 @@
+"""What the rules read, where it depends on the wildcards."""
+
+PICTURES = [layout.images(split) for split in ("train", "minival", "test")]
+
+
+def published_weights(wildcards):
+    """The local file that a classifier starts from, if its study names one."""
+    path = study.classifiers[wildcards.classifier].weights
+    return [] if path is None else str(path)
+
+
+def design_inputs(wildcards):
+    """What a design reads: nothing, or pictures and the supervisor, or also the imaging lenses to start from."""
+    inputs = {}
+    job = jobs.design(study, wildcards.lens, wildcards.seed)
+    if job.classifier is not None:
+        inputs["pictures"] = layout.images("train")
+        inputs["weights"] = layout.reference(study.supervisor)
+    rivals = jobs.imaging_rivals(study, wildcards.lens)
+    if rivals:
+        inputs["rivals"] = [layout.lens(name, wildcards.seed) for name in rivals]
+        inputs["judged"] = [layout.metrics(name, wildcards.seed, study.supervisor) for name in rivals]
+    return inputs
+
+
+def seen_through(wildcards):
+    """The PSF grid of a lens; nothing for a classifier that sees the pictures themselves."""
+    return [] if wildcards.lens == SHARP else layout.psf(wildcards.lens, wildcards.seed)
+
+
+def table_inputs(wildcards):
+    """The lenses of a table, and the metrics of its classifiers on them and on the pictures themselves."""
+    job = jobs.table(study, wildcards.table)
+    seen = restored if job.name == "table4" else str
+    return {
+        "lenses": [layout.lens(lens, seed) for lens in job.lenses for seed in job.seeds],
+        "metrics": [
+            layout.metrics(lens, seed, seen(classifier))
+            for lens in job.lenses
+            for seed in job.seeds
+            for classifier in job.classifiers
+        ],
+        "reference": [layout.metrics(SHARP, seed, classifier) for seed in job.seeds for classifier in job.classifiers],
+    }
