@@ -94,9 +94,8 @@ onstart:
     files.write_if_changed(layout.study, studies.dump(study))
     planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
     total = sum(study.minutes[job.rule.name] for job in planned)
-    print(
-        f"Study {study.name}: {len(planned)} jobs, about {total / workflow.cores:.0f} minutes on {workflow.cores} cores."
-    )
+    cores = workflow.cores or 1  # a cluster has none
+    print(f"Study {study.name}: {len(planned)} jobs, about {total / cores:.0f} minutes on {cores} cores.")
 
 
 onsuccess:
