@@ -9,6 +9,7 @@ import yaml
 from examples import changed, tiny_study
 
 from tasklens import jobs
+from tasklens import layout as layouts
 from tasklens.layout import SHARP, Layout, restored
 from tasklens.report import tables
 from tasklens.study import parse
@@ -182,7 +183,7 @@ def test_latex_escapes_underscores_everywhere(study, layout):
 
 def test_the_papers_values_are_those_of_its_tables():
     """Every lens of table 1 has an accuracy; the doublet TaskLens reads 70.08 % in table 1 and 70.05 % in table 3."""
-    paper = pandas.read_csv(tables._PAPER, keep_default_na=False)
+    paper = pandas.read_csv(layouts.PAPER, keep_default_na=False)
     assert not paper.duplicated(["table", "elements", "design", "classifier", "metric"]).any()
     assert set(paper["table"]) == set(jobs.TABLES)
     index = paper.set_index(["table", "elements", "design", "classifier", "metric"])["value"].astype(float)
