@@ -17,7 +17,7 @@ class Progress:
         if 1 < step < self.total and now - self.written < self.interval:
             return
         self.written = now
-        remaining = (now - self.start) / step * (self.total - step)
+        remaining = (now - self.start) / step * max(0, self.total - step)
         shown = "".join(f"  {name} {value:.4g}" for name, value in values.items())
         line = f"{self.label}  step {step}/{self.total}{shown}  remaining {remaining:.0f} s"
         print(line, file=sys.stderr, flush=True)

@@ -5,7 +5,8 @@ improved in stages (curvatures and spaces, then low orders, then all), and the w
 and again, as in Hammer optimisation. Budgets count evaluations, so that the result does not depend on the machine.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy
@@ -71,8 +72,17 @@ class Merit:
         return torch.cat([error.flatten() for error in errors] + operands)
 
 
-def improve(lens: Lens, merit: Merit, names: Sequence[str], evaluations: int) -> tuple[Lens, float]:
-    """Damped least squares over the variables `names`; returns the lens and its root-sum-square residual [um]."""
+def improve(
+    lens: Lens,
+    merit: Merit,
+    names: Sequence[str],
+    evaluations: int,
+    watch: Callable[[float], None] = lambda error: None,
+) -> tuple[Lens, float]:
+    """Damped least squares over the variables `names`; returns the lens and its root-sum-square residual [um].
+
+    `watch` is called with the root-sum-square residual at each evaluation.
+    """
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
     sizes = [len(value) for value in start.values()]
@@ -80,13 +90,18 @@ def improve(lens: Lens, merit: Merit, names: Sequence[str], evaluations: int) ->
     def residuals(vector: Tensor) -> Tensor:
         return merit.residuals(variables.assemble(dict(zip(start, vector.split(sizes), strict=True))))
 
+    def watched(vector: numpy.ndarray) -> numpy.ndarray:
+        errors = residuals(torch.from_numpy(vector)).numpy()
+        watch(float(numpy.linalg.norm(errors)))
+        return errors
+
     def with_value(vector: Tensor) -> tuple[Tensor, Tensor]:
         value = residuals(vector)
         return value, value
 
     jacobian_and_value = torch.func.jacfwd(with_value, has_aux=True)
     result = least_squares(
-        lambda vector: residuals(torch.from_numpy(vector)).numpy(),
+        watched,
         torch.cat(list(start.values())).numpy(),
         jac=lambda vector: jacobian_and_value(torch.from_numpy(vector))[0].numpy(),
         method="trf",
@@ -134,24 +149,26 @@ def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, 
     starts = random_starts(flat, view, limits, settings.starts, rng)
     candidates = sorted(((float(merit.residuals(lens).norm()), i, lens) for i, lens in enumerate(starts)))
     kept = max(1, settings.keep)
+    progress = Progress("least squares", settings.evaluations + settings.kicks * _KICK_EVALUATIONS)
+    evaluations = itertools.count(1)
+
+    def watch(error: float) -> None:
+        progress(next(evaluations), rms_um=error)
+
     for stage, names in enumerate(stages):
         each = max(2, settings.evaluations // (len(stages) * kept))
-        progress = Progress(f"least squares, stage {stage + 1}", kept)
         improved = []
-        for k, (_, i, lens) in enumerate(candidates[:kept], 1):
-            lens, error = improve(lens, merit, names, each)
+        for _, i, lens in candidates[:kept]:
+            lens, error = improve(lens, merit, names, each, watch)
             improved.append((error, i, lens))
-            progress(k, rms_um=min(improved)[0])
             history.append({"step": len(history) + 1, "stage": stage + 1, "rms_um": error})
         candidates = sorted(improved)
         kept = max(1, kept // 3)
     best, _, lens = candidates[0]
-    progress = Progress("least squares, kicks", settings.kicks)
-    for kick in range(1, settings.kicks + 1):
-        kicked, error = improve(_kick(lens, rng), merit, stages[-1], _KICK_EVALUATIONS)
+    for _ in range(settings.kicks):
+        kicked, error = improve(_kick(lens, rng), merit, stages[-1], _KICK_EVALUATIONS, watch)
         if error < best:
             best, lens = error, kicked
-        progress(kick, rms_um=best)
         history.append({"step": len(history) + 1, "stage": len(stages) + 1, "rms_um": best})
     return lens
 

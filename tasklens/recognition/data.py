@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from tasklens.progress import Progress
 from tasklens.settings import Images
 from tasklens.study import StudyError
 
@@ -88,7 +89,11 @@ def _read_folder(folder: Path, size: int, limit: int | None, seed: int) -> Pictu
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
     rounds = max(map(len, per_class))
     chosen = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
-    images = torch.stack([_read_picture(path, size) for path, _ in chosen])
+    images = torch.empty(len(chosen), 3, size, size, dtype=torch.uint8)
+    progress = Progress(f"reading {folder}", len(chosen))
+    for i, (path, _) in enumerate(chosen):
+        images[i] = _read_picture(path, size)
+        progress(i + 1)
     return Pictures(images, torch.tensor([k for _, k in chosen]), tuple(classes))
 
 

@@ -1,11 +1,13 @@
 """What a classifier sees of a picture through a lens, and how well it recognises it, field by field."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from tasklens.imaging import Camera, psnr
+from tasklens.progress import Progress
 from tasklens.recognition.classifiers import Recogniser, parameters_m
 from tasklens.recognition.data import Pictures
 
@@ -42,11 +44,13 @@ class Sight:
 def evaluate(recogniser: nn.Module, pictures: Pictures, sight: Sight) -> tuple[Tensor, Tensor]:
     """Whether each of N pictures is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N)."""
     correct, quality = [], []
-    for images, labels in pictures.batches(_BATCH):
+    progress = Progress("evaluation", math.ceil(len(pictures) / _BATCH))
+    for step, (images, labels) in enumerate(pictures.batches(_BATCH), 1):
         captures = sight.all_fields(images)
         predicted = torch.stack([recogniser(field).argmax(-1) for field in captures])
         correct.append(predicted == labels)
         quality.append(psnr(captures, images))
+        progress(step)
     return torch.cat(correct, -1), torch.cat(quality, -1)
 
 
