@@ -89,9 +89,15 @@ include: "workflow/rules/restore.smk"
 include: "workflow/rules/report.smk"
 
 
+made = []  # the tables of this run, shown at its end
+
+
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
     files.write_if_changed(layout.study, studies.dump(study))
+    if any(job.rule.name == "reference" for job in workflow.dag.needrun_jobs()):
+        shell("tasklens check {layout.study} --networks > /dev/null")
+    made.extend(sorted(job.wildcards.table for job in workflow.dag.needrun_jobs() if job.rule.name == "table"))
     planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
     total = sum(study.minutes[job.rule.name] for job in planned)
     cores = workflow.cores or 1  # a cluster has none
@@ -99,9 +105,8 @@ onstart:
 
 
 onsuccess:
-    for name in jobs.TABLES:
-        if os.path.exists(layout.table(name, "md")):
-            print(open(layout.table(name, "md")).read())
+    for name in made:
+        print(open(layout.table(name, "md")).read())
 
 
 onerror:

@@ -93,7 +93,7 @@ def restore(study: Study, args: argparse.Namespace) -> None:
     grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
     camera = Camera(grid, job.capture.outside, job.capture.colour)
     pictures = data.read(Path(layout.images("train")))
-    network = training.train(job.restoration, pictures, camera, args.seed)
+    network = training.train(job.restoration, pictures, camera, job.seed)
     write_tensors(Path(layout.restoration(args.lens, args.seed)), network.state_dict(), {})
 
 
@@ -119,14 +119,14 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
         network = restoring.build(job.restoration).eval().requires_grad_(False)
         network.load_state_dict(read_tensors(Path(layout.restoration(args.lens, args.seed)))[0])
     sight = evaluation.Sight(camera, network)
-    training.fit(recogniser, splits["train"], job.training, args.seed, f"fine-tune {name}", sight.one_field)
+    training.fit(recogniser, splits["train"], job.training, job.seed, f"fine-tune {name}", sight.one_field)
     rows = evaluation.measure(recogniser, splits, sight)
     common = {
         "elements": job.elements,
         "design": job.design,
         "classifier": args.classifier,
         "restored": args.restored,
-        "seed": args.seed,
+        "seed": job.seed,
     }
     weights = recogniser.network.state_dict()
     write_tensors(Path(layout.classifier(args.lens, args.seed, name)), weights, {"model": job.classifier.model})
@@ -156,11 +156,16 @@ def figure(study: Study, args: argparse.Namespace) -> None:
 
 def check(study: Study, args: argparse.Namespace) -> None:
     """say what a study file describes, or what is wrong with it"""
+    if args.networks:
+        from tasklens.recognition import classifiers
+
+        for name, classifier in study.classifiers.items():
+            classifiers.check(name, classifier, study.images.size)
     print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
 
 
 STAGES = {
-    check: (),
+    check: ("--networks",),
     images: (),
     reference: ("classifier",),
     design: ("lens", "--seed"),
@@ -184,8 +189,11 @@ def parser() -> argparse.ArgumentParser:
                 command.add_argument(name, type=int, default=0)
             elif name == "--restored":
                 command.add_argument(name, action="store_true", help="on captures restored by NAFNet")
+            elif name == "--networks":
+                command.add_argument(name, action="store_true", help="build every classifier once, without weights")
             elif name == "--partial":
-                command.add_argument(name, action="store_true", help="leave out what has not been measured yet")
+                text = "of what has been measured, as <table>-partial"
+                command.add_argument(name, action="store_true", help=text)
             elif name == "lens" and stage is fine_tune:
                 command.add_argument(name, help=f"name of a lens, or {SHARP} for the pictures themselves")
             else:

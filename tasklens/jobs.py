@@ -65,7 +65,6 @@ class TableJob(Frozen):
     lenses: tuple[str, ...]
     classifiers: tuple[str, ...]
     seeds: tuple[int, ...]
-    supervisor: str
 
 
 def images(study: Study) -> Images:
@@ -124,7 +123,6 @@ def table(study: Study, name: str) -> TableJob:
         lenses=tuple(key for key, lens in study.lenses.items() if isinstance(lens.design, methods)),
         classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
         seeds=study.seeds,
-        supervisor=study.supervisor,
     )
 
 

@@ -35,6 +35,8 @@ class Spec(Frozen):
         low, high = FITTED_UM
         if not all(low <= wavelength <= high for wavelength in wavelengths):
             raise ValueError(f"expected wavelengths from {low} to {high} um, where the plastics' indices are known")
+        if not wavelengths[0] > wavelengths[1] > wavelengths[2]:
+            raise ValueError("expected red, green, blue: descending wavelengths")
         return wavelengths
 
     @field_validator("kernel")
@@ -63,6 +65,9 @@ class Spec(Frozen):
         unit = self.diagonal_mm / 2 / math.hypot(*self.aspect)
         width, height = (unit * side for side in self.aspect)
         return tuple((u * width, v * height) for v in (0, 0.5, 1) for u in (0, 0.5, 1))
+
+
+FLAT_TRACK = 1.3  # from the stop to the image of a flat start, in focal lengths
 
 
 class Constraints(Frozen):
@@ -94,11 +99,6 @@ class Rates(Frozen):
     normalised: bool = True
     final: Fraction = 1.0  # the rates at the last step, as a fraction; reached on a cosine
 
-    def scaled(self, factor: float) -> "Rates":
-        """All step sizes times `factor`."""
-        sizes = {name: factor * getattr(self, name) for name in ("curvature", "thickness", "alpha_4")}
-        return self.model_copy(update=sizes)
-
 
 class ColdStart(Frozen):
     """Pixels that begin coarse and a stop that begins small; both reach their true size after a part of the steps."""
@@ -114,7 +114,6 @@ class Descent(Frozen):
 
     steps: Count
     images: Count = 64
-    micro_batch: Count = 64
     rays: Count = 256
     rates: Rates = Rates()
     cold_start: ColdStart | None = None
@@ -134,6 +133,7 @@ class Task(Descent):
     """Task-driven design: the classifier is frozen, and trained with the lens only in the final polish."""
 
     method: Literal["task"]
+    micro_batch: Count = 64  # pictures rendered at once while the classifier is frozen: memory only, same gradient
     polish: Polish | None = None
 
 

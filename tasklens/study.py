@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from tasklens.optics.materials import PLASTICS
 from tasklens.settings import (
+    FLAT_TRACK,
     Capture,
     Classifier,
     Constraints,
@@ -81,6 +82,8 @@ class Study(Frozen):
         for name, design in self.designs.items():
             if isinstance(design, EndToEnd) and design.start == "best_imaging" and not self.imaging_designs:
                 raise ValueError(f"designs.{name}.start: 'best_imaging' needs a design by spot or least_squares")
+        for name, plastics in self.elements.items():
+            self._room_for(name, len(plastics))
         if self.images.size % self.restoration.multiple:
             raise ValueError(
                 f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
@@ -92,6 +95,24 @@ class Study(Frozen):
                 "since borders are reflected"
             )
         return self
+
+    def _room_for(self, name: str, elements: int) -> None:
+        """Whether plates and spaces within the constraints fit into the track, and into a flat start."""
+        limits = self.constraints
+        if limits.min_centre_thickness >= limits.max_centre_thickness:
+            raise ValueError(
+                f"constraints.min_centre_thickness: {limits.min_centre_thickness} mm must be less than "
+                f"max_centre_thickness = {limits.max_centre_thickness} mm"
+            )
+        least = limits.stop_distance + limits.min_back_focus
+        least += elements * limits.min_centre_thickness + (elements - 1) * limits.min_air_gap
+        available = min(limits.max_track, FLAT_TRACK * self.spec.efl_mm)
+        if least >= available:
+            raise ValueError(
+                f"constraints: a {name} takes at least {least:.2f} mm from stop to image, more than the "
+                f"{available:.2f} mm of max_track = {limits.max_track} and of {FLAT_TRACK} focal lengths; a flat start "
+                "would have a negative thickness"
+            )
 
     @property
     def lenses(self) -> dict[str, Lens]:

@@ -27,7 +27,7 @@ from tasklens.optics.analysis import centroid, chief_points, rms_spot_radius, tr
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
-from tasklens.settings import Capture, Constraints, Descent, LeastSquares, Rates, Spec, Spot
+from tasklens.settings import Capture, Constraints, LeastSquares, Rates, Spec, Spot, Task
 from tasklens.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
@@ -234,7 +234,7 @@ RATES = Rates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
 def descended(network, lens, **settings):
     problem = descent.Problem(LOOKS, LIMITS, Capture(), random_pictures(12, 16, 3, seed=0), seed=1)
     rate = settings.pop("network_rate", None)
-    settings = Descent(**({"steps": 3, "images": 4, "rays": 16, "rates": RATES} | settings))
+    settings = Task(method="task", **({"steps": 3, "images": 4, "rays": 16, "rates": RATES} | settings))
     history: list[dict] = []
     return descent.descend(lens, network, problem, settings, history, "test", rate), history
 

@@ -74,7 +74,9 @@ def layout(tmp_path, study):
                 "radius_50_um": [3.0] * 9,
                 "energy_in_window": [inside] * 9,
             }
-            make(layout.lens(lens, seed)).write_text(yaml.safe_dump({"figures": figures}))
+            make(layout.lens(lens, seed)).write_text(
+                yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
+            )
     return layout
 
 

@@ -5,6 +5,7 @@ pass then carries it through the rays, which are traced once. This is exact whil
 is trained with batch statistics, one micro-batch per step makes it exact as well.
 """
 
+import sys
 from dataclasses import dataclass
 
 import torch
@@ -97,7 +98,8 @@ def descend(
         network_rate: AdamW's rate for the network.
 
     Returns:
-        The lens after the last step.
+        The lens after the last step; if the loss stops being finite, the last lens with a finite one, and the history
+        says that the design diverged.
     """
     view, pictures = problem.view, problem.pictures
     cold, steps = settings.cold_start, settings.steps
@@ -115,6 +117,7 @@ def descend(
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
     micro_batch = settings.images if joint else settings.micro_batch
     progress = Progress(label, steps)
+    last = variables.values()
     for step, indices in enumerate(shuffled(len(pictures), settings.images, steps, generator), 1):
         pixels = stop = 1.0
         if cold is not None:
@@ -134,7 +137,12 @@ def descend(
         loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
-            raise FloatingPointError(f"{label}, step {step}: loss per field {losses.tolist()}, penalty {bounds.item()}")
+            message = f"{label}: diverged at step {step}, loss per field {losses.tolist()}, penalty {bounds.item()}"
+            print(message, file=sys.stderr, flush=True)
+            history.append({"phase": f"{label}, diverged", "step": step})
+            values = last
+            break
+        last = {name: value.detach().clone() for name, value in values.items()}
         torch.autograd.backward([grid, settings.penalty * bounds], [gradient.to(grid.dtype), None])
         optimizer.step()
         rates.step()

@@ -69,7 +69,8 @@ class Merit:
         if self.settings.max_chief_ray_angle_deg is not None:
             angle = torch.rad2deg(torch.atan2(rays.m[:, middle, -1].abs(), rays.n[:, middle, -1]))
             operands.append((angle - self.settings.max_chief_ray_angle_deg).clamp(min=0))
-        return torch.cat([error.flatten() for error in errors] + operands)
+        # A kicked lens can leave every range; scipy wants numbers all the same, as bad as they may be.
+        return torch.nan_to_num(torch.cat([error.flatten() for error in errors] + operands), 1e6, 1e6, -1e6)
 
 
 def improve(

@@ -13,8 +13,9 @@ from tasklens.jobs import DesignJob
 from tasklens.optics.analysis import chief_points, clear_semi_diameters, figures
 from tasklens.optics.lens import Lens
 from tasklens.recognition.data import Pictures
-from tasklens.settings import EndToEnd, LeastSquares, Spot, Task
+from tasklens.settings import EndToEnd, LeastSquares, Rates, Spot, Task
 
+_POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first pictures again
 _APERTURE = 1.02  # semi-diameter of a finished surface over what light uses of it
 
 
@@ -52,12 +53,13 @@ def design(
                 polish = settings.model_copy(
                     update={
                         "steps": settings.polish.steps,
-                        "rates": settings.rates.scaled(settings.polish.rates_scale),
+                        "rates": scaled(settings.rates, settings.polish.rates_scale),
                         "cold_start": None,
                     }
                 )
                 rate = settings.polish.network_rate
-                lens = descent.descend(lens, recogniser, problem, polish, history, "polish", rate)
+                fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
+                lens = descent.descend(lens, recogniser, fresh, polish, history, "polish", rate)
         case EndToEnd():
             if rivals:
                 origin["start"] = best(rivals)
@@ -65,6 +67,13 @@ def design(
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
             lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", settings.network_rate)
     return finished(lens, job, origin)
+
+
+def scaled(rates: Rates, factor: float) -> Rates:
+    """All step sizes times `factor`."""
+    return rates.model_copy(
+        update={name: factor * getattr(rates, name) for name in ("curvature", "thickness", "alpha_4")}
+    )
 
 
 def best(rivals: Mapping[str, tuple[Lens, Path]]) -> str:

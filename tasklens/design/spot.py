@@ -1,5 +1,8 @@
 """Imaging design by descent: the RMS spot radius, from flat plates, with an opening stop."""
 
+import math
+import sys
+
 import torch
 
 from tasklens.design.constraints import first_order_margins, penalty, shortfall
@@ -22,6 +25,9 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         settings: steps, rates and the opening of the stop.
         seed: of the pupil points, which are redrawn at every step.
         history: receives a row per logged step.
+
+    Returns:
+        The lens after the last step; if the loss stops being finite, the last lens with a finite one.
     """
     variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
@@ -30,6 +36,7 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         optimizer, lambda step: cosine(step / settings.steps, settings.rates.final)
     )
     progress = Progress("spot", settings.steps)
+    last = variables.values()
     for step in range(1, settings.steps + 1):
         lens = variables.assemble(values)
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
@@ -41,7 +48,10 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         bounds = bounds + shortfall(first_order_margins(lens, limits, view, chief_points(lens, view))).square().sum()
         loss = spot / scale + settings.penalty * bounds
         if not torch.isfinite(loss):
-            raise FloatingPointError(f"spot: the loss became {loss.item()} at step {step}")
+            print(f"spot: diverged at step {step}, loss {loss.item()}", file=sys.stderr, flush=True)
+            history.append({"step": step, "rms_um": math.inf})
+            return variables.assemble(last).detached()
+        last = {name: value.detach().clone() for name, value in values.items()}
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -8,11 +8,10 @@ from torch import Tensor
 
 from tasklens.optics.analysis import View, clear_semi_diameters
 from tasklens.optics.lens import Lens
-from tasklens.settings import Constraints, Rates, Spec
+from tasklens.settings import FLAT_TRACK, Constraints, Rates, Spec
 
 ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
 
-_TRACK = 1.3  # of a flat start, from the stop to the image, in focal lengths
 _BACK = 0.35  # its last space, in focal lengths: plates far from the stop can act on the fields one by one
 _AIR = 0.5  # its air spaces, in plate thicknesses
 
@@ -27,7 +26,7 @@ def flat(plastics: tuple[str, ...], spec: Spec, constraints: Constraints) -> Len
     """Plane-parallel plates behind a stop: the lens that knows nothing."""
     elements = len(plastics)
     back = max(_BACK * spec.efl_mm, constraints.min_back_focus)
-    room = _TRACK * spec.efl_mm - constraints.stop_distance - back
+    room = FLAT_TRACK * spec.efl_mm - constraints.stop_distance - back
     plate = room / (elements + _AIR * (elements - 1))
     media, thickness = ["air"], [constraints.stop_distance]
     for plastic in plastics:

@@ -8,6 +8,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from tasklens.settings import Classifier
+from tasklens.study import StudyError
 
 
 class Recogniser(nn.Module):
@@ -35,10 +36,30 @@ def build(classifier: Classifier, classes: int, weights: Path | None = None) -> 
     """
     pretrained = classifier.pretrained and weights is None
     network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=classes, **classifier.arguments)
+    known = network.pretrained_cfg.get("num_classes")
+    if pretrained and classifier.training is None and known != classes:
+        raise StudyError(
+            f"{classifier.model}: published with {known} classes, the pictures have {classes}: its new head needs "
+            "`training`"
+        )
     path = weights or classifier.weights
     if path is not None:
         network.load_state_dict(load_file(path))
     return Recogniser(network)
+
+
+def check(name: str, classifier: Classifier, size: int) -> None:
+    """Build a network without memory for its weights, and pass a picture of `size` pixels through it.
+
+    Raises:
+        StudyError: naming the classifier, where timm does not know the model or the arguments or size do not fit it.
+    """
+    try:
+        with torch.device("meta"):
+            network = timm.create_model(classifier.model, num_classes=10, **classifier.arguments).eval()
+            network(torch.zeros(1, 3, size, size))
+    except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., whichever layer notices
+        raise StudyError(f"classifiers.{name}: {classifier.model} with {classifier.arguments}: {error}") from error
 
 
 def parameters_m(recogniser: Recogniser) -> float:

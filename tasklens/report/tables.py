@@ -16,9 +16,9 @@ from tasklens.layout import PAPER, SHARP, Layout, restored
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {
-    "table1": ["accuracy", "psnr_db", "rms_spot_um", "core_radius_um", "energy_in_window"],
+    "table1": ["accuracy", "psnr_db", "rms_spot_um", "core_radius_um", "energy_in_window", "worst_margin"],
     "table2": ["parameters_m", "reference_accuracy", "accuracy"],
-    "table3": ["accuracy", "energy_in_window", "converged"],
+    "table3": ["accuracy", "energy_in_window", "worst_margin", "converged"],
     "table4": ["psnr_db", "accuracy"],
 }
 _TITLES = {
@@ -30,10 +30,14 @@ _TITLES = {
 
 
 def lens_values(path: Path) -> dict[str, float]:
-    """Means over the nine fields of what a lens file says: RMS and 50 % radius [um], energy inside the window."""
+    """Means over the nine fields of what a lens file says: RMS and 50 % radius [um], energy inside the window.
+
+    And its worst margin, negative where the lens breaks a limit of manufacturing [mm], focal length or distortion.
+    """
     import yaml
 
-    figures = yaml.load(path.read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))["figures"]
+    content = yaml.load(path.read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    figures = content["figures"]
 
     def mean(key: str) -> float:
         return sum(figures[key]) / len(figures[key])
@@ -42,6 +46,7 @@ def lens_values(path: Path) -> dict[str, float]:
         "rms_spot_um": mean("rms_centroid_um"),
         "core_radius_um": mean("radius_50_um"),
         "energy_in_window": mean("energy_in_window"),
+        "worst_margin": content["worst_margin"]["value"],
     }
 
 
@@ -116,7 +121,7 @@ def printed(job: TableJob, table: pandas.DataFrame) -> pandas.DataFrame:
         if column.startswith("converged"):
             shown[column] = shown[column].map(lambda v: "–" if pandas.isna(v) else "yes" if v else "×")
         elif pandas.api.types.is_float_dtype(shown[column]):
-            digits = 3 if "energy" in column else 2
+            digits = 3 if column.startswith(("energy", "worst")) else 2
             shown[column] = shown[column].map(lambda v, d=digits: "–" if pandas.isna(v) else f"{v:.{d}f}")
     return shown.fillna("–")
 
@@ -128,16 +133,19 @@ def make(job: TableJob, layout: Layout, study: str, partial: bool) -> None:
     rows = collect(job, layout, partial)
     if rows.empty:
         raise FileNotFoundError(f"{job.name}: nothing has been measured yet below {layout.root}/metrics")
-    table = summarise(job, rows, paper)
+    table = summarise(job, rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[job.name]]))), paper)
     shown = printed(job, table)
     title = f"Table {job.name[-1]}: {_TITLES[job.name]}"
-    note = f"Study `{study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
-    write_text(Path(layout.table(job.name, "csv")), table.to_csv(index=False))
+    name = f"{job.name}-partial" if partial else job.name
+    unmeasured = [lens for lens in job.lenses if not (rows["elements"] + "-" + rows["design"]).eq(lens).any()]
+    note = f"Not measured yet: {', '.join(unmeasured)}. " if unmeasured else ""
+    note += f"Study `{study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
+    write_text(Path(layout.table(name, "csv")), table.to_csv(index=False))
     markdown = shown.to_markdown(index=False, disable_numparse=True)
-    write_text(Path(layout.table(job.name, "md")), f"**{title}**\n\n{markdown}\n\n{note}\n")
+    write_text(Path(layout.table(name, "md")), f"**{title}**\n\n{markdown}\n\n{note}\n")
     latex = shown.to_latex(index=False, escape=True, caption=_latex(f"{title}. {note}"))
-    write_text(Path(layout.table(job.name, "tex")), latex)
-    write_text(Path(layout.table(job.name, "json")), json.dumps(provenance(study, job), indent=1) + "\n")
+    write_text(Path(layout.table(name, "tex")), latex)
+    write_text(Path(layout.table(name, "json")), json.dumps(provenance(study, job), indent=1) + "\n")
 
 
 def _latex(text: str) -> str:
