@@ -274,6 +274,15 @@ def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
     assert [row["stop_scale"] for row in history] == pytest.approx([0.25, 0.5, 1, 1, 1, 1, 1, 1])
 
 
+def test_a_design_that_diverges_is_a_result(start):
+    """Steps without measure: the descent stops, the last finite lens comes back, and the history says so."""
+    rates = Rates(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0)
+    lens, history = descended(small_network(), start, steps=6, rates=rates)
+    assert history[-1]["phase"] == "test, diverged" and history[-1]["step"] <= 6
+    for name in ("curvature", "thickness", "alpha"):
+        assert torch.isfinite(getattr(lens, name)).all()
+
+
 def test_descent_lowers_the_loss(start):
     """Three dozen steps on a fixed network reduce its loss on the captures."""
     network = small_network()

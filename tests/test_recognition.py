@@ -194,6 +194,24 @@ def test_a_folder_that_cannot_serve(tmp_path, folder, key):
 # ---- classifiers
 
 
+@pytest.mark.parametrize(
+    "model, arguments, size",
+    [("resnt18", {}, 64), ("resnet18", {"chanels": [8]}, 64), ("vit_tiny_patch16_224", {"img_size": 64}, 80)],
+)
+def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, arguments, size):
+    """An unknown model, an unknown argument, pictures of another size than the network's: before any weight is made."""
+    classifier = Classifier(model=model, arguments=arguments, training=Training(epochs=1, rate=1e-3))
+    with pytest.raises(StudyError, match=f"classifiers.mine: {model}"):
+        classifiers.check("mine", classifier, size)
+    classifiers.check("mine", Classifier(model="resnet18", pretrained=True), 64)
+
+
+def test_a_published_head_for_other_classes_is_no_reference():
+    """Without training it would judge at random; found before anything is downloaded."""
+    with pytest.raises(StudyError, match="1000 classes, the pictures have 10"):
+        classifiers.build(Classifier(model="resnet18.a1_in1k", pretrained=True), 10)
+
+
 @pytest.mark.parametrize("model", ["resnet18", "vit_tiny_patch16_224.augreg_in21k_ft_in1k"])
 def test_classifier_normalises_after_the_optics(model):
     """Logits of pictures in [0, 1] are those of the timm network on (x - mean) / std of its own configuration."""

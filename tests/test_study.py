@@ -87,6 +87,10 @@ def test_best_imaging_needs_an_imaging_design():
 IMPOSSIBLE = [
     ("spec.wavelengths_um", [0.9, 0.6, 0.5]),  # outside the fitted range
     ("images", {"size": 16, "train": 1, "minival": 1, "test": 3}),  # fewer pictures than classes
+    ("spec.wavelengths_um", [0.4861, 0.5893, 0.6563]),  # blue, green, red
+    ("constraints.min_back_focus", 3.8),  # no room left for plates
+    ("constraints.max_track", 0.5),
+    ("constraints.min_centre_thickness", 2.0),  # above the largest
     ("seeds", [0, 0]),
     ("fine_tuning.rate", math.inf),
 ]

@@ -35,13 +35,14 @@ def build(classifier: Classifier, classes: int, weights: Path | None = None) -> 
     of classes differs is initialised anew by timm (`pretrained`) or refused (a file).
     """
     pretrained = classifier.pretrained and weights is None
+    if pretrained and classifier.training is None:
+        published = timm.get_pretrained_cfg(classifier.model)
+        if published is not None and published.num_classes != classes:
+            raise StudyError(
+                f"{classifier.model}: published with {published.num_classes} classes, the pictures have {classes}: "
+                "its new head needs `training`"
+            )
     network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=classes, **classifier.arguments)
-    known = network.pretrained_cfg.get("num_classes")
-    if pretrained and classifier.training is None and known != classes:
-        raise StudyError(
-            f"{classifier.model}: published with {known} classes, the pictures have {classes}: its new head needs "
-            "`training`"
-        )
     path = weights or classifier.weights
     if path is not None:
         network.load_state_dict(load_file(path))
