@@ -34,7 +34,6 @@ wildcard_constraints:
     classifier="|".join(study.classifiers),
     seed="|".join(map(str, study.seeds)),
     table="|".join(jobs.TABLES),
-    split="train|minival|test",
 
 
 localrules:
