@@ -30,12 +30,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> None:
-    """Write a safetensors file; the metadata values are stored as JSON."""
+    """Write a safetensors file; the metadata are one JSON text, since the order of several would change by chance."""
     from safetensors.torch import save_file
 
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
-        save_file(contiguous, temporary, {key: json.dumps(value) for key, value in metadata.items()})
+        save_file(contiguous, temporary, {"json": json.dumps(metadata)})
 
 
 def read_tensors(path: Path) -> tuple[dict, dict]:
@@ -44,7 +44,7 @@ def read_tensors(path: Path) -> tuple[dict, dict]:
 
     with safe_open(path, "pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        metadata = {key: json.loads(value) for key, value in (file.metadata() or {}).items()}
+        metadata = json.loads((file.metadata() or {}).get("json", "{}"))
     return tensors, metadata
 
 
