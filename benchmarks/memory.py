@@ -1,14 +1,15 @@
 """Peak memory of one task-driven step at the paper's size, in a process of its own for each size of micro-batch.
 
 64 pictures of 224 pixels at nine fields are 576 captures; the supervisor is ResNet50 with random weights, frozen. The
-step is the design's own: `descend` with one step. It takes 4 to 6 minutes of a core per micro-batch.
+step is the design's own: `descend` with one step. It takes about 3 minutes of a core per micro-batch.
 """
 
 import multiprocessing
+import resource
 import time
 from concurrent.futures import ProcessPoolExecutor
 
-import timing  # first: it says how many threads torch has
+import timing
 import timm
 import torch
 
@@ -18,9 +19,12 @@ from tasklens.recognition.classifiers import Recogniser
 from tasklens.recognition.data import Pictures
 from tasklens.settings import Capture, Constraints, Spec, Task
 
+LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
+
 
 def measure(captures: int, tiny: bool) -> dict[str, float]:
     """Memory before and in one step with micro-batches of `captures` [GiB], and its processor time [s]."""
+    resource.setrlimit(resource.RLIMIT_DATA, (LIMIT_GIB << 30, LIMIT_GIB << 30))
     spec, limits, count, size = Spec(), Constraints(), 2 if tiny else 64, 64 if tiny else 224
     recogniser = Recogniser(timm.create_model("test_resnet" if tiny else "resnet50"))
     generator = torch.Generator().manual_seed(0)

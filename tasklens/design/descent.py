@@ -1,9 +1,9 @@
 """Descent of a classifier's loss into a lens: captures, PSFs, rays, curvatures.
 
-The gradient is taken in stages. The network runs in micro-batches of captures, each of which leaves dL/dcapture; then one
-backward pass carries it through the convolutions to dL/dPSF, and one through the rays: captures are rendered and rays
-traced once. This is exact while the network is in `eval()`; while it is trained with batch statistics, one micro-batch
-per step makes it exact as well.
+The gradient is taken in stages. The network runs in micro-batches of captures, each of which leaves dL/dcapture; then
+one backward pass carries that through the convolutions to dL/dPSF, and one through the rays: captures are rendered and
+rays traced once. This is exact while the network is in `eval()`; while it is trained with batch statistics, one
+micro-batch per step makes it exact as well.
 """
 
 import math
@@ -24,6 +24,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
+from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.training import parameter_groups as network_groups
 from tasklens.recognition.training import shuffled
@@ -94,7 +95,7 @@ def descend(
 
     Args:
         start: the lens to begin with.
-        recogniser: without `network_rate` it is frozen, in `eval()`; with it, trained in place in `train()`.
+        recogniser: without `network_rate` a frozen copy judges; with it, it is trained in place, in `train()`.
         problem: pictures, fields, limits.
         settings: steps, rates, cold start.
         history: receives a row per logged step.
@@ -113,9 +114,11 @@ def descend(
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     groups = parameter_groups(values, settings.rates)
     joint = network_rate is not None
-    recogniser.train(joint).requires_grad_(joint)
     if joint:
+        recogniser.train().requires_grad_(True)
         groups += [group | {"lr": network_rate} for group in network_groups(recogniser, weight_decay=0.05)]
+    else:
+        recogniser = frozen(recogniser)
     optimizer = torch.optim.AdamW(groups)
     rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: cosine(step / steps, settings.rates.final))
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
@@ -167,5 +170,6 @@ def descend(
                     "rate": rates.get_last_lr()[0],
                 }
             )
-    recogniser.eval().requires_grad_(False)
+    if joint:
+        recogniser.eval().requires_grad_(False)
     return variables.assemble(values).detached()
