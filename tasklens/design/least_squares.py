@@ -56,7 +56,9 @@ class Merit:
         middle = len(view.wavelengths) // 2
         x, y, valid = rays.x[..., :-1], rays.y[..., :-1], rays.valid[..., :-1]
         chief_y = rays.y[:, middle, -1]
-        centre = (y * weight).sum(-1).mean(-1) if self.settings.reference == "centroid" else chief_y
+        arrived = valid * weight
+        centroid_y = (y * arrived).sum((1, 2)) / arrived.sum((1, 2)).clamp(min=1e-12)
+        centre = centroid_y if self.settings.reference == "centroid" else chief_y
         # From axis to corner the weight of a field goes geometrically from 1 to `corner_weight`.
         field = self.settings.corner_weight ** torch.tensor(_HEIGHTS, dtype=torch.float64)
         share = torch.sqrt(field[:, None, None] / field.sum() * weight / len(view.wavelengths))
