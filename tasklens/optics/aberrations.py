@@ -51,7 +51,7 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     a = D(n) (8 alpha_4 + (1 + k) curvature^3 - c^3) is the r^4 term of the surface less that of the sphere that
     osculates its vertex, times 8 D(n): with alpha_2 that sphere is not the one of `curvature`.
 
-    Source: Welford, Aberrations of Optical Systems (1986), chapters 8 to 10.
+    Source: Welford, Aberrations of Optical Systems (1986), chapters 8 and 10.
     """
     wavelengths = (view.reference, min(view.wavelengths), max(view.wavelengths))
     n, shortest, longest = lens.refractive_indices(wavelengths).unbind(-1)
@@ -95,8 +95,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
         (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
         neighbours that leave in parallel, NaN where the chief ray is lost.
 
-    Source: Welford, Aberrations of Optical Systems (1986), section 9.5; Kingslake and Johnson, Lens Design
-    Fundamentals (2010), section 11.1.
+    Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
     """
     turned = view.in_meridian()
     record: list = []

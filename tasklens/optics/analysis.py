@@ -126,9 +126,9 @@ def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
 
 
 def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tensor:
-    """(F,) smallest radius about `centre` that holds `fraction` of the launched rays [mm]; infinite if too many are lost.
+    """(F,) smallest radius about `centre` (F, 2) that holds `fraction` of the launched rays [mm].
 
-    Of the launched rays: a lens that loses light has the larger radius for it.
+    A lens that loses light has the larger radius for it, an infinite one if too little arrives.
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
     needed = math.ceil(fraction * ordered.shape[1] * (1 - 1e-12))  # 0.1 x 30 is 3.0000000000000004

@@ -20,27 +20,31 @@ from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import sobol_disc
 
 
-def view_of(content: dict, name: str) -> View:
+def view_of(lens: Lens, content: dict, name: str) -> View:
     """The view that the `spec` of a lens file describes.
 
     Raises:
-        FileError: the spec is absent or incomplete; `name` begins its message.
+        FileError: the spec is absent, incomplete, or asks for what the lens' media do not know; `name` begins it.
     """
     spec = content.get("spec")
     if not isinstance(spec, dict):
         raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel)")
     try:
-        return View(
+        view = View(
             torch.tensor(spec["fields_mm"], dtype=torch.float64).reshape(-1, 2),
             float(spec["efl_mm"]),
             tuple(map(float, spec["wavelengths_um"])),
             float(spec["pixel_pitch_um"]),
             int(spec["kernel"]),
         )
+        lens.refractive_indices(view.wavelengths)
     except KeyError as error:
         raise FileError(f"{name}: its spec has no {error.args[0]}") from error
     except (TypeError, ValueError, RuntimeError) as error:
-        raise FileError(f"{name}: its spec is not one of numbers ({error})") from error
+        raise FileError(f"{name}: its spec cannot be used: {error}") from error
+    if not len(view.fields) or not view.wavelengths:
+        raise FileError(f"{name}: its spec has no fields or no wavelengths")
+    return view
 
 
 def figures(lens: Lens, view: View, rays: int) -> dict:

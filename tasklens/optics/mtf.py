@@ -27,7 +27,7 @@ def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) 
     Returns:
         (F, K) tangential and (F, K) sagittal MTF, from 0 to 1.
 
-    Source: Smith, Modern Optical Engineering, 4th ed., section 15.8 (the transform of the line spread function).
+    Source: Smith, Modern Optical Engineering (2008): the transform of the line spread function.
     """
     ex, ey = (directions[:, k, None, None, None] for k in (0, 1))
     x, y = (torch.where(rays.valid, v, 0.0)[..., None] for v in (rays.x, rays.y))

@@ -44,7 +44,7 @@ def paraxial_ray(lens: Lens, indices: Tensor, height: Tensor, reduced_angle: Ten
         reduced_angle: n u in front of it, of the same shape.
 
     Returns:
-        (S, ...) heights y at the surfaces, (S + 1, ...) reduced angles n u in front of the lens and behind each surface.
+        (S, ...) heights y at the surfaces [mm], (S + 1, ...) reduced angles n u before the lens and behind each.
     """
     strength = (indices[1:] - indices[:-1]) * vertex_curvature(lens)
     heights, angles = [], [reduced_angle]
