@@ -7,6 +7,7 @@ Files are read and written below results/<study name>/. torch is imported inside
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 
 from tasklens import jobs
@@ -154,6 +155,18 @@ def figure(study: Study, args: argparse.Namespace) -> None:
     figures.draw(Path(layout.figure(args.lens, args.seed)), args.lens, lens, view(spec), grid, content["figures"])
 
 
+def analyse(args: argparse.Namespace) -> None:
+    """print the table of a lens: its figures by field and its aberrations by surface, newly computed from its file"""
+    from tasklens.optics import prescription
+    from tasklens.optics.datasheet import figures, seidel_by_surface, view_of
+    from tasklens.report import certificate
+
+    lens, content = prescription.read(args.file)
+    view = view_of(lens, content, str(args.file))
+    computed = content | {"figures": figures(lens, view, args.rays)}
+    print(certificate.markdown(str(args.file), view.fields.tolist(), computed, seidel_by_surface(lens, view)), end="")
+
+
 def check(study: Study, args: argparse.Namespace) -> None:
     """say what a study file describes, or what is wrong with it"""
     if args.networks:
@@ -178,7 +191,7 @@ STAGES = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line: a subcommand per stage."""
+    """The command line: a subcommand per stage, and one that needs a lens file and no study."""
     top = argparse.ArgumentParser(prog="tasklens", description=__doc__.splitlines()[0])
     commands = top.add_subparsers(required=True, metavar="stage")
     for stage, arguments in STAGES.items():
@@ -198,15 +211,28 @@ def parser() -> argparse.ArgumentParser:
                 command.add_argument(name, help=f"name of a lens, or {SHARP} for the pictures themselves")
             else:
                 command.add_argument(name, choices=jobs.TABLES if name == "table" else None)
-        command.set_defaults(stage=stage)
+        command.set_defaults(run=lambda args, stage=stage: stage(load(args.study), args))
+    command = commands.add_parser(analyse.__name__, help=analyse.__doc__, description=analyse.__doc__)
+    command.add_argument("file", type=Path, help="lens file (YAML) with its spec")
+    command.add_argument("--rays", type=_count, default=4096, help="per field and colour")
+    command.set_defaults(run=analyse)
     return top
+
+
+def _count(text: str) -> int:
+    """A whole number above zero."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a number of rays, got {text!r}")
+    return int(text)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one stage; a mistake in the study or its data ends in one message and exit status 2."""
     args = parser().parse_args(argv)
+    # torch's word to itself, at the first forward-mode derivative of a process
+    warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
-        args.stage(load(args.study), args)
+        args.run(args)
     except (StudyError, FileError, FileNotFoundError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
         return 2
