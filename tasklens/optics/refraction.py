@@ -168,7 +168,7 @@ def _careful_distance(a: Tensor, b: Tensor, c: Tensor, n: Tensor, surface: Surfa
     """`distance` for the few: limited steps that never divide by little, from the base conic, then from the plane."""
     # the conic: c (r^2 + (1 + k) z^2) = 2 z with z = t n
     along = n - surface.curvature * b
-    discriminant = along * along - a * (surface.curvature**2 * c - surface.minus_kappa * n * n)
+    discriminant = along * along - a * (surface.curvature * surface.curvature * c - surface.minus_kappa * n * n)
     root = along + torch.sqrt(discriminant.clamp(min=0))
     on_conic = (discriminant > 0) & (root > GRAZING)
     conic = torch.where(on_conic, surface.curvature * a / root.clamp(min=GRAZING), 0.0)
@@ -224,7 +224,7 @@ def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Sur
     dc, dk, da = parameters
     v = w / (1 + w)  # 1 / (1 + sqrt(1 - (1 + k) c^2 u))
     powers = _powers(u, len(surface.columns))
-    conic = 0.5 * surface.curvature**3 * dk
+    conic = 0.5 * _cubed(surface.curvature) * dk
     d_sag, d_slope = u * w * v * (dc + conic * u * v), 0.5 * w**3 * (dc + conic * u)
     if powers is not None:
         d_sag = d_sag + u * (powers.T @ da).reshape(u.shape)
@@ -294,11 +294,15 @@ def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: T
     cube, v = w * w * w, w / (1 + w)  # v = 1 / (1 + sqrt(1 - (1 + k) c^2 u))
     wv = w * v
     b_curvature = torch.dot(b_by_u, wv) + 0.5 * torch.dot(b_slope, cube)
-    b_conic = (2 * torch.dot(b_by_u * u, wv * v) + torch.dot(b_slope * u, cube)) * (surface.curvature**3 / 4)
+    b_conic = (2 * torch.dot(b_by_u * u, wv * v) + torch.dot(b_slope * u, cube)) * (_cubed(surface.curvature) / 4)
     if powers is None:
         return b_curvature, b_conic, surface.orders
     sums = powers @ torch.stack([b_by_u, b_slope]).T
     return b_curvature, b_conic, torch.addcmul(sums[:, 0], surface.orders, sums[:, 1])
+
+
+def _cubed(curvature: float) -> float:
+    return curvature * curvature * curvature  # ** would raise where a design has diverged
 
 
 def _curving(w: Tensor, surface: Surface, powers: Tensor | None) -> Tensor:
