@@ -33,18 +33,21 @@ def read(path: Path) -> dict[str, Material]:
 def collect(paths: Iterable[Path]) -> dict[str, Material]:
     """Materials by name in several files and the built-in plastics: the first file that knows a name defines it."""
     found: dict[str, Material] = {}
-    for path in (*paths, PLASTICS):
+    for path in paths:
         found = read(path) | found
-    return found
+    return _builtin() | found
+
+
+def builtin(name: str) -> Material:
+    """A built-in plastic by its name; raises ValueError with the known ones."""
+    if name not in _builtin():
+        raise ValueError(f"unknown plastic {name!r}; expected one of {', '.join(_builtin())}")
+    return _builtin()[name]
 
 
 @cache
-def builtin(name: str) -> Material:
-    """A built-in plastic by its name; raises ValueError with the known ones."""
-    known = read(PLASTICS)
-    if name not in known:
-        raise ValueError(f"unknown plastic {name!r}; expected one of {', '.join(known)}")
-    return known[name]
+def _builtin() -> dict[str, Material]:
+    return read(PLASTICS)
 
 
 def _read_agf(path: Path) -> dict[str, Material]:
