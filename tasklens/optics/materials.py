@@ -116,7 +116,7 @@ class Material:
             raise ValueError(f"{self.name}: wavelength {wavelength} um is outside the fitted range {low} to {high} um")
         try:
             return FORMULAS[self.formula][1](self.coefficients, wavelength)
-        except (ValueError, ZeroDivisionError):
+        except (ValueError, ArithmeticError):
             raise ValueError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
 
     def definition(self) -> dict:
