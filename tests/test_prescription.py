@@ -152,7 +152,7 @@ MISTAKES = [
     *(
         (put("surfaces", 3, key, value=value), ["surface 3", key, str(value)])
         for key in ("curvature", "conic", "thickness", "alpha_4", "semi_diameter")
-        for value in ("1.2.3", math.nan, -math.inf, True, [1.0], "1_0", "ten")
+        for value in ("1.2.3", math.nan, -math.inf, True, [1.0], "1_0", "1e999", "ten")
     ),
     (put("surfaces", 3, "thickness", value=None), ["surface 3", "thickness", "None"]),
     (put("surfaces", 3, "semi_diameter", value=-1.0), ["surface 3", "semi_diameter", "-1.0"]),

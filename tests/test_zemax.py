@@ -117,6 +117,20 @@ def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
     assert found.aperture is None and float(found.lens.semi_diameter[2]) == 0.55
 
 
+@pytest.mark.parametrize(
+    "line, radius",
+    [
+        ("DIAM 0.8 0 0 0 1", math.inf),  # automatic
+        ("DIAM 0.8 1 0 0 1", 0.8),  # fixed
+        ("DIAM 0.8 2 1 0 1", 0.8),  # picked up
+        ("DIAM 0.8 0 0 0 1\n  CLAP 0 0.7 0", 0.7),
+        ("DIAM 0.8 1 0 0 1\n  FLAP 0 0.8 0", 0.8),
+    ],
+)
+def test_which_radii_clip(tmp_path, line, radius):
+    assert float(read(tmp_path, edited(("DIAM 0.8 1 0 0 1", line))).lens.semi_diameter[1]) == radius
+
+
 @pytest.mark.parametrize("unit, factor", [("CM", 10.0), ("IN", 25.4), ("METER", 1000.0)])
 @pytest.mark.parametrize("kind", range(4))
 def test_units(tmp_path, unit, factor, kind):
@@ -133,6 +147,14 @@ def test_units(tmp_path, unit, factor, kind):
     scale = 1.0 if kind == 0 else factor
     assert small.fields[0] == large.fields[0] == FIELDS[kind]
     assert large.fields[1] == ((0.0, 0.0), (1.5 * scale, 20 * scale))
+
+
+def test_an_f_number_has_no_unit(tmp_path):
+    small = read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 0")))
+    large = read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 0"), ("UNIT MM", "UNIT IN")))
+    assert small.aperture == large.aperture == ("f_number", 2.8)
+    ratio = large.lens.semi_diameter[2] / small.lens.semi_diameter[2]
+    assert float(ratio) == pytest.approx(25.4, rel=1e-12)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])

@@ -116,15 +116,21 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
             raise FileError(f"{name}: surface {i}: unknown medium {medium!r}; the file defines {known}")
         media.append(AIR if medium == AIR.name else materials[medium])
 
-    def columns(keys: list) -> torch.Tensor:
-        return torch.tensor([[s.get(key, 0.0) for key in keys] for s in read], dtype=torch.float64)
+    def tensor(values: list) -> torch.Tensor:
+        return torch.tensor(values, dtype=torch.float64)
 
-    curvature, conic, thickness, semi_diameter = columns(["curvature", "conic", "thickness", "semi_diameter"]).unbind(1)
-    alpha = columns(list(range(1, orders + 1))).reshape(len(read), orders)
-    lens = Lens(curvature, conic, alpha, thickness, semi_diameter, tuple(media), stop)
+    lens = Lens(
+        curvature=tensor([surface["curvature"] for surface in read]),
+        conic=tensor([surface["conic"] for surface in read]),
+        alpha=tensor([[surface.get(j, 0.0) for j in range(1, orders + 1)] for surface in read]),
+        thickness=tensor([surface["thickness"] for surface in read]),
+        semi_diameter=tensor([surface["semi_diameter"] for surface in read]),
+        media=tuple(media),
+        stop=stop,
+    )
     comments = tuple(str(surface.get("comment", "")) for surface in surfaces)
-    use = _use(content, name)
-    return Prescription(lens, str(content.get("title", "")), comments if any(comments) else None, **use)
+    comments = comments if any(comments) else None
+    return Prescription(lens, str(content.get("title", "")), comments, **_use(content, name))
 
 
 def _part(content: Mapping, key: str, kind: type, where: str):

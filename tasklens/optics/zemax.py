@@ -58,7 +58,7 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
     unit = _UNITS.get((system["UNIT"].words or [""])[0]) if "UNIT" in system else 1.0
     if unit is None:
         raise system["UNIT"].error(f"expected one of {', '.join(_UNITS)}, found {system['UNIT'].text!r}")
-    _check_ends(blocks, path)
+    _check_ends(blocks)
     inner = blocks[1:-1]
     stops = [i for i, block in enumerate(inner) if "STOP" in block.lines]
     if len(stops) != 1:
@@ -70,16 +70,13 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
 
     wavelengths, primary = _wavelengths(system, path)
     aperture = _aperture(system, unit, path)
-    try:
-        radius = (
-            stop_radius(lens, aperture, wavelengths[primary])
-            if aperture is not None
-            else unit * inner[lens.stop].line("DIAM").number(0)
-        )
-    except FileError:
-        raise
-    except ValueError as error:  # a wavelength at which a glass has no index
-        raise FileError(f"{path}: {error}") from None
+    if aperture is None:
+        radius = unit * inner[lens.stop].line("DIAM").number(0)
+    else:
+        try:
+            radius = stop_radius(lens, aperture, wavelengths[primary])
+        except ValueError as error:  # a wavelength at which a glass has no index
+            raise FileError(f"{path}: {error}") from None
     if not 0 < radius < math.inf:
         raise FileError(f"{path}: the aperture makes the radius of the stop {radius} mm")
     semi_diameter = lens.semi_diameter.clone()
@@ -117,7 +114,7 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]
     return system, blocks
 
 
-def _check_ends(blocks: list[Block], path: Path) -> None:
+def _check_ends(blocks: list[Block]) -> None:
     """The object is at infinity in air, the image a plane."""
     first, last = blocks[0], blocks[-1]
     distance = first.line("DISZ")
