@@ -56,11 +56,12 @@ def design(study: Study, args: argparse.Namespace) -> None:
     rivals = {}
     for name in jobs.imaging_rivals(study, args.lens):
         metrics = Path(layout.metrics(name, args.seed, study.supervisor))
-        rivals[name] = (prescription.read(Path(layout.lens(name, args.seed)))[0], metrics)
+        rivals[name] = (prescription.read(Path(layout.lens(name, args.seed)))[0].lens, metrics)
     history: list[dict] = []
     lens, notes = methods.design(job, recogniser, pictures, rivals, history)
     write_rows(Path(layout.history(args.lens, args.seed)), history)
-    prescription.write(Path(layout.lens(args.lens, args.seed)), lens, notes)
+    path = Path(layout.lens(args.lens, args.seed))
+    prescription.write(path, prescription.Prescription(lens), notes)
 
 
 def psf(study: Study, args: argparse.Namespace) -> None:
@@ -71,7 +72,7 @@ def psf(study: Study, args: argparse.Namespace) -> None:
     from tasklens.optics.analysis import evaluation_psf
 
     layout, job = Layout.of(study), jobs.psf(study)
-    lens, _ = prescription.read(Path(layout.lens(args.lens, args.seed)))
+    lens = prescription.read(Path(layout.lens(args.lens, args.seed)))[0].lens
     grid = evaluation_psf(lens, view(job.spec), job.rays)
     notes = {
         "fields_mm": job.spec.fields_mm,
@@ -149,10 +150,11 @@ def figure(study: Study, args: argparse.Namespace) -> None:
     from tasklens.report import figures
 
     layout = Layout.of(study)
-    lens, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
+    shown, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
     grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
     spec = jobs.psf(study).spec
-    figures.draw(Path(layout.figure(args.lens, args.seed)), args.lens, lens, view(spec), grid, content["figures"])
+    path = Path(layout.figure(args.lens, args.seed))
+    figures.draw(path, args.lens, shown.lens, view(spec), grid, content["figures"])
 
 
 def analyse(args: argparse.Namespace) -> None:

@@ -7,8 +7,8 @@ import torch
 from examples import WAVELENGTHS, difference, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.optics.catalogues import builtin
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import refractive_index
 from tasklens.optics.rays import Fate, launch, trace
 
 SEEDS = range(4)
@@ -103,14 +103,14 @@ def test_flat_plate_shifts_and_does_not_turn():
     rays = trace(lens, start, lens.refractive_indices((0.5893,)))
     exact(rays.l - start.l, 0.0, 1e-15)
     exact(rays.m - start.m, 0.0, 1e-15)
-    n = refractive_index("COC", 0.5893)
+    n = builtin("COC").refractive_index(0.5893)
     inside = torch.sqrt(1 - (start.l**2 + start.m**2) / n**2)
     exact(rays.x - start.x - t * start.l / n / inside - back * start.l / start.n, 0.0, 2e-15)
 
 
 def test_ellipsoid_focuses_collimated_light():
     """A surface of conic -1 / n^2 images a distant axial point without aberration at n R / (n - 1), on equal paths."""
-    n, radius = refractive_index("PMMA", 0.5893), 2.5
+    n, radius = builtin("PMMA").refractive_index(0.5893), 2.5
     lens = make_lens([1 / radius], [n * radius / (n - 1)], ("PMMA",), conic=[-1 / n**2])
     heights = torch.linspace(-1.5, 1.5, 31)
     rays = trace(lens, parallel_rays(heights), lens.refractive_indices((0.5893,)))
@@ -205,7 +205,7 @@ def test_fates():
 def test_total_internal_reflection_begins_at_the_critical_angle():
     """Leaving glass through a sphere at height r, sin i = r / R: light passes while that is below 1 / n."""
     lens = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"))
-    critical = 1 / refractive_index("COC", 0.5893) / 0.8
+    critical = 1 / builtin("COC").refractive_index(0.5893) / 0.8
     assert fate_of(lens, parallel_rays([critical - 1e-3])) == (Fate.HIT, -1)
     assert fate_of(lens, parallel_rays([critical + 1e-3])) == (Fate.REFLECTED, 1)
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from tasklens.optics.analysis import View, clear_semi_diameters, distortion
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
 from tasklens.settings import Constraints
 
@@ -24,7 +25,7 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
         semi_diameter: (S,) radius that light uses on each surface [mm]; taken as given, without gradient.
     """
     semi = semi_diameter.detach().clamp(min=float(lens.semi_diameter[lens.stop]))
-    element = torch.tensor([medium != "air" for medium in lens.media[:-1]])
+    element = torch.tensor([medium != AIR for medium in lens.media[:-1]])
     shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
 
     def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:

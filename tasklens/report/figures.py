@@ -14,6 +14,7 @@ from tasklens.files import replacing
 from tasklens.optics.analysis import View, centroid, ray_fans, spot_diagram, trace_fields
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR
 from tasklens.optics.pupil import sobol_disc
 
 _SHOWN = (0, 4, 8)  # of the nine fields: axis, middle of the field, corner
@@ -76,7 +77,7 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
         else:
             axes.plot(z, height, color="black", lw=1)
     for i, medium in enumerate(lens.media[:-1]):
-        if medium != "air":
+        if medium != AIR:
             for end in (0, -1):
                 (z0, h0), (z1, h1) = edges[i], edges[i + 1]
                 axes.plot([z0[end], z1[end]], [h0[end], h1[end]], color="black", lw=1)
