@@ -6,6 +6,8 @@ The second term is the light that misses the PSF window: it reaches the sensor a
 conserved. Borders are reflected.
 """
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
@@ -13,15 +15,23 @@ from torch import Tensor
 
 
 def _fast_size(size: int) -> int:
-    """The next size that is a product of 2, 3 and 5."""
+    """The next size that is a product of 2, 3, 5 and 7, for which FFT libraries have kernels."""
     while True:
         rest = size
-        for prime in (2, 3, 5):
+        for prime in (2, 3, 5, 7):
             while rest % prime == 0:
                 rest //= prime
         if rest == 1:
             return size
         size += 1
+
+
+def _spectrum(planes: Tensor, size: tuple[int, int]) -> Tensor:
+    """Two-dimensional spectrum of real planes (..., h, w), zero-padded to `size`: (..., w / 2 + 1, h), transposed.
+
+    Where the columns are contiguous, the inverse transform along them costs half.
+    """
+    return torch.fft.fft(torch.fft.rfft(planes, size[1]).transpose(-1, -2), size[0])
 
 
 class Camera:
@@ -45,14 +55,25 @@ class Camera:
         self._spectra: dict[tuple[int, int], Tensor] = {}
 
     def grid(self, images: Tensor) -> Tensor:
-        """Captures of every image at every field: (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
-        return self._render(images, lambda values: values[:, None])
+        """Captures of every image at every field: (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
+
+        Field by field, so that what lies between stays in the cache.
+        """
+        render, kernels = self._prepare(images)
+        return torch.stack([render(*kernel) for kernel in zip(kernels, self.veil, strict=True)])
 
     def single(self, images: Tensor, fields: Tensor) -> Tensor:
         """Captures of each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
-        return self._render(images, lambda values: values[fields])
+        render, kernels = self._prepare(images)
+        return render(kernels[fields], self.veil[fields])
 
-    def _render(self, images: Tensor, select) -> Tensor:
+    def _prepare(self, images: Tensor) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
+        """Everything that is done once for all fields.
+
+        Returns:
+            A function from spectra of PSFs and their veils, one for all images or one each, to captures (B, 3, H, W);
+            and the spectra of all PSFs (F, 3, w, h).
+        """
         height, width = images.shape[-2:]
         half = self.psf.shape[-1] // 2
         if half >= min(height, width):
@@ -61,13 +82,18 @@ class Camera:
             images = rgb_to_linear_rgb(images)
         size = (_fast_size(height + 2 * half), _fast_size(width + 2 * half))
         if size not in self._spectra:
-            self._spectra[size] = torch.fft.rfft2(self.psf, size)
-        padded = F.pad(images.float(), (half,) * 4, mode="reflect")
-        # The circular convolution wraps only into the border of 2 * half rows and columns that is cut away.
-        blurred = torch.fft.irfft2(torch.fft.rfft2(padded, size) * select(self._spectra[size]), size)
-        captures = blurred[..., 2 * half : 2 * half + height, 2 * half : 2 * half + width]
-        captures = captures + select(self.veil) * images.mean((-2, -1), keepdim=True)
-        return linear_rgb_to_rgb(captures) if self.linear else captures
+            self._spectra[size] = _spectrum(self.psf, size)
+        spectra = _spectrum(F.pad(images.float(), (half,) * 4, mode="reflect"), size)
+        mean = images.mean((-2, -1), keepdim=True)
+
+        def render(kernel: Tensor, veil: Tensor) -> Tensor:
+            # The circular convolution wraps only into the border of 2 * half rows and columns that is cut away: the
+            # rows before the second transform, which then has fewer.
+            rows = torch.fft.ifft(spectra * kernel)[..., 2 * half : 2 * half + height].transpose(-1, -2)
+            captures = torch.fft.irfft(rows, size[1])[..., 2 * half : 2 * half + width] + veil * mean
+            return linear_rgb_to_rgb(captures) if self.linear else captures
+
+        return render, self._spectra[size]
 
 
 def psnr(images: Tensor, reference: Tensor) -> Tensor:

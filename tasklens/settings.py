@@ -130,7 +130,7 @@ class Task(Descent):
     """Task-driven design: the classifier is frozen, and trained with the lens only in the final polish."""
 
     method: Literal["task"]
-    micro_batch: Count = 64  # pictures rendered at once while the classifier is frozen: memory only, same gradient
+    micro_batch: Count = 64  # captures that a frozen classifier sees at once: memory only, same gradient
     polish: Polish | None = None
 
 

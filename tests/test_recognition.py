@@ -248,6 +248,38 @@ def test_weights_of_a_file_replace_all_others(tmp_path):
         classifiers.build(classifier, 5, path)
 
 
+@pytest.mark.parametrize("model", ["test_resnet", "test_efficientnet", "test_vit"])
+def test_a_frozen_copy_judges_alike_and_remembers_less(model):
+    """Same logits and gradients at the pictures; convolutional networks keep at most 0.7 of the memory for them."""
+    torch.manual_seed(0)
+    recogniser = classifiers.Recogniser(timm.create_model(model, num_classes=5)).double()
+    for module in recogniser.modules():
+        if isinstance(module, nn.BatchNorm2d):  # as after training: statistics that do something
+            nn.init.uniform_(module.weight, 0.5, 1.5)
+            nn.init.normal_(module.running_mean, std=0.1)
+            nn.init.uniform_(module.running_var, 0.5, 1.5)
+    size = recogniser.network.pretrained_cfg["input_size"][-1]
+    images = torch.rand(2, 3, size, size, dtype=torch.float64)
+    frozen, found = classifiers.frozen(recogniser), []
+    assert recogniser.training and all(p.requires_grad for p in recogniser.parameters())
+    assert not frozen.training and not any(p.requires_grad for p in frozen.parameters())
+    for network in (frozen, recogniser.eval().requires_grad_(False)):
+        kept: dict[int, int] = {}
+
+        def keep(tensor, kept=kept):
+            kept[tensor.untyped_storage().data_ptr()] = tensor.untyped_storage().nbytes()
+            return tensor
+
+        leaf = images.clone().requires_grad_()
+        with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+            logits = network(leaf)
+        logits.square().sum().backward()
+        found.append((logits.detach(), leaf.grad, sum(kept.values())))
+    for a, b in zip(found[0][:2], found[1][:2], strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-12)
+    assert found[0][2] <= (1.0 if model == "test_vit" else 0.7) * found[1][2]
+
+
 # ---- training
 
 

@@ -1,10 +1,12 @@
 """Descent of a classifier's loss into a lens: captures, PSFs, rays, curvatures.
 
-The gradient is taken in two stages. Captures and network run in micro-batches that accumulate dL/dPSF; one backward
-pass then carries it through the rays, which are traced once. This is exact while the network is in `eval()`; while it
-is trained with batch statistics, one micro-batch per step makes it exact as well.
+The gradient is taken in stages. The network runs in micro-batches of captures, each of which leaves dL/dcapture; then
+one backward pass carries that through the convolutions to dL/dPSF, and one through the rays: captures are rendered and
+rays traced once. This is exact while the network is in `eval()`; while it is trained with batch statistics, one
+micro-batch per step makes it exact as well.
 """
 
+import math
 import sys
 from dataclasses import dataclass
 
@@ -22,6 +24,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
+from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.training import parameter_groups as network_groups
 from tasklens.recognition.training import shuffled
@@ -57,22 +60,24 @@ def loss_at_psf(
     Args:
         images: (B, 3, H, W) in [0, 1]; labels: (B,).
         grid: (F, 3, K, K) PSFs.
-        micro_batch: images rendered at once; each gives F captures.
+        micro_batch: the most of the F B captures that pass through the network at once.
 
     Returns:
         loss of each field (F,), whose mean is the loss, and its gradient dL/dPSF like `grid`.
     """
     leaf = grid.detach().requires_grad_()
-    fields = len(grid)
-    losses = torch.zeros(fields)
-    for part, wanted in zip(images.split(micro_batch), labels.split(micro_batch), strict=True):
-        captures = Camera(leaf, capture.outside, capture.colour).grid(part)
-        logits = recogniser(captures.flatten(0, 1))
-        each = F.cross_entropy(logits, wanted.repeat(fields), reduction="none").reshape(fields, -1)
-        part_losses = each.sum(-1) / len(images)
-        part_losses.mean().backward()
-        losses += part_losses.detach()
-    return losses, leaf.grad
+    captures = Camera(leaf, capture.outside, capture.colour).grid(images)
+    seen, wanted = captures.detach().flatten(0, 1), labels.repeat(len(grid))
+    parts = math.ceil(len(seen) / micro_batch)
+    losses, gradients = [], []
+    for part, label in zip(seen.chunk(parts), wanted.chunk(parts), strict=True):
+        part.requires_grad_()
+        loss = F.cross_entropy(recogniser(part), label, reduction="none")
+        (loss.sum() / len(seen)).backward()
+        losses.append(loss.detach())
+        gradients.append(part.grad)
+    captures.backward(torch.cat(gradients).reshape(captures.shape))
+    return torch.cat(losses).reshape(len(grid), -1).mean(-1), leaf.grad
 
 
 def descend(
@@ -90,7 +95,7 @@ def descend(
 
     Args:
         start: the lens to begin with.
-        recogniser: without `network_rate` it is frozen, in `eval()`; with it, trained in place in `train()`.
+        recogniser: without `network_rate` a frozen copy judges; with it, it is trained in place, in `train()`.
         problem: pictures, fields, limits.
         settings: steps, rates, cold start.
         history: receives a row per logged step.
@@ -109,13 +114,15 @@ def descend(
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     groups = parameter_groups(values, settings.rates)
     joint = network_rate is not None
-    recogniser.train(joint).requires_grad_(joint)
     if joint:
+        recogniser.train().requires_grad_(True)
         groups += [group | {"lr": network_rate} for group in network_groups(recogniser, weight_decay=0.05)]
+    else:
+        recogniser = frozen(recogniser)
     optimizer = torch.optim.AdamW(groups)
     rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: cosine(step / steps, settings.rates.final))
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
-    micro_batch = settings.images if joint else settings.micro_batch
+    micro_batch = settings.images * len(view.fields) if joint else settings.micro_batch
     progress = Progress(label, steps)
     last = variables.values()
     for step, indices in enumerate(shuffled(len(pictures), settings.images, steps, generator), 1):
@@ -163,5 +170,6 @@ def descend(
                     "rate": rates.get_last_lr()[0],
                 }
             )
-    recogniser.eval().requires_grad_(False)
+    if joint:
+        recogniser.eval().requires_grad_(False)
     return variables.assemble(values).detached()

@@ -1,0 +1,54 @@
+"""Peak memory of one task-driven step at the paper's size, in a process of its own for each size of micro-batch.
+
+64 pictures of 224 pixels at nine fields are 576 captures; the supervisor is ResNet50 with random weights, frozen. The
+step is the design's own: `descend` with one step. It takes about 3 minutes of a core per micro-batch.
+"""
+
+import multiprocessing
+import resource
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+import timing
+import timm
+import torch
+
+from tasklens.design.descent import Problem, descend
+from tasklens.design.start import flat, view
+from tasklens.recognition.classifiers import Recogniser
+from tasklens.recognition.data import Pictures
+from tasklens.settings import Capture, Constraints, Spec, Task
+
+LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
+
+
+def measure(captures: int, tiny: bool) -> dict[str, float]:
+    """Memory before and in one step with micro-batches of `captures` [GiB], and its processor time [s]."""
+    resource.setrlimit(resource.RLIMIT_DATA, (LIMIT_GIB << 30, LIMIT_GIB << 30))
+    spec, limits, count, size = Spec(), Constraints(), 2 if tiny else 64, 64 if tiny else 224
+    recogniser = Recogniser(timm.create_model("test_resnet" if tiny else "resnet50"))
+    generator = torch.Generator().manual_seed(0)
+    images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
+    pictures = Pictures(images, torch.arange(count), tuple(map(str, range(1000))))
+    problem = Problem(view(spec), limits, Capture(), pictures, seed=0)
+    settings = Task(method="task", steps=1, images=count, rays=256, micro_batch=captures)
+    before, begin = timing.peak_memory_gib(), time.process_time()
+    descend(flat(("COC", "OKP4"), spec, limits), recogniser, problem, settings, [], "memory")
+    return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = timing.arguments(__doc__)
+    parser.add_argument("--captures", type=int, nargs="+", default=[16, 64], help="sizes of micro-batch")
+    options = parser.parse_args(arguments)
+    rows = []
+    for captures in options.captures:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+            found = process.submit(measure, captures, options.tiny).result()
+        rows.append((captures, f"{found['before']:.2f}", f"{found['peak']:.2f}", f"{found['seconds']:.0f}"))
+    columns = ("captures at once", "before the step [GiB]", "peak [GiB]", "processor time [s]")
+    timing.report("Memory of one step: 64 pictures x 9 fields, ResNet50, 224 px", columns, rows, options.save)
+
+
+if __name__ == "__main__":
+    main()

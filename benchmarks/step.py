@@ -1,0 +1,119 @@
+"""Where the time of a task-driven step goes: rays and PSFs, captures, network; and the optics' share of it.
+
+Two steps: the paper's (ResNet50 with random weights, 64 pictures of 224 pixels at nine fields), of which 2 pictures are
+timed and the parts that go with the number of pictures multiplied by 32; and the default study's, whole. The step is
+`descend`'s, taken apart here so that each part can be timed.
+"""
+
+import statistics
+import time
+from collections import defaultdict
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy
+import timing
+import timm
+import torch
+import torch.nn.functional as F
+import yaml
+from torch import nn
+from torchvision.transforms.v2 import TrivialAugmentWide
+
+from tasklens.design.constraints import penalty
+from tasklens.design.least_squares import random_starts
+from tasklens.design.start import Variables, flat, parameter_groups, view
+from tasklens.imaging import Camera
+from tasklens.optics.analysis import trace_fields
+from tasklens.optics.psf import psf
+from tasklens.optics.pupil import sobol_disc
+from tasklens.recognition.classifiers import Recogniser, frozen
+from tasklens.settings import Constraints, Rates, Spec
+from tasklens.study import parse
+
+STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
+OPTICS = ("rays, PSFs, limits", "their backward", "captures", "captures, backward")
+ONCE = ("rays, PSFs, limits", "their backward", "optimiser")  # per step, whatever the number of pictures
+ORDER = (*OPTICS, "augmentation", "network, forward and backward", "optimiser")
+
+
+class Clock:
+    """Processor times [s] of named parts."""
+
+    def __init__(self):
+        self.times: dict[str, list[float]] = defaultdict(list)
+
+    @contextmanager
+    def __call__(self, part: str):
+        begin = time.process_time()
+        yield
+        self.times[part].append(time.process_time() - begin)
+
+
+def timed_steps(network: nn.Module, pictures: int, pixels: int, rays: int, rounds: int) -> dict[str, float]:
+    """Median processor time [s] of each part of a step of a doublet, after one step of warm-up."""
+    looks, limits = view(Spec()), Constraints()
+    recogniser = frozen(Recogniser(network))
+    lens = random_starts(flat(("COC", "OKP4"), Spec(), limits), looks, limits, 1, numpy.random.default_rng(0))[0]
+    variables, rates = Variables.stepped(lens, looks, Rates()), Rates()
+    values = {name: value.requires_grad_() for name, value in variables.values().items()}
+    optimizer = torch.optim.AdamW(parameter_groups(values, rates))
+    sharp = torch.randint(0, 256, (pictures, 3, pixels, pixels), dtype=torch.uint8)
+    labels = torch.zeros(pictures * len(looks.fields), dtype=torch.long)
+    augment = TrivialAugmentWide()
+    for step in range(rounds + 1):
+        if step <= 1:
+            clock = Clock()  # the first step was the warm-up
+        with clock("rays, PSFs, limits"):
+            lens = variables.assemble(values)
+            traced = trace_fields(lens, looks, sobol_disc(rays, step))
+            grid = psf(traced, looks.fields, looks.pixel_pitch, looks.kernel)
+            bounds = penalty(lens, limits, looks)
+        with clock("augmentation"):
+            images = torch.stack([augment(image) for image in sharp]).float() / 255
+        leaf = grid.detach().float().requires_grad_()
+        with clock("captures"):
+            captures = Camera(leaf).grid(images)
+        with clock("network, forward and backward"):
+            seen = captures.detach().flatten(0, 1).requires_grad_()
+            F.cross_entropy(recogniser(seen), labels).backward()
+        with clock("captures, backward"):
+            captures.backward(seen.grad.reshape(captures.shape))
+        with clock("their backward"):
+            optimizer.zero_grad()
+            torch.autograd.backward([grid, bounds], [leaf.grad.to(grid.dtype), None])
+        with clock("optimiser"):
+            optimizer.step()
+    return {part: statistics.median(times) for part, times in clock.times.items()}
+
+
+def rows_of(times: dict[str, float], pictures: int, per_step: int) -> list[tuple]:
+    """Rows of a table: each part per step of `per_step` pictures, where `pictures` were timed."""
+    whole = {part: t * (1 if part in ONCE else per_step / pictures) for part, t in times.items()}
+    total = sum(whole.values())
+    captures = 9 * per_step
+    parts = [(part, whole[part]) for part in ORDER]
+    parts += [("**optics**", sum(whole[part] for part in OPTICS)), ("**step**", total)]
+    return [(name, f"{1e3 * t:.4g}", f"{1e3 * t / captures:.3g}", f"{100 * t / total:.1f}") for name, t in parts]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = timing.arguments(__doc__)
+    parser.add_argument("--rounds", type=int, default=9)
+    options = parser.parse_args(arguments)
+    columns = ("part", "ms per step", "ms per capture", "% of the step")
+
+    study = parse(yaml.safe_load(STUDY.read_text()))
+    supervisor, design = study.classifiers[study.supervisor], study.designs["tasklens"]
+    network = timm.create_model(supervisor.model, num_classes=10, **supervisor.arguments)
+    pictures = 1 if options.tiny else design.images
+    times = timed_steps(network, pictures, study.images.size, design.rays, options.rounds)
+    title = f"Default study: {pictures} pictures x 9 fields, {supervisor.model}, {study.images.size} px"
+    timing.report(title, columns, rows_of(times, pictures, pictures), options.save)
+    if not options.tiny:
+        times = timed_steps(timm.create_model("resnet50"), 2, 224, 256, max(1, options.rounds // 3))
+        timing.report("Paper: 64 pictures x 9 fields, ResNet50, 224 px", columns, rows_of(times, 2, 64), options.save)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""The benchmarks run: each at a size of no meaning, for its table and not for its times."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    "script, column, options",
+    [
+        ("captures", "times faster", ["--rounds", "1"]),
+        ("memory", "peak [GiB]", ["--captures", "5"]),
+        ("step", "% of the step", ["--rounds", "1"]),
+    ],
+)
+def test_benchmark_prints_its_table(script, column, options, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    importlib.import_module(script).main(["--tiny", *options])
+    table = capsys.readouterr().out.split("\n\n")[2].splitlines()
+    assert f"| {column} |" in table[0] and len(table) >= 3
+    assert {line.count("|") for line in table} == {table[0].count("|")}
+
+
+def test_times_are_taken_in_turn(monkeypatch, capsys):
+    """A warm-up each, then A B A B; medians, ranges and ratios of what was measured."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    timing = importlib.import_module("timing")
+    called: list[str] = []
+    times = timing.alternate({name: lambda name=name: called.append(name) for name in "AB"}, 3)
+    assert "".join(called) == "ABABABAB"
+    assert all(len(values) == 3 and min(values) >= 0 for values in times.values())
+    assert timing.spread([0.003, 0.001, 0.002], 1e3) == "2 (1 to 3)"
+    assert timing.ratio([2.0, 3.0, 8.0], [1.0, 1.0, 2.0]) == "3 (2 to 4)"
