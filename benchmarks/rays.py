@@ -10,11 +10,11 @@ import math
 import warnings
 from collections.abc import Callable
 
-from timing import alternate, arguments, ratio, report, spread  # before torch: it sets the threads
-
 import torch
+from timing import alternate, arguments, ratio, report, spread
 from torch import Tensor
 
+from tasklens.optics import materials
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays, launch, trace
@@ -56,7 +56,7 @@ def read(dtype: torch.dtype) -> tuple[Lens, Tensor]:
     column = [torch.tensor(values, dtype=dtype) for values in zip(*(s[:3] for s in SURFACES), strict=True)]
     alpha = torch.tensor([(0.0, *s[4], *(0.0,) * (7 - len(s[4]))) for s in SURFACES], dtype=dtype)
     no_limit = torch.full_like(column[0], math.inf)
-    lens = Lens(column[0], column[1], alpha, column[2], no_limit, ("air",) * len(SURFACES), stop=0)
+    lens = Lens(column[0], column[1], alpha, column[2], no_limit, (materials.AIR,) * len(SURFACES), stop=0)
     return lens, torch.tensor([AIR, *(s[3] for s in SURFACES)], dtype=dtype)
 
 
@@ -209,10 +209,10 @@ def optilands(precision: str, train: int, evaluate: int) -> dict[str, Callable[[
     return {"trace, forward and backward": spot, "trace, forward": forward}
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = arguments(__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=15)
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     train, evaluate = (16, 32) if options.tiny else (256, 4096)
     torch.ones(7_000_000)  # as after any step of a design: the allocator has learned to keep freed memory
     try:

@@ -25,6 +25,7 @@ from tasklens.design.least_squares import random_starts
 from tasklens.design.start import Variables, flat, parameter_groups, view
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import trace_fields
+from tasklens.optics.catalogues import builtin
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.classifiers import Recogniser, frozen
@@ -54,7 +55,9 @@ def timed_steps(network: nn.Module, pictures: int, pixels: int, rays: int, round
     """Median processor time [s] of each part of a step of a doublet, after one step of warm-up."""
     looks, limits = view(Spec()), Constraints()
     recogniser = frozen(Recogniser(network))
-    lens = random_starts(flat(("COC", "OKP4"), Spec(), limits), looks, limits, 1, numpy.random.default_rng(0))[0]
+    lens = random_starts(
+        flat((builtin("COC"), builtin("OKP4")), Spec(), limits), looks, limits, 1, numpy.random.default_rng(0)
+    )[0]
     variables, rates = Variables.stepped(lens, looks, Rates()), Rates()
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     optimizer = torch.optim.AdamW(parameter_groups(values, rates))
