@@ -17,7 +17,8 @@ from torch import Tensor
 from tasklens.optics import materials
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.rays import Rays, launch, trace
+from tasklens.optics.rays import Rays, launch
+from tasklens.optics.tracing import trace
 
 # The three plastic elements of US 8,558,939 B2, without the filter and cover glass, focused by the last space, behind a
 # stop in the plane of the first vertex. Indices at the C, d and F lines from the nd and Vd of its glasses.

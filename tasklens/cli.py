@@ -163,7 +163,8 @@ def analyse(args: argparse.Namespace) -> None:
     from tasklens.optics.datasheet import figures, seidel_by_surface, view_of
     from tasklens.report import certificate
 
-    lens, content = prescription.read(args.file)
+    found, content = prescription.read(args.file)
+    lens = found.lens
     view = view_of(lens, content, str(args.file))
     computed = content | {"figures": figures(lens, view, args.rays)}
     print(certificate.markdown(str(args.file), view.fields.tolist(), computed, seidel_by_surface(lens, view)), end="")

@@ -12,7 +12,7 @@ from tasklens.optics.analysis import chief_points, trace_fields
 from tasklens.optics.catalogues import builtin
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import bundles, gauss_quadrature, rim, sobol_disc
-from tasklens.optics.rays import trace
+from tasklens.optics.tracing import trace
 from tasklens.settings import Constraints, Spec
 
 N = builtin("COC").refractive_index(0.5893)

@@ -9,7 +9,8 @@ from examples import WAVELENGTHS, difference, f64, make_lens, parallel_rays, ran
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.catalogues import builtin
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Fate, launch, trace
+from tasklens.optics.rays import Fate, launch
+from tasklens.optics.tracing import trace
 
 SEEDS = range(4)
 

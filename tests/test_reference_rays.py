@@ -9,7 +9,8 @@ import torch
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
-from tasklens.optics.rays import launch, trace
+from tasklens.optics.rays import launch
+from tasklens.optics.tracing import trace
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference" / "rays.json"
 LENSES = json.loads(REFERENCE.read_text())["lenses"] if REFERENCE.exists() else []

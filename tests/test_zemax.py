@@ -11,7 +11,7 @@ from tasklens.optics import zemax
 from tasklens.optics.catalogues import builtin
 from tasklens.optics.materials import AIR, model_glass
 from tasklens.optics.prescription import FIELDS
-from tasklens.optics.rays import trace
+from tasklens.optics.tracing import trace
 
 TEXT = """VERS 190513 80 123457 L123457
 MODE SEQ

@@ -21,7 +21,8 @@ from tasklens.optics import prescription, zemax
 from tasklens.optics.materials import AIR, C_LINE, D_LINE, F_LINE, Material
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.prescription import Prescription
-from tasklens.optics.rays import launch, trace
+from tasklens.optics.rays import launch
+from tasklens.optics.tracing import trace
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 FILES = sorted(path for path in DATA.glob("lenses/*/source/*") if path.suffix.lower() == ".zmx")

@@ -13,7 +13,8 @@ from torch import Tensor
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import bundles, rim, sobol_disc
-from tasklens.optics.rays import Rays, trace
+from tasklens.optics.rays import Rays
+from tasklens.optics.tracing import trace
 
 _RIM = 64  # rays around the pupil for semi-diameters
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # of the pupil: where chief rays go through
