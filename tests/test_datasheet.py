@@ -103,7 +103,9 @@ def test_a_lost_field_has_no_good_figure():
 def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_path):
     """Written with its spec and read again: the same figures to the last bit."""
     lens, looks = lens
-    prescription.write(tmp_path / "lens.yaml", prescription.Prescription(lens), {"spec": spec_of(looks), "figures": found})
+    prescription.write(
+        tmp_path / "lens.yaml", prescription.Prescription(lens), {"spec": spec_of(looks), "figures": found}
+    )
     found_again, content = prescription.read(tmp_path / "lens.yaml")
     again = found_again.lens
     assert figures(again, view_of(again, content, "lens.yaml"), RAYS) == content["figures"] == found

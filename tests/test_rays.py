@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, difference, f64, make_lens, parallel_rays, random_lens, random_rays
+from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.catalogues import builtin
@@ -151,40 +151,6 @@ def test_sag_beyond_the_edge_of_the_conic_is_finite():
     assert all(torch.isfinite(t).all() for t in (value, slope, *gradients))
 
 
-PARAMETERS = ("curvature", "conic", "alpha", "thickness")
-
-
-def image_of(lens: Lens, **parameters):
-    """A fixed random combination of image points, directions and paths; it depends on every parameter."""
-    rays = trace(replace(lens, **parameters), random_rays(20, 7), lens.refractive_indices(WAVELENGTHS))
-    weights = torch.randn(4, *rays.x.shape, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
-    return (weights * torch.stack([rays.x, rays.y, rays.l, rays.path])).sum()
-
-
-@pytest.mark.parametrize("name", PARAMETERS)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_gradient_is_the_limit_of_differences(name, seed):
-    """Each parameter's derivative through the tracer agrees with a five-point difference to 1e-6."""
-    lens = random_lens(seed)
-    leaf = getattr(lens, name).clone().requires_grad_()
-    gradient = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf)[0]
-    expected = difference(lambda value: image_of(lens, **{name: value}), leaf.detach(), 1e-3)
-    assert (expected.abs().flatten(1 if expected.dim() > 1 else 0) > 1e-9).any()
-    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_forward_and_backward_mode_agree(seed):
-    """<gradient, v> = directional derivative along v, for all parameters at once."""
-    lens = random_lens(seed)
-    values = {name: getattr(lens, name) for name in PARAMETERS}
-    generator = torch.Generator().manual_seed(seed)
-    push = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
-    gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
-    _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (push,))
-    exact(along, sum((gradient[k] * push[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
-
-
 def fate_of(lens: Lens, rays) -> tuple[Fate, int]:
     traced = trace(lens, rays, lens.refractive_indices((0.5893,)))
     return Fate(int(traced.fate)), int(traced.lost_at)
@@ -231,6 +197,9 @@ def hostile() -> dict[str, Lens]:
         "overlapping": replace(steep, thickness=f64([0.1, -0.4, 0.0, -0.2, 1.0])),
         "half balls": make_lens([0.0, 1.0, -1.0, 1.0, -1.0], [0.1] * 5, steep.media),
     }
+
+
+PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 
 
 @pytest.mark.parametrize("name", hostile())
