@@ -15,6 +15,7 @@ import torch
 
 from tasklens.design.descent import Problem, descend
 from tasklens.design.start import flat, view
+from tasklens.optics.catalogues import builtin
 from tasklens.recognition.classifiers import Recogniser
 from tasklens.recognition.data import Pictures
 from tasklens.settings import Capture, Constraints, Spec, Task
@@ -33,7 +34,7 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     problem = Problem(view(spec), limits, Capture(), pictures, seed=0)
     settings = Task(method="task", steps=1, images=count, rays=256, micro_batch=captures)
     before, begin = timing.peak_memory_gib(), time.process_time()
-    descend(flat(("COC", "OKP4"), spec, limits), recogniser, problem, settings, [], "memory")
+    descend(flat((builtin("COC"), builtin("OKP4")), spec, limits), recogniser, problem, settings, [], "memory")
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

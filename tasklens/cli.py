@@ -7,6 +7,7 @@ Files are read and written below results/<study name>/. torch is imported inside
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 
 from tasklens import jobs
@@ -55,11 +56,12 @@ def design(study: Study, args: argparse.Namespace) -> None:
     rivals = {}
     for name in jobs.imaging_rivals(study, args.lens):
         metrics = Path(layout.metrics(name, args.seed, study.supervisor))
-        rivals[name] = (prescription.read(Path(layout.lens(name, args.seed)))[0], metrics)
+        rivals[name] = (prescription.read(Path(layout.lens(name, args.seed)))[0].lens, metrics)
     history: list[dict] = []
     lens, notes = methods.design(job, recogniser, pictures, rivals, history)
     write_rows(Path(layout.history(args.lens, args.seed)), history)
-    prescription.write(Path(layout.lens(args.lens, args.seed)), lens, notes)
+    path = Path(layout.lens(args.lens, args.seed))
+    prescription.write(path, prescription.Prescription(lens), notes)
 
 
 def psf(study: Study, args: argparse.Namespace) -> None:
@@ -70,7 +72,7 @@ def psf(study: Study, args: argparse.Namespace) -> None:
     from tasklens.optics.analysis import evaluation_psf
 
     layout, job = Layout.of(study), jobs.psf(study)
-    lens, _ = prescription.read(Path(layout.lens(args.lens, args.seed)))
+    lens = prescription.read(Path(layout.lens(args.lens, args.seed)))[0].lens
     grid = evaluation_psf(lens, view(job.spec), job.rays)
     notes = {
         "fields_mm": job.spec.fields_mm,
@@ -148,10 +150,24 @@ def figure(study: Study, args: argparse.Namespace) -> None:
     from tasklens.report import figures
 
     layout = Layout.of(study)
-    lens, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
+    shown, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
     grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
     spec = jobs.psf(study).spec
-    figures.draw(Path(layout.figure(args.lens, args.seed)), args.lens, lens, view(spec), grid, content["figures"])
+    path = Path(layout.figure(args.lens, args.seed))
+    figures.draw(path, args.lens, shown.lens, view(spec), grid, content["figures"])
+
+
+def analyse(args: argparse.Namespace) -> None:
+    """print the table of a lens: its figures by field and its aberrations by surface, newly computed from its file"""
+    from tasklens.optics import prescription
+    from tasklens.optics.datasheet import figures, seidel_by_surface, view_of
+    from tasklens.report import certificate
+
+    found, content = prescription.read(args.file)
+    lens = found.lens
+    view = view_of(lens, content, str(args.file))
+    computed = content | {"figures": figures(lens, view, args.rays)}
+    print(certificate.markdown(str(args.file), view.fields.tolist(), computed, seidel_by_surface(lens, view)), end="")
 
 
 def check(study: Study, args: argparse.Namespace) -> None:
@@ -178,7 +194,7 @@ STAGES = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line: a subcommand per stage."""
+    """The command line: a subcommand per stage, and one that needs a lens file and no study."""
     top = argparse.ArgumentParser(prog="tasklens", description=__doc__.splitlines()[0])
     commands = top.add_subparsers(required=True, metavar="stage")
     for stage, arguments in STAGES.items():
@@ -198,15 +214,28 @@ def parser() -> argparse.ArgumentParser:
                 command.add_argument(name, help=f"name of a lens, or {SHARP} for the pictures themselves")
             else:
                 command.add_argument(name, choices=jobs.TABLES if name == "table" else None)
-        command.set_defaults(stage=stage)
+        command.set_defaults(run=lambda args, stage=stage: stage(load(args.study), args))
+    command = commands.add_parser(analyse.__name__, help=analyse.__doc__, description=analyse.__doc__)
+    command.add_argument("file", type=Path, help="lens file (YAML) with its spec")
+    command.add_argument("--rays", type=_count, default=4096, help="per field and colour")
+    command.set_defaults(run=analyse)
     return top
+
+
+def _count(text: str) -> int:
+    """A whole number above zero."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a number of rays, got {text!r}")
+    return int(text)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one stage; a mistake in the study or its data ends in one message and exit status 2."""
     args = parser().parse_args(argv)
+    # torch's word to itself, at the first forward-mode derivative of a process
+    warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
-        args.stage(load(args.study), args)
+        args.run(args)
     except (StudyError, FileError, FileNotFoundError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
         return 2

@@ -1,7 +1,9 @@
 """Files that are complete or absent: everything is written under a temporary name and renamed."""
 
 import json
+import math
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +11,21 @@ from pathlib import Path
 
 class FileError(ValueError):
     """A file that does not hold what it should; the message names it and says what was expected."""
+
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+def number(value: object, where: str) -> float:
+    """A finite number of a file, also where YAML has taken it for text, such as 1e-4.
+
+    Raises:
+        FileError: anything else; `where` begins its message.
+    """
+    text = value if isinstance(value, str) else repr(value)
+    if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
+        raise FileError(f"{where}: expected a number, found {value!r}")
+    return float(text)
 
 
 @contextmanager
@@ -26,7 +43,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, computed_field, field_validator, model_validator
 
-from tasklens.optics.materials import FITTED_UM
+from tasklens.optics.materials import Material
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -31,10 +31,7 @@ class Spec(Frozen):
 
     @field_validator("wavelengths_um")
     @classmethod
-    def _fitted(cls, wavelengths: tuple) -> tuple:
-        low, high = FITTED_UM
-        if not all(low <= wavelength <= high for wavelength in wavelengths):
-            raise ValueError(f"expected wavelengths from {low} to {high} um, where the plastics' indices are known")
+    def _descending(cls, wavelengths: tuple) -> tuple:
         if not wavelengths[0] > wavelengths[1] > wavelengths[2]:
             raise ValueError("expected red, green, blue: descending wavelengths")
         return wavelengths
@@ -265,6 +262,6 @@ class Lens(Frozen):
 
     name: str
     elements: str
-    plastics: tuple[str, ...]
+    plastics: tuple[Material, ...]  # with their coefficients: editing one redesigns the lenses that use it
     design_name: str
     design: Design

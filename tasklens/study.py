@@ -4,14 +4,16 @@ A study file is YAML. An unknown key or an impossible value raises `StudyError` 
 was expected.
 """
 
+import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
 
-from tasklens.optics.materials import PLASTICS
+from tasklens.optics.catalogues import collect
+from tasklens.optics.materials import Material, from_definitions
 from tasklens.settings import (
     FLAT_TRACK,
     Capture,
@@ -39,7 +41,11 @@ class StudyError(ValueError):
 
 
 class Study(Frozen):
-    """Everything a study is made of. `lenses` = every entry of `elements` with every entry of `designs`."""
+    """Everything a study is made of. `lenses` = every entry of `elements` with every entry of `designs`.
+
+    `materials` is given as a list of files (YAML or AGF) or as definitions; it becomes the definitions of the plastics
+    that `elements` use, so that a resolved study needs no other file.
+    """
 
     format: Literal[1]
     name: Name
@@ -50,6 +56,7 @@ class Study(Frozen):
     capture: Capture = Capture()
     evaluation_rays: Count = 4096
     elements: Annotated[dict[Name, tuple[str, ...]], Field(min_length=1)]
+    materials: Annotated[dict[str, Material], Field(default_factory=dict, validate_default=True)]
     designs: Annotated[dict[Name, Design], Field(min_length=1)]
     classifiers: Annotated[dict[Name, Classifier], Field(min_length=1)]
     supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
@@ -66,14 +73,38 @@ class Study(Frozen):
 
     @field_validator("elements")
     @classmethod
-    def _known_plastics(cls, elements: dict) -> dict:
+    def _not_empty(cls, elements: dict) -> dict:
         for name, plastics in elements.items():
             if not plastics:
                 raise ValueError(f"{name}: expected at least one plastic")
-            for plastic in set(plastics) - set(PLASTICS):
-                known = ", ".join(sorted(PLASTICS))
-                raise ValueError(f"{name}: unknown plastic {plastic!r}; expected one of {known}")
         return elements
+
+    @field_validator("materials", mode="before")
+    @classmethod
+    def _used(cls, given: object, info: ValidationInfo) -> dict[str, Material]:
+        if isinstance(given, Mapping):
+            known = collect([]) | from_definitions(given, "definitions")
+        elif isinstance(given, list) and all(isinstance(path, str) for path in given):
+            try:
+                known = collect(Path(path) for path in given)
+            except OSError as error:
+                raise ValueError(f"{error.filename}: cannot be read: {error.strerror}") from None
+        else:
+            raise ValueError("expected a list of files, or definitions by name")
+        used = {}
+        for name, plastics in info.data.get("elements", {}).items():
+            for plastic in plastics:
+                if plastic not in known:
+                    nearest = ", ".join(difflib.get_close_matches(plastic, known, 8, 0))
+                    raise ValueError(
+                        f"elements.{name}: unknown plastic {plastic!r}; known ones nearest to it: {nearest}"
+                    )
+                used[plastic] = known[plastic]
+        return used
+
+    @field_serializer("materials")
+    def _defined(self, materials: dict[str, Material]) -> dict:
+        return {name: material.definition() for name, material in materials.items()}
 
     @model_validator(mode="after")
     def _consistent(self):
@@ -84,6 +115,14 @@ class Study(Frozen):
                 raise ValueError(f"designs.{name}.start: 'best_imaging' needs a design by spot or least_squares")
         for name, plastics in self.elements.items():
             self._room_for(name, len(plastics))
+        for material in self.materials.values():
+            for wavelength in self.spec.wavelengths_um:
+                if not material.covers(wavelength):
+                    low, high = material.range_um
+                    raise ValueError(
+                        f"spec.wavelengths_um: {wavelength} um is outside the {low} to {high} um in which the "
+                        f"coefficients of {material.name} hold"
+                    )
         if self.images.size % self.restoration.multiple:
             raise ValueError(
                 f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
@@ -119,7 +158,11 @@ class Study(Frozen):
         """Every lens by name, `{elements}-{design}`."""
         return {
             f"{elements}-{name}": Lens(
-                name=f"{elements}-{name}", elements=elements, plastics=plastics, design_name=name, design=design
+                name=f"{elements}-{name}",
+                elements=elements,
+                plastics=tuple(self.materials[plastic] for plastic in plastics),
+                design_name=name,
+                design=design,
             )
             for elements, plastics in self.elements.items()
             for name, design in self.designs.items()

@@ -6,7 +6,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from tasklens.optics.catalogues import builtin
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR, Material
 from tasklens.optics.rays import Rays, launch
 from tasklens.recognition.data import Pictures
 
@@ -17,8 +19,13 @@ def f64(values) -> Tensor:
     return torch.as_tensor(values, dtype=torch.float64)
 
 
+def materials(*names: str) -> tuple[Material, ...]:
+    """Built-in plastics by name, and air."""
+    return tuple(AIR if name == "air" else builtin(name) for name in names)
+
+
 def make_lens(curvature, thickness, media, *, conic=None, alpha=None, semi_diameter=None, stop=0) -> Lens:
-    """A lens in float64; spherical, without aspheres and unlimited where nothing else is said."""
+    """A lens in float64; spherical, without aspheres and unlimited where nothing else is said; media may be names."""
     surfaces = len(media)
     return Lens(
         curvature=f64(curvature),
@@ -26,7 +33,7 @@ def make_lens(curvature, thickness, media, *, conic=None, alpha=None, semi_diame
         alpha=f64(alpha) if alpha is not None else torch.zeros(surfaces, 0, dtype=torch.float64),
         thickness=f64(thickness),
         semi_diameter=f64(semi_diameter if semi_diameter is not None else [torch.inf] * surfaces),
-        media=tuple(media),
+        media=tuple(medium if isinstance(medium, Material) else materials(medium)[0] for medium in media),
         stop=stop,
     )
 

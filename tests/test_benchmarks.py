@@ -9,6 +9,7 @@ import pytest
 @pytest.mark.parametrize(
     "script, column, options",
     [
+        ("rays", "ratio", ["--rounds", "1"]),
         ("captures", "times faster", ["--rounds", "1"]),
         ("memory", "peak [GiB]", ["--captures", "5"]),
         ("step", "% of the step", ["--rounds", "1"]),

@@ -128,6 +128,29 @@ def test_restoration_and_tables_and_figure(lenses):
         assert file.read(8) == b"\x89PNG\r\n\x1a\n"
 
 
+def test_analyse_prints_the_table_of_a_lens_file(lenses, capsys):
+    """From the prescription and the spec in the file, without a study: the numbers that the design wrote."""
+    path = LAYOUT.lens("singlet-imaging1", 0)
+    with open(path) as file:
+        content = yaml.safe_load(file)
+    capsys.readouterr()
+    assert cli.main(["analyse", path, "--rays", "64"]) == 0
+    printed = capsys.readouterr().out
+    assert f"{content['figures']['efl_mm']:.4f}" in printed and content["worst_margin"]["limit"] in printed
+    assert all(f" {value:.2f} |" in printed for value in content["figures"]["rms_centroid_um"])
+
+
+def test_analyse_needs_the_spec_and_a_number_of_rays(lenses, capsys):
+    with open(LAYOUT.lens("singlet-imaging1", 0)) as file:
+        content = yaml.safe_load(file)
+    (lenses / "bare.yaml").write_text(yaml.safe_dump({k: v for k, v in content.items() if k != "spec"}))
+    assert cli.main(["analyse", "bare.yaml"]) == 2
+    assert capsys.readouterr().err.startswith("tasklens: bare.yaml: has no spec")
+    for wrong in ("0", "-3", "many"):
+        with pytest.raises(SystemExit):
+            cli.main(["analyse", "bare.yaml", "--rays", wrong])
+
+
 @pytest.mark.parametrize(
     "arguments, words",
     [

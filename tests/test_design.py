@@ -8,7 +8,7 @@ import numpy
 import pytest
 import torch
 import torch.nn.functional as F
-from examples import changed, difference, f64, random_lens, random_pictures, tiny_study
+from examples import changed, difference, f64, materials, random_lens, random_pictures, tiny_study
 from torch import nn
 
 from tasklens import jobs
@@ -32,7 +32,8 @@ from tasklens.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
 LOOKS = view(SPEC)
-PLASTICS = ("COC", "OKP4")
+NAMES = ("COC", "OKP4")
+PLASTICS = materials(*NAMES)
 SETTINGS = LeastSquares(method="least_squares")
 
 
@@ -49,7 +50,7 @@ def start():
 @pytest.mark.parametrize("elements", [1, 2, 3, 4])
 def test_flat_start_keeps_the_limits_and_has_no_power(elements):
     """Plane plates that can be made, a stop of EFL / (2 F), nothing bent."""
-    lens = flat(("COC",) * elements, SPEC, LIMITS)
+    lens = flat(materials("COC") * elements, SPEC, LIMITS)
     assert float(paraxial(lens, 0.5893).power) == 0
     assert float(lens.semi_diameter[lens.stop]) == pytest.approx(SPEC.efl_mm / (2 * SPEC.f_number), rel=1e-15)
     margins = manufacturing_margins(lens, LIMITS, torch.full_like(lens.thickness, 1.5))
@@ -107,7 +108,7 @@ def sphere_sag(radius: float, r: float) -> float:
 
 
 SEMI, R = 0.8, 2.0
-FLAT = flat(("COC",), SPEC, LIMITS)
+FLAT = flat(materials("COC"), SPEC, LIMITS)
 
 
 def plates(thickness, curvature=(0.0, 0.0, 0.0)):
@@ -426,7 +427,7 @@ def test_a_kick_that_makes_it_worse_is_forgotten(monkeypatch):
 
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):
-    study = parse(changed(tiny_study(), "elements", {"doublet": PLASTICS}))
+    study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
     job = jobs.design(study, "doublet-imaging1", 0)
     lens, notes = methods.finished(start, job, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()

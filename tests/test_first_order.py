@@ -1,64 +1,21 @@
-"""Materials, paraxial data and pupils, against tables, textbook formulas and real rays close to the axis."""
+"""Paraxial data and pupils, against textbook formulas and real rays close to the axis."""
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens
+from examples import WAVELENGTHS, f64, make_lens, materials, parallel_rays, random_lens
 
 from tasklens.design.start import flat, view
 from tasklens.optics.analysis import chief_points, trace_fields
-from tasklens.optics.materials import FITTED_UM, PLASTICS, refractive_index
+from tasklens.optics.catalogues import builtin
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import bundles, gauss_quadrature, rim, sobol_disc
-from tasklens.optics.rays import trace
+from tasklens.optics.tracing import trace
 from tasklens.settings import Constraints, Spec
 
-# nd and Vd as the makers of the plastics state them
-CATALOGUE = {
-    "COC": (1.53373, 56.20),
-    "PMMA": (1.49175, 57.42),
-    "PS": (1.59048, 30.85),
-    "PC": (1.58547, 29.90),
-    "OKP4HT": (1.63280, 23.33),
-    "OKP4": (1.60792, 26.89),
-}
-F_LINE, D_LINE, C_LINE = 0.4861, 0.5876, 0.6563
-
-
-def test_every_plastic_stands_in_the_catalogue():
-    assert set(CATALOGUE) == set(PLASTICS)
-
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_index_and_abbe_number(name):
-    """nd and Vd = (nd - 1) / (nF - nC), to the digits of the catalogue."""
-    nd = refractive_index(name, D_LINE)
-    vd = (nd - 1) / (refractive_index(name, F_LINE) - refractive_index(name, C_LINE))
-    assert nd == pytest.approx(CATALOGUE[name][0], abs=2e-5)
-    assert vd == pytest.approx(CATALOGUE[name][1], abs=3e-2)
-
-
-@pytest.mark.parametrize("name", PLASTICS)
-def test_dispersion_is_normal(name):
-    """In the visible a plastic's index falls with the wavelength."""
-    low, high = FITTED_UM
-    indices = [refractive_index(name, low + (high - low) * k / 40) for k in range(41)]
-    assert all(a > b for a, b in pairwise(indices))
-
-
-def test_unknown_medium_and_wavelength_outside_the_fit_raise():
-    assert refractive_index("air", 5.0) == 1.0
-    with pytest.raises(ValueError, match="PLASTIC"):
-        refractive_index("PLASTIC", 0.55)
-    for wavelength in (0.39, 0.81):
-        with pytest.raises(ValueError, match=str(wavelength)):
-            refractive_index("COC", wavelength)
-
-
-N = refractive_index("COC", 0.5893)
+N = builtin("COC").refractive_index(0.5893)
 
 
 @pytest.mark.parametrize("c1, c2, t", [(0.4, -0.2, 0.0), (0.4, -0.2, 1.1), (-0.3, 0.5, 0.7), (0.0, -0.5, 2.0)])
@@ -143,7 +100,7 @@ def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
 def test_bundles_fill_the_stop():
     """In front of the stop nothing bends: every field's rim rays meet the rim of the stop."""
     looks = view(Spec())
-    lens = flat(("COC",), Spec(), Constraints())
+    lens = flat(materials("COC"), Spec(), Constraints())
     record: list = []
     trace_fields(lens, looks, rim(16), record)
     radius = torch.hypot(record[0].x, record[0].y)

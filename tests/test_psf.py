@@ -1,29 +1,10 @@
-"""PSFs and spot figures from rays whose landing points are known."""
-
-import math
-from dataclasses import replace
+"""PSFs from rays whose landing points are known."""
 
 import pytest
 import torch
-from examples import difference, f64, landed, random_lens
+from examples import difference, f64, landed
 
-from tasklens.design.start import view
-from tasklens.optics.analysis import (
-    View,
-    centroid,
-    chief_points,
-    clear_semi_diameters,
-    encircled_energy_radius,
-    evaluation_psf,
-    figures,
-    relative_illumination,
-    rms_spot_radius,
-    trace_fields,
-)
 from tasklens.optics.psf import psf
-from tasklens.optics.pupil import rim, sobol_disc
-from tasklens.optics.rays import Fate
-from tasklens.settings import Spec
 
 PITCH, K = 2.0, 9  # [um], pixels
 ORIGIN = f64([[0.0, 0.0]])
@@ -105,80 +86,3 @@ def test_gradient_is_the_limit_of_differences():
     expected = difference(value, points, 1e-8)
     assert float(expected.abs().max()) > 0
     torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
-
-
-def test_spot_figures_of_a_ring():
-    """n points on a circle: RMS and every encircled-energy radius are its radius, the centroid its centre."""
-    angle = torch.arange(8, dtype=torch.float64) * math.pi / 4
-    rays = landed((2 + 0.5 * torch.cos(angle))[None, None], (1 + 0.5 * torch.sin(angle))[None, None])
-    middle = centroid(rays)
-    torch.testing.assert_close(middle, f64([[2.0, 1.0]]), rtol=0, atol=1e-15)
-    for radius in (rms_spot_radius(rays, middle), *(encircled_energy_radius(rays, middle, q) for q in (0.1, 0.5, 1))):
-        assert float(radius) == pytest.approx(0.5, abs=1e-14)
-    # About another point d away: RMS^2 = 0.5^2 + d^2
-    assert float(rms_spot_radius(rays, f64([[2.0, 2.2]]))) == pytest.approx(math.hypot(0.5, 1.2), abs=1e-14)
-
-
-def test_rms_is_a_root_of_a_mean_square_and_lost_rays_count_in_energy_only():
-    """Rays at 1, 2 and 3 from the centre, a fourth lost: RMS sqrt(14 / 3), half of the launched light within 2."""
-    rays = landed([[[1.0, -2.0, 3.0, 0.0]]], [[[0.0] * 4]], torch.tensor([[[True, True, True, False]]]))
-    assert float(rms_spot_radius(rays, ORIGIN)) == pytest.approx(math.sqrt(14 / 3), rel=1e-15)
-    assert float(encircled_energy_radius(rays, ORIGIN, 0.5)) == 2
-    assert float(encircled_energy_radius(rays, ORIGIN, 0.75)) == 3
-    assert math.isinf(float(encircled_energy_radius(rays, ORIGIN, 0.8)))
-
-
-def test_a_field_without_rays_is_no_perfect_spot():
-    rays = landed([[[0.0, 0.0]]], [[[0.0, 0.0]]], torch.zeros(1, 1, 2, dtype=torch.bool))
-    assert math.isinf(float(rms_spot_radius(rays, centroid(rays))))
-
-
-@pytest.fixture(scope="module")
-def lens():
-    """A short real lens with its stop in front, and a view of three of its fields."""
-    looks = view(Spec(kernel=31))
-    fields = looks.fields[[0, 4, 8]] * 0.5
-    stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
-
-
-def test_figures_agree_with_the_psf_and_the_rays(lens):
-    """What a lens file reports follows from its rays: valid share, energy in the window, RMS, distortion, centre."""
-    lens, looks = lens
-    found = figures(lens, looks, 512)
-    rays = trace_fields(lens, looks, sobol_disc(512, 0))
-    grid = evaluation_psf(lens, looks, 512)
-    # A ray within the outermost half pixel counts as inside, while the PSF shares it with the pixel beyond.
-    assert (f64(found["energy_in_window"]) - grid.sum((-2, -1)).mean(1)).abs().max() < 0.02
-    assert found["valid_fraction"] == [1.0] * 3
-    torch.testing.assert_close(f64(found["rms_centroid_um"]), 1e3 * rms_spot_radius(rays, centroid(rays)))
-    real = chief_points(lens, looks).norm(dim=-1)[1:] / looks.fields.norm(dim=-1)[1:] - 1
-    torch.testing.assert_close(f64(found["distortion"][1:]), real)
-    assert found["distortion"][0] == 0
-    assert all(a <= b for a, b in zip(found["rms_centroid_um"], found["rms_chief_ray_um"], strict=True))
-    assert all(a <= b for a, b in zip(found["radius_50_um"], found["radius_80_um"], strict=True))
-
-
-def test_illumination_is_relative_to_the_axis_and_none_where_light_is_lost(lens):
-    lens, looks = lens
-    light = relative_illumination(lens, looks)
-    assert float(light[0]) == pytest.approx(1, abs=1e-12)
-    assert (light[1:] > 0).all()
-    semi = lens.semi_diameter.clone()
-    semi[-1] = clear_semi_diameters(lens, View(looks.fields[:1], looks.efl, looks.wavelengths, 9.0, 31))[-1] * 1.001
-    clipped = relative_illumination(replace(lens, semi_diameter=semi), looks)
-    assert float(clipped[0]) == pytest.approx(1, abs=1e-12)
-    assert float(clipped[2]) == 0
-
-
-def test_clear_semi_diameters_pass_all_light_and_not_more(lens):
-    """A lens cut to them loses no ray of the rim; cut a little smaller at any surface it does."""
-    lens, looks = lens
-    used = clear_semi_diameters(lens, looks)
-    assert trace_fields(replace(lens, semi_diameter=used), looks, rim(64)).valid.all()
-    for i in range(1, len(used)):
-        cut = used.clone()
-        cut[i] *= 0.999
-        rays = trace_fields(replace(lens, semi_diameter=cut), looks, rim(64))
-        assert set(rays.lost_at[~rays.valid].tolist()) == {i}
-        assert (rays.fate[~rays.valid] == Fate.OUTSIDE).all()

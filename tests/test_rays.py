@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, difference, f64, make_lens, parallel_rays, random_lens, random_rays
+from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.optics.catalogues import builtin
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import refractive_index
-from tasklens.optics.rays import Fate, launch, trace
+from tasklens.optics.rays import Fate, launch
+from tasklens.optics.tracing import trace
 
 SEEDS = range(4)
 
@@ -103,14 +104,14 @@ def test_flat_plate_shifts_and_does_not_turn():
     rays = trace(lens, start, lens.refractive_indices((0.5893,)))
     exact(rays.l - start.l, 0.0, 1e-15)
     exact(rays.m - start.m, 0.0, 1e-15)
-    n = refractive_index("COC", 0.5893)
+    n = builtin("COC").refractive_index(0.5893)
     inside = torch.sqrt(1 - (start.l**2 + start.m**2) / n**2)
     exact(rays.x - start.x - t * start.l / n / inside - back * start.l / start.n, 0.0, 2e-15)
 
 
 def test_ellipsoid_focuses_collimated_light():
     """A surface of conic -1 / n^2 images a distant axial point without aberration at n R / (n - 1), on equal paths."""
-    n, radius = refractive_index("PMMA", 0.5893), 2.5
+    n, radius = builtin("PMMA").refractive_index(0.5893), 2.5
     lens = make_lens([1 / radius], [n * radius / (n - 1)], ("PMMA",), conic=[-1 / n**2])
     heights = torch.linspace(-1.5, 1.5, 31)
     rays = trace(lens, parallel_rays(heights), lens.refractive_indices((0.5893,)))
@@ -150,40 +151,6 @@ def test_sag_beyond_the_edge_of_the_conic_is_finite():
     assert all(torch.isfinite(t).all() for t in (value, slope, *gradients))
 
 
-PARAMETERS = ("curvature", "conic", "alpha", "thickness")
-
-
-def image_of(lens: Lens, **parameters):
-    """A fixed random combination of image points, directions and paths; it depends on every parameter."""
-    rays = trace(replace(lens, **parameters), random_rays(20, 7), lens.refractive_indices(WAVELENGTHS))
-    weights = torch.randn(4, *rays.x.shape, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
-    return (weights * torch.stack([rays.x, rays.y, rays.l, rays.path])).sum()
-
-
-@pytest.mark.parametrize("name", PARAMETERS)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_gradient_is_the_limit_of_differences(name, seed):
-    """Each parameter's derivative through the tracer agrees with a five-point difference to 1e-6."""
-    lens = random_lens(seed)
-    leaf = getattr(lens, name).clone().requires_grad_()
-    gradient = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf)[0]
-    expected = difference(lambda value: image_of(lens, **{name: value}), leaf.detach(), 1e-3)
-    assert (expected.abs().flatten(1 if expected.dim() > 1 else 0) > 1e-9).any()
-    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_forward_and_backward_mode_agree(seed):
-    """<gradient, v> = directional derivative along v, for all parameters at once."""
-    lens = random_lens(seed)
-    values = {name: getattr(lens, name) for name in PARAMETERS}
-    generator = torch.Generator().manual_seed(seed)
-    push = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
-    gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
-    _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (push,))
-    exact(along, sum((gradient[k] * push[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
-
-
 def fate_of(lens: Lens, rays) -> tuple[Fate, int]:
     traced = trace(lens, rays, lens.refractive_indices((0.5893,)))
     return Fate(int(traced.fate)), int(traced.lost_at)
@@ -205,7 +172,7 @@ def test_fates():
 def test_total_internal_reflection_begins_at_the_critical_angle():
     """Leaving glass through a sphere at height r, sin i = r / R: light passes while that is below 1 / n."""
     lens = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"))
-    critical = 1 / refractive_index("COC", 0.5893) / 0.8
+    critical = 1 / builtin("COC").refractive_index(0.5893) / 0.8
     assert fate_of(lens, parallel_rays([critical - 1e-3])) == (Fate.HIT, -1)
     assert fate_of(lens, parallel_rays([critical + 1e-3])) == (Fate.REFLECTED, 1)
 
@@ -230,6 +197,9 @@ def hostile() -> dict[str, Lens]:
         "overlapping": replace(steep, thickness=f64([0.1, -0.4, 0.0, -0.2, 1.0])),
         "half balls": make_lens([0.0, 1.0, -1.0, 1.0, -1.0], [0.1] * 5, steep.media),
     }
+
+
+PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 
 
 @pytest.mark.parametrize("name", hostile())

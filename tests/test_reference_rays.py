@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
-from tasklens.optics.rays import launch, trace
+from tasklens.optics.rays import launch
+from tasklens.optics.tracing import trace
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference" / "rays.json"
 LENSES = json.loads(REFERENCE.read_text())["lenses"] if REFERENCE.exists() else []
@@ -36,7 +38,7 @@ def read(entry: dict, dtype=torch.float64) -> Lens:
         torch.tensor(alpha, dtype=dtype).reshape(len(surfaces), orders),
         column("thickness"),
         torch.full((len(surfaces),), torch.inf, dtype=dtype),
-        tuple(str(i) for i in range(len(surfaces))),
+        (AIR,) * len(surfaces),
         entry["stop_index"],
     )
     object.__setattr__(lens, "table", [s["n_after"] for s in surfaces])

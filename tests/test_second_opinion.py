@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, random_lens
+from examples import WAVELENGTHS, f64, materials, random_lens
 
 from tasklens.design import least_squares
 from tasklens.design.start import flat, view
@@ -86,6 +86,6 @@ def test_a_finished_design():
     """A doublet by least squares, up to the corner of the paper's field."""
     spec, limits = Spec(), Constraints()
     settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=0)
-    lens = least_squares.design(flat(("COC", "OKP4"), spec, limits), view(spec), limits, settings, 0, [])
+    lens = least_squares.design(flat(materials("COC", "OKP4"), spec, limits), view(spec), limits, settings, 0, [])
     assert lens.alpha.any()
     assert_same_image_points(lens, view(spec))

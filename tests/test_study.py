@@ -10,6 +10,7 @@ from examples import changed, tiny_study
 
 from tasklens import jobs
 from tasklens.layout import SHARP
+from tasklens.optics.catalogues import builtin
 from tasklens.settings import Spec
 from tasklens.study import StudyError, dump, load, parse
 
@@ -23,6 +24,10 @@ MISTAKES = [
     ("format", 2, ["2", "1"]),
     ("elements.doublet", ["COC", "GLASS"], ["GLASS", "OKP4"]),
     ("elements.doublet", [], ["at least one"]),
+    ("materials", ["nowhere.yaml"], ["nowhere.yaml", "No such file"]),
+    ("materials", ["lens.txt"], ["lens.txt", "agf"]),
+    ("materials", "COC", ["COC", "list of files"]),
+    ("materials", {"X": {"formula": "schott"}}, ["X", "coefficients"]),
     ("elements", {}, ["at least 1"]),
     ("spec.kernel", 50, ["50", "odd"]),
     ("spec.kernel", 1, ["1", "3"]),
@@ -85,7 +90,7 @@ def test_best_imaging_needs_an_imaging_design():
 
 
 IMPOSSIBLE = [
-    ("spec.wavelengths_um", [0.9, 0.6, 0.5]),  # outside the fitted range
+    ("spec.wavelengths_um", [2.4, 0.6, 0.5]),  # outside the plastic's fitted range
     ("images", {"size": 16, "train": 1, "minival": 1, "test": 3}),  # fewer pictures than classes
     ("spec.wavelengths_um", [0.4861, 0.5893, 0.6563]),  # blue, green, red
     ("constraints.min_back_focus", 3.8),  # no room left for plates
@@ -154,7 +159,7 @@ def test_lenses_are_every_element_choice_with_every_design():
     study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
     expected = {f"{e}-{d}" for e, d in itertools.product(["singlet", "doublet"], tiny_study()["designs"])}
     assert set(study.lenses) == expected
-    assert study.lens("doublet-imaging1").plastics == ("COC", "OKP4")
+    assert study.lens("doublet-imaging1").plastics == (builtin("COC"), builtin("OKP4"))
     for call, name in ((study.lens, "doublet"), (study.classifier, "nobody")):
         with pytest.raises(StudyError, match=name):
             call(name)
@@ -209,6 +214,38 @@ def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value,
     assert before.keys() == after.keys()
     touched = {job for job in before if before[job] != after[job]}
     assert touched == {job for job in before if reads(job)}
+
+
+MINE = builtin("COC").definition() | {"coefficients": [2.3, 0.01, 0.037, 0, 0, 0], "range_um": [0.45, 0.7]}
+
+
+def test_plastics_come_from_the_users_files(tmp_path):
+    """YAML and AGF, a new name and a built-in one; the resolved study needs the files no more."""
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"MINE": MINE}))
+    (tmp_path / "maker.agf").write_text("NM COC 5 0 1.5 50\nCD 1.5 0.01 0.002\nLD 0.45 0.7\n")
+    study = changed(tiny_study(), "elements", {"doublet": ["MINE", "COC"], "singlet": ["PMMA"]})
+    study = parse(study | {"materials": [str(tmp_path / name) for name in ("mine.yaml", "maker.agf")]})
+    mine, coc = study.lens("doublet-imaging1").plastics
+    assert mine.definition() == MINE and coc.formula == "conrady"
+    assert set(study.materials) == {"MINE", "COC", "PMMA"}
+    for name in ("mine.yaml", "maker.agf"):
+        (tmp_path / name).unlink()
+    (tmp_path / "study.yaml").write_text(dump(study))
+    assert load(tmp_path / "study.yaml") == study
+
+
+def test_a_wavelength_outside_a_used_plastics_range_is_named():
+    study = changed(tiny_study(), "elements.singlet", ["MINE"]) | {"materials": {"MINE": MINE}}
+    with pytest.raises(StudyError, match=r"0\.72.*0\.45 to 0\.7.*MINE"):
+        parse(changed(study, "spec.wavelengths_um", [0.72, 0.6, 0.5]))
+
+
+def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
+    study = changed(tiny_study(), "elements", {"doublet": ["OKP4", "MINE"], "singlet": ["COC"]})
+    before = slices(study | {"materials": {"MINE": MINE}})
+    after = slices(study | {"materials": {"MINE": MINE | {"coefficients": [2.31, 0.01, 0.037, 0, 0, 0]}}})
+    touched = {job for job in before if before[job] != after[job]}
+    assert touched == {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
 
 
 def test_tables_hold_the_lenses_of_the_paper():

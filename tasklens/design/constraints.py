@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis import View, clear_semi_diameters
+from tasklens.optics.analysis import View, clear_semi_diameters, distortion
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
 from tasklens.settings import Constraints
 
@@ -23,7 +25,7 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
         semi_diameter: (S,) radius that light uses on each surface [mm]; taken as given, without gradient.
     """
     semi = semi_diameter.detach().clamp(min=float(lens.semi_diameter[lens.stop]))
-    element = torch.tensor([medium != "air" for medium in lens.media[:-1]])
+    element = torch.tensor([medium != AIR for medium in lens.media[:-1]])
     shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
 
     def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:
@@ -52,14 +54,10 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tens
     Args:
         chief: (F, 2) image points of the chief rays of `view` [mm].
     """
-    power = view.efl * paraxial(lens, view.wavelengths[len(view.wavelengths) // 2]).power
-    ideal = view.fields.norm(dim=-1)
-    off_axis = ideal > 0
-    # Along the field: finite and smooth also where a start has its image upside down.
-    along = (chief * view.fields).sum(-1)[off_axis] / ideal[off_axis] ** 2 - 1
+    power = view.efl * paraxial(lens, view.reference).power
     return {
         "efl_tolerance": limits.efl_tolerance - (power[None] - 1).abs(),
-        "distortion": limits.distortion - along.abs(),
+        "distortion": limits.distortion - distortion(view.fields, chief)[view.radii > 0].abs(),
     }
 
 
@@ -74,8 +72,8 @@ def _scale(name: str) -> float:
 
 def corner_view(view: View) -> View:
     """The axis and the corner of the field in the middle colour: enough to know how much of a surface light uses."""
-    extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.fields.norm(dim=-1).argmax()]])
-    return View(extreme, view.efl, (view.wavelengths[len(view.wavelengths) // 2],), view.pixel_pitch, view.kernel)
+    extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.radii.argmax()]])
+    return replace(view.in_reference(), fields=extreme)
 
 
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:

@@ -18,6 +18,7 @@ from tasklens.design.constraints import first_order_margins, manufacturing_margi
 from tasklens.design.start import ORDERS, Variables
 from tasklens.optics.analysis import View, trace_fields
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import gauss_quadrature
 from tasklens.progress import Progress
@@ -56,7 +57,9 @@ class Merit:
         middle = len(view.wavelengths) // 2
         x, y, valid = rays.x[..., :-1], rays.y[..., :-1], rays.valid[..., :-1]
         chief_y = rays.y[:, middle, -1]
-        centre = (y * weight).sum(-1).mean(-1) if self.settings.reference == "centroid" else chief_y
+        arrived = valid * weight
+        centroid_y = (y * arrived).sum((1, 2)) / arrived.sum((1, 2)).clamp(min=1e-12)
+        centre = centroid_y if self.settings.reference == "centroid" else chief_y
         # From axis to corner the weight of a field goes geometrically from 1 to `corner_weight`.
         field = self.settings.corner_weight ** torch.tensor(_HEIGHTS, dtype=torch.float64)
         share = torch.sqrt(field[:, None, None] / field.sum() * weight / len(view.wavelengths))
@@ -124,7 +127,7 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
         curvature[glass] = torch.from_numpy(rng.uniform(-strongest, strongest, len(glass)))
         curvature[glass[-1]] = 0
         for i in glass[:-1]:
-            least = limits.min_centre_thickness if flat.media[i] != "air" else 2 * limits.min_air_gap
+            least = limits.min_centre_thickness if flat.media[i] != AIR else 2 * limits.min_air_gap
             thickness[i] = rng.uniform(least, _SPACES * view.efl)
         lens = replace(flat, curvature=curvature, thickness=thickness)
         without = paraxial(lens, middle).power

@@ -10,7 +10,8 @@ from tasklens.design import descent, least_squares, spot
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.start import flat, view
 from tasklens.jobs import DesignJob
-from tasklens.optics.analysis import chief_points, clear_semi_diameters, figures
+from tasklens.optics.analysis import chief_points, clear_semi_diameters
+from tasklens.optics.datasheet import figures
 from tasklens.optics.lens import Lens
 from tasklens.recognition.data import Pictures
 from tasklens.settings import EndToEnd, LeastSquares, Rates, Spot, Task

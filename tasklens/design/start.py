@@ -8,6 +8,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis import View, clear_semi_diameters
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR, Material
 from tasklens.settings import FLAT_TRACK, Constraints, Rates, Spec
 
 ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
@@ -22,15 +23,15 @@ def view(spec: Spec) -> View:
     return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel)
 
 
-def flat(plastics: tuple[str, ...], spec: Spec, constraints: Constraints) -> Lens:
+def flat(plastics: tuple[Material, ...], spec: Spec, constraints: Constraints) -> Lens:
     """Plane-parallel plates behind a stop: the lens that knows nothing."""
     elements = len(plastics)
     back = max(_BACK * spec.efl_mm, constraints.min_back_focus)
     room = FLAT_TRACK * spec.efl_mm - constraints.stop_distance - back
     plate = room / (elements + _AIR * (elements - 1))
-    media, thickness = ["air"], [constraints.stop_distance]
+    media, thickness = [AIR], [constraints.stop_distance]
     for plastic in plastics:
-        media += [plastic, "air"]
+        media += [plastic, AIR]
         thickness += [plate, _AIR * plate]
     thickness[-1] = back
     surfaces = len(media)

@@ -8,4 +8,6 @@ Conventions, stated once:
 - A field is the point (X, Y) in mm on the image plane where a pinhole of the specified focal length f puts it; its
   light is a collimated bundle with direction tangents (X / f, Y / f). Pictures and PSFs live in sensor coordinates:
   columns run along x, rows along y.
+- Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
+- A ray that is lost keeps its share of the launched light: it lowers energies and MTF. An RMS is of rays that arrive.
 """

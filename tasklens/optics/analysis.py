@@ -1,18 +1,23 @@
-"""What a lens does: its optical figures, field by field."""
+"""How a lens is looked at, and what its rays do on the image plane: chief rays, spots, fans, distortion, apertures.
+
+A lost ray is no ray: it has no point in a spot diagram (NaN), no part in an RMS, and keeps its share of the energy that
+was launched, which no radius encircles.
+"""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from tasklens.optics.lens import Lens
-from tasklens.optics.paraxial import paraxial
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import bundles, rim, sobol_disc
-from tasklens.optics.rays import Rays, trace
+from tasklens.optics.rays import Rays
+from tasklens.optics.tracing import trace
 
-_RIM = 64  # rays around the pupil for relative illumination and semi-diameters
+_RIM = 64  # rays around the pupil for semi-diameters
+_CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # of the pupil: where chief rays go through
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,31 @@ class View:
         """(F, 2) direction tangents of the fields."""
         return self.fields / self.efl
 
+    @property
+    def radii(self) -> Tensor:
+        """(F,) distances of the fields from the axis [mm]."""
+        return self.fields.norm(dim=-1)
+
+    @property
+    def directions(self) -> Tensor:
+        """(F, 2) unit vectors from the axis towards the fields, the tangential direction of each; +y on the axis."""
+        radius = self.radii[:, None]
+        along_y = torch.tensor([0.0, 1.0], dtype=self.fields.dtype)
+        return torch.where(radius > 0, self.fields / torch.where(radius > 0, radius, 1.0), along_y)
+
+    @property
+    def reference(self) -> float:
+        """The middle wavelength [um]."""
+        return self.wavelengths[len(self.wavelengths) // 2]
+
+    def in_reference(self) -> "View":
+        """The same view in the middle wavelength alone."""
+        return replace(self, wavelengths=(self.reference,))
+
+    def in_meridian(self) -> "View":
+        """The same view with every field turned about the axis onto +y; to a lens of rotation that is the same."""
+        return replace(self, fields=torch.stack([torch.zeros_like(self.radii), self.radii], -1))
+
 
 def trace_fields(lens: Lens, view: View, pupil: Tensor, record: list | None = None) -> Rays:
     """Rays (F, W, N) of every field and wavelength of `view` through the points `pupil` (N, 2), on the image plane."""
@@ -45,11 +75,26 @@ def trace_fields(lens: Lens, view: View, pupil: Tensor, record: list | None = No
     return trace(lens, rays, lens.refractive_indices(view.wavelengths), record)
 
 
+def chief_rays(lens: Lens, view: View, record: list | None = None) -> Rays:
+    """Chief rays (F, 1, 1), through the centre of the pupil at the middle wavelength, on the image plane."""
+    return trace_fields(lens, view.in_reference(), _CENTRE, record)
+
+
 def chief_points(lens: Lens, view: View) -> Tensor:
-    """(F, 2) where the chief ray of each field meets the image plane at the middle wavelength [mm]."""
-    rays = trace_fields(lens, view, torch.zeros(1, 2, dtype=torch.float64))
-    middle = len(view.wavelengths) // 2
-    return torch.stack([rays.x[:, middle, 0], rays.y[:, middle, 0]], -1)
+    """(F, 2) where the chief ray of each field meets the image plane [mm]; where it was lost, if it is."""
+    rays = chief_rays(lens, view)
+    return torch.stack([rays.x[:, 0, 0], rays.y[:, 0, 0]], -1)
+
+
+def distortion(fields: Tensor, chief: Tensor) -> Tensor:
+    """(F,) distortion h / h0 - 1: a fraction, negative for a barrel, zero on the axis.
+
+    h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis, h the component of the chief
+    ray's point `chief` (F, 2) along it [mm]: an image upside down has a distortion near -2, not near 0.
+    """
+    squared = fields.square().sum(-1)
+    off_axis = squared > 0
+    return torch.where(off_axis, (chief * fields).sum(-1) / torch.where(off_axis, squared, 1.0) - 1, 0.0)
 
 
 def centroid(rays: Rays) -> Tensor:
@@ -59,6 +104,12 @@ def centroid(rays: Rays) -> Tensor:
     return torch.stack([(weight * v).sum((1, 2)) / total for v in (rays.x, rays.y)], -1)
 
 
+def spot_diagram(rays: Rays, centre: Tensor) -> Tensor:
+    """(F, W, N, 2) points (x, y) of the rays relative to `centre` (F, 2) of their field [mm]; NaN for a lost ray."""
+    points = torch.stack([rays.x, rays.y], -1) - centre[:, None, None]
+    return torch.where(rays.valid[..., None], points, torch.nan)
+
+
 def distances(rays: Rays, centre: Tensor) -> Tensor:
     """(F, W, N) distance of each ray from the point `centre` (F, 2) of its field [mm]; infinite for a lost ray."""
     distance = torch.hypot(rays.x - centre[:, 0, None, None], rays.y - centre[:, 1, None, None])
@@ -66,37 +117,54 @@ def distances(rays: Rays, centre: Tensor) -> Tensor:
 
 
 def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
-    """(F,) sqrt(mean(r^2)) of the valid rays about `centre` (F, 2) [mm]; infinite where no ray is valid."""
+    """(F,) sqrt(mean(r^2)) of the valid rays about `centre` (F, 2) [mm]; infinite where no ray is valid.
+
+    Of the rays that arrive: to be read beside the valid fraction.
+    """
     squared = torch.where(rays.valid, distances(rays, centre).square(), 0.0)
     count = rays.valid.sum((1, 2))
     return torch.where(count > 0, torch.sqrt(squared.sum((1, 2)) / count.clamp(min=1)), torch.inf)
 
 
 def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tensor:
-    """(F,) radius about `centre` that holds `fraction` of the launched rays [mm]; infinite where too many are lost."""
-    ordered = distances(rays, centre).flatten(1).sort(1).values
-    return ordered[:, math.ceil(fraction * ordered.shape[1]) - 1]
+    """(F,) smallest radius about `centre` (F, 2) that holds `fraction` of the launched rays [mm].
 
-
-def relative_illumination(lens: Lens, view: View) -> Tensor:
-    """(F,) illuminance of each field over that of the axis, at the middle wavelength; zero for a lost field.
-
-    Illuminance is the area that the bundle covers in the plane of direction cosines (l, m) behind the lens.
+    A lens that loses light has the larger radius for it, an infinite one if too little arrives.
     """
-    on_axis = torch.zeros(1, 2, dtype=view.fields.dtype)
-    middle = (view.wavelengths[len(view.wavelengths) // 2],)
-    with_axis = View(torch.cat([on_axis, view.fields]), view.efl, middle, view.pixel_pitch, view.kernel)
-    rays = trace_fields(lens, with_axis, rim(_RIM))
-    l, m = rays.l[:, 0], rays.m[:, 0]
-    area = 0.5 * (l * m.roll(-1, -1) - m * l.roll(-1, -1)).sum(-1).abs()
-    area = torch.where(rays.valid[:, 0].all(-1), area, 0.0)
-    return torch.where(area[0] > 0, area[1:] / area[0].clamp(min=1e-12), 0.0)
+    ordered = distances(rays, centre).flatten(1).sort(1).values
+    needed = math.ceil(fraction * ordered.shape[1] * (1 - 1e-12))  # 0.1 x 30 is 3.0000000000000004
+    return ordered[:, max(needed, 1) - 1]
+
+
+@dataclass(frozen=True)
+class RayFans:
+    """Transverse ray aberrations of F fields and W wavelengths across the pupil, each field turned onto +y.
+
+    Attributes:
+        pupil: (N,) part of the pupil's radius, -1 to 1.
+        tangential: (F, W, N, 2) errors (ex, ey) [mm] of the rays through (0, p), along the field.
+        sagittal: (F, W, N, 2) errors (ex, ey) [mm] of the rays through (p, 0), across it.
+    """
+
+    pupil: Tensor
+    tangential: Tensor
+    sagittal: Tensor
+
+
+def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
+    """Fans of `count` rays: landing point less that of the chief ray of the middle wavelength; NaN for a lost ray."""
+    turned = view.in_meridian()
+    pupil = torch.linspace(-1, 1, count, dtype=torch.float64)
+    zero = torch.zeros_like(pupil)
+    points = torch.cat([torch.stack([zero, pupil], -1), torch.stack([pupil, zero], -1)])
+    errors = spot_diagram(trace_fields(lens, turned, points), chief_points(lens, turned))
+    return RayFans(pupil, errors[:, :, :count], errors[:, :, count:])
 
 
 def clear_semi_diameters(lens: Lens, view: View) -> Tensor:
     """(S,) largest height at which a valid ray of any field and wavelength meets each surface [mm]."""
     record: list[Rays] = []
-    trace_fields(lens, view, torch.cat([rim(_RIM), torch.zeros(1, 2, dtype=torch.float64)]), record)
+    trace_fields(lens, view, torch.cat([rim(_RIM), _CENTRE]), record)
     heights = [torch.where(r.lost_at < 0, torch.hypot(r.x, r.y), 0.0).max() for r in record]
     return torch.stack(heights)
 
@@ -105,34 +173,3 @@ def evaluation_psf(lens: Lens, view: View, rays: int) -> Tensor:
     """(F, W, K, K) PSFs centred on the chief rays, from `rays` fixed pupil points."""
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
     return psf(traced, chief_points(lens, view), view.pixel_pitch, view.kernel)
-
-
-def figures(lens: Lens, view: View, rays: int) -> dict:
-    """Optical figures of a finished lens, as plain numbers for its file.
-
-    Lengths in mm, spots in um, one entry per field in the lists. Encircled energy is about the polychromatic
-    centroid, like the RMS; distortion is that of the chief ray against the pinhole point, zero on the axis.
-    """
-    lens = lens.detached()
-    first_order = paraxial(lens, view.wavelengths[len(view.wavelengths) // 2])
-    traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
-    middle, chief = centroid(traced), chief_points(lens, view)
-    offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
-    half_window = view.kernel * view.pixel_pitch / 2e3
-    inside = traced.valid & (torch.maximum(*offset) < half_window)
-    ideal, real = view.fields.norm(dim=-1), chief.norm(dim=-1)
-    distortion = torch.where(ideal > 0, (real - ideal) / ideal.clamp(min=1e-12), 0.0)
-    return {
-        "efl_mm": float(first_order.efl),
-        "bfl_mm": float(first_order.bfl),
-        "f_number": float(first_order.efl / (2 * first_order.entrance_pupil_radius)),
-        "track_mm": float(lens.thickness[lens.stop :].sum()),
-        "valid_fraction": traced.valid.double().mean((1, 2)).tolist(),
-        "energy_in_window": inside.double().mean((1, 2)).tolist(),
-        "rms_centroid_um": (1e3 * rms_spot_radius(traced, middle)).tolist(),
-        "rms_chief_ray_um": (1e3 * rms_spot_radius(traced, chief)).tolist(),
-        "radius_50_um": (1e3 * encircled_energy_radius(traced, middle, 0.5)).tolist(),
-        "radius_80_um": (1e3 * encircled_energy_radius(traced, middle, 0.8)).tolist(),
-        "distortion": distortion.tolist(),
-        "relative_illumination": relative_illumination(lens, view).tolist(),
-    }

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from tasklens.optics.materials import refractive_index
+from tasklens.optics.materials import AIR, Material
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Lens:
         alpha: (S, M) asphere coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)].
         thickness: (S,) axial distance to the next surface, the last to the image plane [mm].
         semi_diameter: (S,) radius of the clear aperture [mm]; infinite where nothing clips.
-        media: S names, the medium behind each surface ("air" or a plastic).
+        media: S materials, the medium behind each surface.
         stop: index of the stop; its semi-diameter is the radius of the stop.
     """
 
@@ -27,7 +27,7 @@ class Lens:
     alpha: Tensor
     thickness: Tensor
     semi_diameter: Tensor
-    media: tuple[str, ...]
+    media: tuple[Material, ...]
     stop: int
 
     def __post_init__(self):
@@ -47,7 +47,7 @@ class Lens:
     @property
     def glass(self) -> tuple[int, ...]:
         """Indices of the surfaces that bound an element: those where the medium changes."""
-        before = ("air", *self.media[:-1])
+        before = (AIR, *self.media[:-1])
         return tuple(i for i, (a, b) in enumerate(zip(before, self.media, strict=True)) if a != b)
 
     @property
@@ -57,7 +57,7 @@ class Lens:
 
     def refractive_indices(self, wavelengths: tuple[float, ...]) -> Tensor:
         """(S + 1, W) indices before the lens and behind each surface, at W wavelengths [um]."""
-        rows = [[refractive_index(medium, w) for w in wavelengths] for medium in ("air", *self.media)]
+        rows = [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *self.media)]
         return torch.tensor(rows, dtype=self.dtype)
 
     def stopped(self, scale: float) -> "Lens":

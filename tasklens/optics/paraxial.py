@@ -30,25 +30,39 @@ class Paraxial:
     entrance_pupil_radius: Tensor
 
 
-def _propagate(lens: Lens, indices: Tensor, height: Tensor, reduced_angle: Tensor, surfaces: range):
-    """Height y and reduced angle n u of a paraxial ray behind the last of `surfaces`."""
-    for i in surfaces:
-        if i > surfaces.start:
-            height = height + reduced_angle / indices[i] * lens.thickness[i - 1]
-        strength = lens.curvature[i] + (2 * lens.alpha[i, 0] if lens.alpha.shape[1] else 0)
-        reduced_angle = reduced_angle - height * (indices[i + 1] - indices[i]) * strength
-    return height, reduced_angle
+def vertex_curvature(lens: Lens) -> Tensor:
+    """(S,) curvature at the vertex, c + 2 alpha_2 [1/mm]."""
+    return lens.curvature + (2 * lens.alpha[:, 0] if lens.alpha.shape[1] else 0)
+
+
+def paraxial_ray(lens: Lens, indices: Tensor, height: Tensor, reduced_angle: Tensor) -> tuple[Tensor, Tensor]:
+    """Paraxial rays through all surfaces: n' u' = n u - y (n' - n) (c + 2 alpha_2), y_next = y + u' t.
+
+    Args:
+        indices: (S + 1,) refractive indices before the lens and behind each surface.
+        height: y [mm] at the first vertex, any shape.
+        reduced_angle: n u in front of it, of the same shape.
+
+    Returns:
+        (S, ...) heights y at the surfaces [mm], (S + 1, ...) reduced angles n u before the lens and behind each.
+    """
+    strength = (indices[1:] - indices[:-1]) * vertex_curvature(lens)
+    heights, angles = [], [reduced_angle]
+    for i in range(len(lens.media)):
+        if i > 0:
+            height = height + angles[-1] / indices[i] * lens.thickness[i - 1]
+        heights.append(height)
+        angles.append(angles[-1] - height * strength[i])
+    return torch.stack(heights), torch.stack(angles)
 
 
 def paraxial(lens: Lens, wavelength: float) -> Paraxial:
     """First-order data of `lens` at `wavelength` [um]; an afocal lens has infinite focal lengths."""
     n = lens.refractive_indices((wavelength,))[:, 0]
-    one, zero = torch.ones((), dtype=lens.dtype), torch.zeros((), dtype=lens.dtype)
-    height, angle = _propagate(lens, n, one, zero, range(len(lens.media)))
-    efl, bfl = -1 / angle, -height / (angle / n[-1])
-    # Two rays through the surfaces before the stop form the matrix (A B; C D) from the first vertex to the stop.
-    front = range(lens.stop + 1)
-    a, _ = _propagate(lens, n, one, zero, front)
-    b, _ = _propagate(lens, n, zero, one, front)
+    # Two rays, from (y, n u) = (1, 0) and (0, 1), form the matrix (A B; C D) from the first vertex to every other.
+    unit = torch.eye(2, dtype=lens.dtype)
+    heights, angles = paraxial_ray(lens, n, *unit)
+    height, angle = heights[-1, 0], angles[-1, 0]
+    a, b = heights[lens.stop]
     # The ray that meets the stop on its axis comes from height y0, angle u0 with a y0 + b u0 = 0: it crosses z = b / a.
-    return Paraxial(-angle, efl, bfl, b / a, lens.semi_diameter[lens.stop] / a.abs())
+    return Paraxial(-angle, -1 / angle, -height / (angle / n[-1]), b / a, lens.semi_diameter[lens.stop] / a.abs())

@@ -1,4 +1,4 @@
-"""A picture of a lens: cross-section with rays, spot diagrams and PSFs from axis to corner."""
+"""A picture of a lens: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
 
 from pathlib import Path
 
@@ -11,13 +11,15 @@ from matplotlib import pyplot as plt
 from matplotlib.patches import Circle
 
 from tasklens.files import replacing
-from tasklens.optics.analysis import View, centroid, trace_fields
+from tasklens.optics.analysis import View, centroid, ray_fans, spot_diagram, trace_fields
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
+from tasklens.optics.materials import AIR
 from tasklens.optics.pupil import sobol_disc
 
 _SHOWN = (0, 4, 8)  # of the nine fields: axis, middle of the field, corner
 _COLOURS = ("tab:blue", "tab:green", "tab:red")
+_BY_WAVELENGTH = ("tab:red", "tab:green", "tab:blue")  # as in a specification: red, green, blue
 
 
 def draw(path: Path, title: str, lens: Lens, view: View, psf: Tensor, figures: dict) -> None:
@@ -29,16 +31,15 @@ def draw(path: Path, title: str, lens: Lens, view: View, psf: Tensor, figures: d
         psf: (F, 3, K, K) cached PSFs.
         figures: what the lens file says of it, for the captions.
     """
-    shape = plt.figure(figsize=(11, 7), layout="constrained")
-    grid = shape.add_gridspec(2, 6, height_ratios=(1.3, 1))
+    shape = plt.figure(figsize=(11, 9), layout="constrained")
+    grid = shape.add_gridspec(3, 6, height_ratios=(1.3, 1, 0.8))
     _cross_section(shape.add_subplot(grid[0, :]), lens, view)
     rays = trace_fields(lens, view, sobol_disc(1024, 0))
-    middle = 1e3 * centroid(rays)
+    spots = 1e3 * spot_diagram(rays, centroid(rays))[:, 1]
+    fans = ray_fans(lens, view, 41)
     for k, field in enumerate(_SHOWN):
         axes = shape.add_subplot(grid[1, 2 * k])
-        valid = rays.valid[field, 1]
-        x, y = (1e3 * v[field, 1][valid] - middle[field, i] for i, v in enumerate((rays.x, rays.y)))
-        axes.scatter(x, y, s=0.3, color=_COLOURS[k])
+        axes.scatter(*spots[field].T, s=0.3, color=_COLOURS[k])
         axes.add_patch(Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.8))
         half = view.kernel * view.pixel_pitch / 2
         axes.set(xlim=(-half, half), ylim=(half, -half), aspect="equal", xlabel="um")
@@ -48,6 +49,13 @@ def draw(path: Path, title: str, lens: Lens, view: View, psf: Tensor, figures: d
         axes.imshow((shown / shown.max()).sqrt().numpy())  # the square root shows the tail
         axes.set_title(f"inside {figures['energy_in_window'][field]:.2f}", fontsize=9)
         axes.set(xticks=[], yticks=[])
+        for column, (errors, label) in enumerate(((fans.tangential[..., 1], "py"), (fans.sagittal[..., 0], "px"))):
+            axes = shape.add_subplot(grid[2, 2 * k + column])
+            for w, colour in enumerate(_BY_WAVELENGTH):
+                axes.plot(fans.pupil, 1e3 * errors[field, w], color=colour, lw=0.8)
+            axes.set(xlim=(-1, 1), ylim=(-half, half), xlabel=label)
+            axes.set_title(f"e{label[1]} [um]", fontsize=9)
+            axes.grid(lw=0.3)
     shape.suptitle(f"{title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}")
     with replacing(path) as temporary:
         shape.savefig(temporary, dpi=110, format="png")
@@ -69,7 +77,7 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
         else:
             axes.plot(z, height, color="black", lw=1)
     for i, medium in enumerate(lens.media[:-1]):
-        if medium != "air":
+        if medium != AIR:
             for end in (0, -1):
                 (z0, h0), (z1, h1) = edges[i], edges[i + 1]
                 axes.plot([z0[end], z1[end]], [h0[end], h1[end]], color="black", lw=1)

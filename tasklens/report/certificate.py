@@ -1,0 +1,87 @@
+"""The table of one lens: its first-order data, its figures field by field, its aberrations surface by surface."""
+
+from collections.abc import Mapping, Sequence
+
+import pandas
+
+# Column of a field: key of the lens file's figures, heading, digits behind the point.
+_FIELDS = (
+    ("angle_deg", "angle [deg]", 1),
+    ("valid_fraction", "valid", 3),
+    ("energy_in_window", "in window", 3),
+    ("rms_centroid_um", "RMS centroid [um]", 2),
+    ("rms_chief_ray_um", "RMS chief [um]", 2),
+    ("radius_50_um", "EE50 [um]", 2),
+    ("radius_80_um", "EE80 [um]", 2),
+    ("mtf_tangential_quarter_nyquist", "MTF T 1/4", 3),
+    ("mtf_sagittal_quarter_nyquist", "MTF S 1/4", 3),
+    ("mtf_tangential_half_nyquist", "MTF T 1/2", 3),
+    ("mtf_sagittal_half_nyquist", "MTF S 1/2", 3),
+    ("distortion_percent", "distortion [%]", 2),
+    ("focus_tangential_um", "focus T [um]", 1),
+    ("focus_sagittal_um", "focus S [um]", 1),
+    ("relative_illumination", "rel. illum.", 3),
+)
+_SEIDEL = {
+    "spherical": "S_I",
+    "coma": "S_II",
+    "astigmatism": "S_III",
+    "petzval": "S_IV",
+    "distortion": "S_V",
+    "axial_colour": "C_I",
+    "lateral_colour": "C_II",
+}
+_NOTE = """\
+{rays} rays per field and colour. Valid, in window, EE50, EE80 and MTF are of all launched rays, so that lost
+light counts against them; the RMS is of the rays that arrive. The MTF is geometric, at {quarter:.0f} and
+{half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist frequency): diffraction comes on top and ends every
+MTF at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus: of rays next to the chief ray, along
+z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of the pupil and the largest
+field, at the middle wavelength; C_I and C_II from the longest to the shortest wavelength. Distortion and
+relative illumination are at the middle wavelength too."""
+
+
+def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:
+    """The table of a lens as Markdown.
+
+    Args:
+        fields_mm: (X, Y) of each field [mm].
+        content: `figures` of the lens, and its `worst_margin` if it is known, as in its file.
+        by_surface: contributions of the surfaces to each Seidel sum [um].
+    """
+    figures = content["figures"]
+    lens = pandas.DataFrame(_lens(content).items(), columns=["figure", "value"])
+    fields = pandas.DataFrame({"field [mm]": [f"({x:.2f}, {y:.2f})" for x, y in fields_mm]})
+    for key, heading, digits in _FIELDS:
+        fields[heading] = [f"{value:.{digits}f}" for value in figures[key]]
+    columns = {_SEIDEL[key]: [*values, figures["seidel_um"][key]] for key, values in by_surface.items()}
+    surfaces = pandas.DataFrame(columns).map(lambda value: f"{value:.3f}")
+    surfaces.insert(0, "surface", [*map(str, range(len(surfaces) - 1)), "sum"])
+    nyquist = figures["nyquist_per_mm"]
+    note = _NOTE.format(
+        rays=figures["rays"], quarter=nyquist / 4, half=nyquist / 2, cutoff=figures["diffraction_cutoff_per_mm"]
+    )
+    parts = [f"# {title}", _table(lens), "## Fields", _table(fields), "## Aberrations [um]", _table(surfaces), note]
+    return "\n\n".join(parts) + "\n"
+
+
+def _lens(content: Mapping) -> dict[str, str]:
+    figures = content["figures"]
+    rows = {
+        "focal length [mm]": f"{figures['efl_mm']:.4f}",
+        "back focal length [mm]": f"{figures['bfl_mm']:.4f}",
+        "image distance [mm]": f"{figures['image_distance_mm']:.4f}",
+        "track, first surface to image [mm]": f"{figures['track_mm']:.4f}",
+        "F-number": f"{figures['f_number']:.3f}",
+        "entrance pupil, from the first surface [mm]": f"{figures['entrance_pupil_z_mm']:.4f}",
+        "entrance pupil diameter [mm]": f"{figures['entrance_pupil_diameter_mm']:.4f}",
+        "Airy radius [um]": f"{figures['airy_radius_um']:.2f}",
+        "diffraction cut-off [cycles/mm]": f"{figures['diffraction_cutoff_per_mm']:.0f}",
+    }
+    if "worst_margin" in content:
+        rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
+    return rows
+
+
+def _table(frame: pandas.DataFrame) -> str:
+    return frame.to_markdown(index=False, disable_numparse=True, stralign="right")

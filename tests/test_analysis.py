@@ -1,0 +1,221 @@
+"""Spots, ray fans, distortion, MTF and clear apertures, from rays that are known or traced one by one."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import WAVELENGTHS, f64, landed, make_lens, random_lens
+
+from tasklens.design.start import view
+from tasklens.optics.analysis import (
+    View,
+    centroid,
+    chief_points,
+    clear_semi_diameters,
+    distortion,
+    encircled_energy_radius,
+    ray_fans,
+    rms_spot_radius,
+    spot_diagram,
+    trace_fields,
+)
+from tasklens.optics.mtf import airy_radius, diffraction_cutoff, geometric_mtf
+from tasklens.optics.pupil import rim, sobol_disc
+from tasklens.optics.rays import Fate
+from tasklens.settings import Spec
+
+ORIGIN = f64([[0.0, 0.0]])
+ALONG_Y = f64([[0.0, 1.0]])
+
+
+def test_spot_figures_of_a_ring():
+    """n points on a circle: RMS and every encircled-energy radius are its radius, the centroid its centre."""
+    angle = torch.arange(8, dtype=torch.float64) * math.pi / 4
+    rays = landed((2 + 0.5 * torch.cos(angle))[None, None], (1 + 0.5 * torch.sin(angle))[None, None])
+    middle = centroid(rays)
+    torch.testing.assert_close(middle, f64([[2.0, 1.0]]), rtol=0, atol=1e-15)
+    for radius in (rms_spot_radius(rays, middle), *(encircled_energy_radius(rays, middle, q) for q in (0.1, 0.5, 1))):
+        assert float(radius) == pytest.approx(0.5, abs=1e-14)
+    # About another point d away: RMS^2 = 0.5^2 + d^2
+    assert float(rms_spot_radius(rays, f64([[2.0, 2.2]]))) == pytest.approx(math.hypot(0.5, 1.2), abs=1e-14)
+
+
+def test_rms_is_a_root_of_a_mean_square_and_lost_rays_count_in_energy_only():
+    """Rays at 1, 2 and 3 from the centre, a fourth lost: RMS sqrt(14 / 3), half of the launched light within 2."""
+    rays = landed([[[1.0, -2.0, 3.0, 0.0]]], [[[0.0] * 4]], torch.tensor([[[True, True, True, False]]]))
+    assert float(rms_spot_radius(rays, ORIGIN)) == pytest.approx(math.sqrt(14 / 3), rel=1e-15)
+    assert float(encircled_energy_radius(rays, ORIGIN, 0.5)) == 2
+    assert float(encircled_energy_radius(rays, ORIGIN, 0.75)) == 3
+    assert math.isinf(float(encircled_energy_radius(rays, ORIGIN, 0.8)))
+
+
+@pytest.mark.parametrize("count", [10, 30, 70, 1000])
+def test_encircled_energy_counts_exactly(count):
+    """Rays at 1 .. N from the centre: k of N rays lie within k, whatever k / N rounds to."""
+    x = torch.arange(1, count + 1, dtype=torch.float64)[None, None]
+    rays = landed(x, torch.zeros_like(x))
+    for k in range(1, 11):
+        assert float(encircled_energy_radius(rays, ORIGIN, k / 10)) == k * count // 10
+
+
+def test_a_field_without_rays_is_no_perfect_spot():
+    rays = landed([[[0.0, 0.0]]], [[[0.0, 0.0]]], torch.zeros(1, 1, 2, dtype=torch.bool))
+    assert math.isinf(float(rms_spot_radius(rays, centroid(rays))))
+    assert spot_diagram(rays, ORIGIN).isnan().all()
+    assert all(float(v) == 0 for v in geometric_mtf(rays, ALONG_Y, [0.0]))
+
+
+def test_spot_diagram_is_about_its_centre_and_without_lost_rays():
+    points = torch.randn(2, 3, 2, 50, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    valid = torch.rand(3, 2, 50, generator=torch.Generator().manual_seed(1)) < 0.8
+    rays = landed(*points, valid)
+    spots = spot_diagram(rays, centroid(rays))
+    assert torch.equal(spots.isnan().any(-1), ~valid)
+    torch.testing.assert_close(spots.nanmean((1, 2)), torch.zeros(3, 2, dtype=torch.float64), rtol=0, atol=1e-15)
+    torch.testing.assert_close(spots.square().sum(-1).nanmean((1, 2)).sqrt(), rms_spot_radius(rays, centroid(rays)))
+
+
+@pytest.fixture(scope="module")
+def lens():
+    """A short real lens with its stop in front, and a view of three of its fields."""
+    looks = view(Spec(kernel=31))
+    fields = looks.fields[[0, 4, 8]] * 0.5
+    stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
+
+
+def test_clear_semi_diameters_pass_all_light_and_not_more(lens):
+    """A lens cut to them loses no ray of the rim; cut a little smaller at any surface it does."""
+    lens, looks = lens
+    used = clear_semi_diameters(lens, looks)
+    assert trace_fields(replace(lens, semi_diameter=used), looks, rim(64)).valid.all()
+    for i in range(1, len(used)):
+        cut = used.clone()
+        cut[i] *= 0.999
+        rays = trace_fields(replace(lens, semi_diameter=cut), looks, rim(64))
+        assert set(rays.lost_at[~rays.valid].tolist()) == {i}
+        assert (rays.fate[~rays.valid] == Fate.OUTSIDE).all()
+
+
+def test_ray_fans_are_the_real_rays_of_the_field_turned(lens):
+    """Errors along and across the field, through pupil points along and across it, wherever the field stands."""
+    lens, looks = lens
+    fans = ray_fans(lens, looks, 9)
+    chief = chief_points(lens, looks)
+    for f, along in enumerate(looks.directions):
+        across = torch.stack([along[1], -along[0]])  # right-handed: (across, along) are (x, y) turned
+        for direction, found in ((along, fans.tangential), (across, fans.sagittal)):
+            one = replace(looks, fields=looks.fields[f : f + 1])
+            rays = trace_fields(lens, one, fans.pupil[:, None] * direction)
+            errors = spot_diagram(rays, chief[f : f + 1])[0]
+            expected = torch.stack([errors @ across, errors @ along], -1)
+            torch.testing.assert_close(found[f], expected, rtol=0, atol=1e-13)
+    assert float(fans.tangential[:, 1, 4].abs().max()) == 0  # the chief ray itself
+    torch.testing.assert_close(fans.tangential[0, ..., 1], fans.sagittal[0, ..., 0], rtol=0, atol=1e-14)  # on the axis
+
+
+def test_a_lost_ray_has_no_place_in_a_fan(lens):
+    lens, looks = lens
+    narrow = replace(lens, semi_diameter=lens.semi_diameter.clone())
+    narrow.semi_diameter[1] = 0.2
+    fans = ray_fans(narrow, replace(looks, fields=looks.fields[:1]), 5)
+    assert fans.tangential[0, 0, :, 0].isnan().tolist() == [True, False, False, False, True]
+
+
+def test_distortion_is_signed_and_along_the_field():
+    """10 % short: -0.1, a barrel; upside down: -2; sideways and on the axis: none."""
+    fields = f64([[3.0, 4.0], [3.0, 4.0], [3.0, 4.0], [0.0, 0.0]])
+    chief = f64([[2.7, 3.6], [-3.0, -4.0], [3.0 - 0.4, 4.0 + 0.3], [0.1, 0.0]])
+    torch.testing.assert_close(distortion(fields, chief), f64([-0.1, -2.0, 0.0, 0.0]), rtol=0, atol=1e-15)
+
+
+# ---- geometric MTF
+
+FREQUENCIES = f64([0.0, 10.0, 35.0, 80.0, 140.0])  # [cycles/mm]
+
+
+def test_mtf_of_two_points():
+    """Half of the light at each end of a line of length d along the field: |cos(pi f d)| along it, 1 across it."""
+    along = f64([0.6, -0.8])
+    d = 7e-3
+    ends = f64([2.0, 1.0]) + d / 2 * f64([[-1.0], [1.0]]) * along
+    tangential, sagittal = geometric_mtf(landed(*ends.T[:, None, None]), along[None], FREQUENCIES)
+    torch.testing.assert_close(tangential[0], torch.cos(math.pi * d * FREQUENCIES).abs(), rtol=0, atol=1e-11)
+    torch.testing.assert_close(sagittal[0], torch.ones(5, dtype=torch.float64), rtol=0, atol=1e-11)
+
+
+def test_mtf_is_that_of_the_light_of_all_colours():
+    """Each colour is a perfect point; a lateral colour of d leaves |cos(pi f d)|."""
+    d = 5e-3
+    rays = landed(torch.zeros(1, 2, 8), f64([0.0, d])[None, :, None].expand(1, 2, 8))
+    tangential, _ = geometric_mtf(rays, ALONG_Y, FREQUENCIES)
+    torch.testing.assert_close(tangential[0], torch.cos(math.pi * d * FREQUENCIES).abs(), rtol=0, atol=1e-13)
+
+
+def test_mtf_of_a_uniform_disc():
+    """2 J1(x) / x with x = 2 pi f R; Sobol points approach it much faster than 1 / sqrt(N)."""
+    radius = 6e-3
+    x = 2 * math.pi * radius * FREQUENCIES[1:]
+    exact = 2 * torch.special.bessel_j1(x) / x
+    errors = []
+    for count in (256, 4096, 65536):
+        worst = 0.0
+        for seed in range(4):
+            points = radius * sobol_disc(count, seed) + f64([0.3, -0.7])
+            found = geometric_mtf(landed(*points.T[:, None, None]), f64([[0.8, 0.6]]), FREQUENCIES[1:])
+            worst = max(worst, *(float((v[0] - exact.abs()).abs().max()) for v in found))
+        errors.append(worst)
+    assert errors[1] < errors[0] / 8 and errors[2] < errors[1] / 8  # a random set would gain 4 each time
+    assert errors[1] < 1e-3
+
+
+def test_mtf_of_a_gaussian():
+    """exp(-2 (pi f sigma)^2), with its own sigma in each direction."""
+    sigma = f64([4e-3, 1.5e-3])
+    uniform = torch.quasirandom.SobolEngine(2, scramble=True, seed=0).draw(8192, dtype=torch.float64)
+    points = sigma * math.sqrt(2) * torch.erfinv(2 * uniform - 1)
+    tangential, sagittal = geometric_mtf(landed(*points.T[:, None, None]), f64([[1.0, 0.0]]), FREQUENCIES)
+    expected = torch.exp(-2 * (math.pi * FREQUENCIES[:, None] * sigma) ** 2)
+    torch.testing.assert_close(torch.stack([tangential[0], sagittal[0]], -1), expected, rtol=0, atol=2e-3)
+
+
+def test_losing_rays_gains_no_contrast():
+    """A disc of which only the core arrives: the MTF begins at the valid fraction and stays below it."""
+    points = 6e-3 * sobol_disc(1024, 0)
+    core = points.norm(dim=-1) < 3e-3
+    tangential, _ = geometric_mtf(landed(*points.T[:, None, None], core[None, None]), ALONG_Y, FREQUENCIES)
+    alone, _ = geometric_mtf(landed(*points[core].T[:, None, None]), ALONG_Y, FREQUENCIES)
+    share = float(core.double().mean())
+    assert 0.2 < share < 0.3
+    torch.testing.assert_close(tangential, share * alone, rtol=1e-12, atol=0)
+
+
+def test_diffraction_of_a_perfect_lens():
+    """F/2.8 at 0.5893 um: 606 cycles/mm and 2.01 um; 1.22 is the first zero of J1 over pi."""
+    assert diffraction_cutoff(2.8, 0.5893) == pytest.approx(1 / (2.8 * 0.5893e-3))
+    zero = f64(math.pi * airy_radius(2.8, 0.5893) / (0.5893 * 2.8))
+    assert float(torch.special.bessel_j1(zero)) == pytest.approx(0, abs=1e-8)
+
+
+def test_directions_of_the_fields():
+    """Unit vectors along the fields, +y on the axis; turning the fields onto +y keeps their distances."""
+    looks = View(f64([[0, 0], [3, 4], [-1, 0]]), 5.0, WAVELENGTHS, 1.8, 3)
+    torch.testing.assert_close(looks.directions, f64([[0, 1], [0.6, 0.8], [-1, 0]]), rtol=0, atol=1e-15)
+    torch.testing.assert_close(looks.in_meridian().fields, f64([[0, 0], [0, 5], [0, 1]]), rtol=0, atol=1e-15)
+    assert looks.in_reference().wavelengths == (WAVELENGTHS[1],)
+
+
+def test_a_defocused_lens_has_the_mtf_of_its_cone():
+    """A slow perfect conic, out of focus by z: a uniform disc of radius z / (2 N)."""
+    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((0.5893,))[1, 0])
+    f = 50.0  # one hyperboloid behind glass images the axis perfectly: k = -n^2, c = -1 / (f (n - 1))
+    lens = make_lens(
+        [0.0, -1 / (f * (n - 1))], [1.0, f + 0.4], ("COC", "air"), conic=[0.0, -(n**2)], semi_diameter=[0.5, torch.inf]
+    )
+    looks = View(f64([[0.0, 0.0]]), f, (0.5893,), 1.8, 3)
+    tangential, sagittal = geometric_mtf(trace_fields(lens, looks, sobol_disc(4096, 0)), looks.directions, FREQUENCIES)
+    x = 2 * math.pi * (0.4 * 0.5 / f) * FREQUENCIES[1:]
+    exact = (2 * torch.special.bessel_j1(x) / x).abs()
+    torch.testing.assert_close(tangential[0, 1:], exact, rtol=0, atol=1e-3)
+    torch.testing.assert_close(sagittal[0, 1:], exact, rtol=0, atol=1e-3)

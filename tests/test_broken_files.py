@@ -1,0 +1,75 @@
+"""Whatever happens to a file of a lens or of materials, it is read or refused with a FileError that names it."""
+
+import random
+
+import pytest
+import test_catalogues
+import test_prescription
+import test_zemax
+import yaml
+
+from tasklens.files import FileError
+from tasklens.optics import catalogues, prescription, zemax
+
+LENS = yaml.safe_dump(prescription.to_dict(test_prescription.random_prescription(6)), sort_keys=False)
+JUNK = (
+    "",
+    "-",
+    "1e999",
+    "nan",
+    "INFINITY",
+    "99999999999",
+    "-1",
+    "0",
+    "x",
+    "[]",
+    "{}",
+    "1.5.2",
+    '"',
+    ":",
+    "\n",
+    "  ",
+    "true",
+)
+
+
+def damaged(text: str, generator: random.Random) -> str:
+    """The text with one to three words replaced, lines removed or repeated, or characters overwritten."""
+    for _ in range(generator.randint(1, 3)):
+        lines = text.split("\n")
+        row = generator.randrange(len(lines))
+        match generator.randrange(4):
+            case 0:
+                words = lines[row].split(" ")
+                words[generator.randrange(len(words))] = generator.choice(JUNK)
+                lines[row] = " ".join(words)
+            case 1:
+                del lines[row]
+            case 2:
+                lines.insert(row, generator.choice(lines))
+            case 3:
+                column = generator.randrange(len(lines[row]) + 1)
+                lines[row] = lines[row][:column] + generator.choice(JUNK) + lines[row][column + 1 :]
+        text = "\n".join(lines)
+    return text
+
+
+@pytest.mark.parametrize(
+    "name, text, read",
+    [
+        ("lens.zmx", test_zemax.TEXT, zemax.read),
+        ("lens.yaml", LENS, prescription.read),
+        ("maker.agf", test_catalogues.AGF, catalogues.read),
+        ("plastics.yaml", catalogues.PLASTICS.read_text(), catalogues.read),
+    ],
+)
+def test_a_damaged_file_is_read_or_refused(tmp_path, name, text, read):
+    generator, refused = random.Random(5), 0
+    for _ in range(150):
+        (tmp_path / name).write_text(damaged(text, generator))
+        try:
+            read(tmp_path / name)
+        except FileError as error:
+            assert name in str(error)
+            refused += 1
+    assert 30 < refused < 150

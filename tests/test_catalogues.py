@@ -1,0 +1,75 @@
+"""Files of materials: Zemax's catalogues in every encoding, our YAML, and which of several defines a name."""
+
+import pytest
+import yaml
+
+from tasklens.files import FileError
+from tasklens.optics import catalogues
+from tasklens.optics.catalogues import builtin
+from tasklens.optics.materials import Material
+
+AGF = """CC a catalogue
+NM CROWN 1 517642 1.5168 64.2 0 0
+GC
+CD 2.29 -0.0102 0.0134 2.0E-004 0 0 0 0 0 0
+TD 0
+LD 0.4 0.8
+NM FLINT 5 0 1.62 36
+CD 1.5 0.01 0.002
+LD 3.5E-001 9.0E-001
+"""
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
+    text = AGF.replace("a catalogue", "a catalogue" if encoding == "ascii" else "Gläser").replace("\n", newline)
+    bom = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    (tmp_path / "mine.AGF").write_bytes(bom + text.encode(encoding))
+    found = catalogues.read(tmp_path / "mine.AGF")
+    assert found == {
+        "CROWN": Material("CROWN", "schott", (2.29, -0.0102, 0.0134, 2e-4, 0, 0), (0.4, 0.8), "mine.AGF"),
+        "FLINT": Material("FLINT", "conrady", (1.5, 0.01, 0.002), (0.35, 0.9), "mine.AGF"),
+    }
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("CD 1.5 0.01", "CD 1.5 0.0.1", ["line 8", "CD", "0.0.1"]),
+        ("CD 1.5 0.01", "CD 1.5 nan", ["line 8", "nan"]),
+        ("LD 0.4 0.8", "LD 0.8 0.4", ["line 6", "CROWN", "rising"]),
+        ("LD 0.4 0.8", "LD 0.4", ["line 6", "2 values"]),
+        ("LD 0.4 0.8\n", "", ["line 2", "CROWN", "LD"]),
+        ("NM FLINT 5", "NM FLINT 14", ["line 7", "1 .. 13", "14"]),
+        ("NM CROWN 1 517642", "NM CROWN", ["line 2", "expected"]),
+        ("NM CROWN", "XX CROWN", ["line 4", "NM"]),
+    ],
+)
+def test_a_broken_catalogue_is_refused_with_the_line(tmp_path, old, new, words):
+    assert old in AGF
+    (tmp_path / "mine.agf").write_text(AGF.replace(old, new))
+    with pytest.raises(FileError) as error:
+        catalogues.read(tmp_path / "mine.agf")
+    assert all(word in str(error.value) for word in ["mine.agf", *words]), error.value
+
+
+@pytest.mark.parametrize(
+    "name, content",
+    [("a.agf", b"hello\n"), ("b.agf", b"\0\1\2"), ("c.txt", b""), ("d.yaml", b"a: [1"), ("e.yaml", b"3")],
+)
+def test_what_is_no_file_of_materials_is_refused(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileError, match=name):
+        catalogues.read(tmp_path / name)
+
+
+def test_the_first_file_that_knows_a_name_defines_it(tmp_path):
+    """Before all built-in ones; other names stay known."""
+    mine = builtin("PMMA").definition()
+    for name, index in (("a", 1.4), ("b", 1.6)):
+        entry = mine | {"formula": "conrady", "coefficients": [index, 0, 0]}
+        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump({"COC": entry, name: entry}))
+    found = catalogues.collect([tmp_path / "a.yaml", tmp_path / "b.yaml"])
+    assert found["COC"].refractive_index(0.5) == 1.4 and found["b"].refractive_index(0.5) == 1.6
+    assert found["OKP4"] == builtin("OKP4")

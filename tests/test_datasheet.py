@@ -1,0 +1,161 @@
+"""The figures of a lens in its file, and the table made of them: every number says what the rays say."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+import yaml
+from examples import f64, make_lens, random_lens
+
+from tasklens.design.start import view
+from tasklens.files import FileError
+from tasklens.optics import prescription
+from tasklens.optics.aberrations import field_curvature, seidel_sums
+from tasklens.optics.analysis import View, centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.datasheet import figures, seidel_by_surface, view_of
+from tasklens.optics.mtf import geometric_mtf
+from tasklens.optics.pupil import sobol_disc
+from tasklens.report import certificate
+from tasklens.settings import Spec
+
+RAYS = 512
+
+
+@pytest.fixture(scope="module")
+def lens():
+    """A short real lens with its stop in front, and a view of three of its fields."""
+    looks = view(Spec(kernel=31))
+    fields = looks.fields[[0, 4, 8]] * 0.5
+    stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
+
+
+@pytest.fixture(scope="module")
+def found(lens):
+    return figures(*lens, RAYS)
+
+
+def spec_of(looks: View) -> dict:
+    return {
+        "fields_mm": looks.fields.tolist(),
+        "efl_mm": looks.efl,
+        "wavelengths_um": list(looks.wavelengths),
+        "pixel_pitch_um": looks.pixel_pitch,
+        "kernel": looks.kernel,
+    }
+
+
+def test_figures_agree_with_the_psf_and_the_rays(lens, found):
+    """Valid share, energy in the window, RMS, MTF, distortion and foci, field by field."""
+    lens, looks = lens
+    rays = trace_fields(lens, looks, sobol_disc(RAYS, 0))
+    grid = evaluation_psf(lens, looks, RAYS)
+    # A ray within the outermost half pixel counts as inside, while the PSF shares it with the pixel beyond.
+    assert (f64(found["energy_in_window"]) - grid.sum((-2, -1)).mean(1)).abs().max() < 0.02
+    assert found["valid_fraction"] == [1.0] * 3
+    torch.testing.assert_close(f64(found["rms_centroid_um"]), 1e3 * rms_spot_radius(rays, centroid(rays)))
+    real = chief_points(lens, looks)[1:].norm(dim=-1) / looks.radii[1:] - 1
+    torch.testing.assert_close(f64(found["distortion_percent"][1:]), 100 * real)
+    assert found["distortion_percent"][0] == 0
+    nyquist = 1 / (2 * 9e-3)
+    mtf = geometric_mtf(rays, looks.directions, [nyquist / 4, nyquist / 2])
+    names = [[f"mtf_{d}_{f}_nyquist" for f in ("quarter", "half")] for d in ("tangential", "sagittal")]
+    torch.testing.assert_close(f64([[found[name] for name in row] for row in names]), torch.stack(mtf).mT)
+    foci = torch.stack(field_curvature(lens, looks))
+    torch.testing.assert_close(f64([found["focus_tangential_um"], found["focus_sagittal_um"]]), 1e3 * foci)
+    assert all(a <= b for a, b in zip(found["rms_centroid_um"], found["rms_chief_ray_um"], strict=True))
+    assert all(a <= b for a, b in zip(found["radius_50_um"], found["radius_80_um"], strict=True))
+
+
+def test_figures_of_the_whole_lens(lens, found):
+    lens, looks = lens
+    assert found["track_mm"] == pytest.approx(float(lens.thickness.sum()))
+    assert found["entrance_pupil_diameter_mm"] == pytest.approx(0.6)
+    assert found["f_number"] == pytest.approx(found["efl_mm"] / 0.6)
+    cutoff = found["diffraction_cutoff_per_mm"]
+    assert cutoff == pytest.approx(1e3 / (looks.reference * abs(found["f_number"])))
+    assert found["airy_radius_um"] == pytest.approx(1.22e3 / cutoff, rel=1e-3)
+    sums = {name: 1e3 * float(values.sum()) for name, values in vars(seidel_sums(lens, looks)).items()}
+    assert found["seidel_um"] == pytest.approx(sums, rel=1e-12)
+
+
+def test_the_track_begins_at_the_first_surface():
+    """With the stop inside, what stands in front of it belongs to the track."""
+    lens = make_lens([0.3, 0.0, -0.3], [0.5, 0.7, 3.0], ("COC", "air", "COC"), semi_diameter=[9, 0.3, 9], stop=1)
+    looks = View(f64([[0.0, 0.1]]), 3.0, (0.5893,), 1.8, 3)
+    assert figures(lens, looks, 16)["track_mm"] == pytest.approx(4.2)
+
+
+def test_a_lost_field_has_no_good_figure():
+    """No light, no contrast, no finite spot, and nothing about a chief ray that is not there."""
+    lens = make_lens([0.0, 0.3], [1.0, 5.0], ("air", "COC"), semi_diameter=[0.1, 0.5])
+    found = figures(lens, View(f64([[0.0, 0.0], [0.0, 2.0]]), 2.0, (0.5893,), 1.8, 31), 64)
+    for name in ("rms_centroid_um", "radius_50_um", "radius_80_um"):
+        assert math.isfinite(found[name][0]) and found[name][1] == math.inf, name
+    for name in ("rms_chief_ray_um", "distortion_percent", "focus_tangential_um", "focus_sagittal_um"):
+        assert math.isfinite(found[name][0]) and math.isnan(found[name][1]), name
+    mtf = [name for name in found if name.startswith("mtf_")]
+    for name in ("valid_fraction", "energy_in_window", "relative_illumination", *mtf):
+        assert found[name][0] > 0 and found[name][1] == 0, name
+
+
+def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_path):
+    """Written with its spec and read again: the same figures to the last bit."""
+    lens, looks = lens
+    prescription.write(
+        tmp_path / "lens.yaml", prescription.Prescription(lens), {"spec": spec_of(looks), "figures": found}
+    )
+    found_again, content = prescription.read(tmp_path / "lens.yaml")
+    again = found_again.lens
+    assert figures(again, view_of(again, content, "lens.yaml"), RAYS) == content["figures"] == found
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (None, "no spec"),
+        ({"efl_mm": None}, "efl_mm|cannot be used"),
+        ({"kernel": ...}, "has no kernel"),
+        ({"fields_mm": [[0, 1, 2]]}, "cannot be used"),
+        ({"fields_mm": []}, "no fields"),
+        ({"wavelengths_um": [0.5, 2.5]}, r"2\.5 um"),
+    ],
+)
+def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
+    lens, looks = lens
+    content = {}
+    if change is not None:
+        content = {"spec": {k: v for k, v in (spec_of(looks) | change).items() if v is not ...}}
+    with pytest.raises(FileError, match=words) as error:
+        view_of(lens, content, "some/lens.yaml")
+    assert str(error.value).startswith("some/lens.yaml: ")
+
+
+def test_certificate_shows_the_numbers_of_the_file(lens, found):
+    """A row per field and per surface with their figures, the totals last, the worst margin where it is known."""
+    lens, looks = lens
+    by_surface = seidel_by_surface(lens, looks)
+    content = {"figures": found, "worst_margin": {"limit": "max_slope", "value": -0.0123}}
+    text = certificate.markdown("a lens", looks.fields.tolist(), content, by_surface)
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    pairs = dict(line for line in lines if len(line) == 2)
+    assert float(pairs["focal length [mm]"]) == pytest.approx(found["efl_mm"], abs=1e-4)
+    assert pairs["worst margin"] == "-0.0123 (max_slope)"
+    header, _, *fields = [line for line in lines if len(line) == 16]
+    assert len(fields) == 3
+    for f, row in enumerate(fields):
+        row = dict(zip(header, row, strict=True))
+        assert float(row["EE80 [um]"]) == pytest.approx(found["radius_80_um"][f], abs=5e-3)
+        assert float(row["MTF S 1/2"]) == pytest.approx(found["mtf_sagittal_half_nyquist"][f], abs=5e-4)
+    header, _, *surfaces = [line for line in lines if len(line) == 8]
+    assert header == ["surface", "S_I", "S_II", "S_III", "S_IV", "S_V", "C_I", "C_II"]
+    assert [row[0] for row in surfaces] == ["0", "1", "2", "3", "4", "sum"]
+    columns = f64([[float(v) for v in row[1:]] for row in surfaces])
+    torch.testing.assert_close(columns[:-1].sum(0), columns[-1], rtol=0, atol=4e-3)
+    assert "worst margin" not in certificate.markdown("a lens", looks.fields.tolist(), {"figures": found}, by_surface)
+
+
+def test_figures_survive_a_plain_yaml(found):
+    """Plain numbers only, no tensors: a person's own reader gets them."""
+    assert yaml.safe_load(yaml.safe_dump(found)) == found

@@ -1,0 +1,86 @@
+"""Derivatives of the tracer: against differences, forward against backward, tiles, lost rays."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import WAVELENGTHS, difference, f64, parallel_rays, random_lens, random_rays
+
+from tasklens.optics import tracing
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing import trace
+
+SEEDS = range(4)
+
+
+def exact(found, expected, atol):
+    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+
+
+PARAMETERS = ("curvature", "conic", "alpha", "thickness")
+
+
+def image_of(lens: Lens, **parameters):
+    """A fixed random combination of image points, directions and paths; it depends on every parameter and index."""
+    indices = parameters.pop("indices", lens.refractive_indices(WAVELENGTHS))
+    rays = trace(replace(lens, **parameters), random_rays(20, 7), indices)
+    weights = torch.randn(4, *rays.x.shape, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
+    return (weights * torch.stack([rays.x, rays.y, rays.l, rays.path])).sum()
+
+
+def value_of(lens: Lens, name: str):
+    return lens.refractive_indices(WAVELENGTHS) if name == "indices" else getattr(lens, name)
+
+
+@pytest.mark.parametrize("name", [*PARAMETERS, "indices"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gradient_is_the_limit_of_differences(name, seed):
+    """Each parameter's derivative through the tracer agrees with a five-point difference to 1e-6."""
+    lens = random_lens(seed)
+    leaf = value_of(lens, name).clone().requires_grad_()
+    gradient = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf)[0]
+    expected = difference(lambda value: image_of(lens, **{name: value}), leaf.detach(), 1e-3)
+    assert (expected.abs().flatten(1 if expected.dim() > 1 else 0) > 1e-9).any()
+    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_forward_and_backward_mode_agree(seed):
+    """<gradient, v> = directional derivative along v, for all parameters at once."""
+    lens = random_lens(seed)
+    values = {name: value_of(lens, name) for name in (*PARAMETERS, "indices")}
+    generator = torch.Generator().manual_seed(seed)
+    push = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
+    gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
+    _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (push,))
+    exact(along, sum((gradient[k] * push[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
+
+
+def test_tiles_do_not_show(monkeypatch):
+    """Rays of six fields traced in tiles of two fields, or all at once: the same values, the same gradients."""
+    lens, start = random_lens(2), random_rays(20, 3)
+    start = replace(start, **{k: getattr(start, k).reshape(10, 1, 2)[:6] for k in vars(start)})
+
+    def traced():
+        leaf = lens.curvature.clone().requires_grad_()
+        rays = trace(replace(lens, curvature=leaf), start, lens.refractive_indices(WAVELENGTHS))
+        return torch.stack([rays.x, rays.y, rays.path]), torch.autograd.grad(rays.x.square().sum(), leaf)[0]
+
+    whole = traced()
+    monkeypatch.setattr(tracing, "_TILE", 12)
+    for found, expected in zip(traced(), whole, strict=True):
+        exact(found, expected, 1e-14)
+
+
+def test_a_lost_ray_carries_no_gradient():
+    """Of two rays the stop lets one through: the gradient of both their images is that of the one."""
+    lens = replace(random_lens(0), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+
+    def gradient(heights):
+        leaf = lens.curvature.clone().requires_grad_()
+        rays = trace(replace(lens, curvature=leaf), parallel_rays(heights), lens.refractive_indices((0.5893,)))
+        return rays, torch.autograd.grad(rays.y.sum() + rays.path.sum(), leaf)[0]
+
+    rays, both = gradient([0.2, 0.4])
+    assert rays.lost_at.tolist() == [[-1, 0]] and float(rays.y[0, 1].detach()) == 0.4
+    exact(both, gradient([0.2])[1], 0.0)

@@ -1,0 +1,244 @@
+"""Reading Zemax files: what they say, and what is refused with its line."""
+
+import math
+
+import pytest
+import torch
+from examples import f64, parallel_rays
+
+from tasklens.files import FileError
+from tasklens.optics import zemax
+from tasklens.optics.catalogues import builtin
+from tasklens.optics.materials import AIR, model_glass
+from tasklens.optics.prescription import FIELDS
+from tasklens.optics.tracing import trace
+
+TEXT = """VERS 190513 80 123457 L123457
+MODE SEQ
+NAME A doublet
+UNIT MM X W X CM MR CPMM
+ENPD 1.2
+GCAT SECOND FIRST
+FTYP 0 0 2 3 0 0 0 2
+XFLN 0 1.5
+YFLN 0 20
+WAVM 1 0.6563 1
+WAVM 2 0.5893 1
+WAVM 3 0.4861 1
+WAVM 4 0.55 1
+PWAV 2
+SURF 0
+  TYPE STANDARD
+  CURV 0
+  DISZ INFINITY
+SURF 1
+  COMM front  lens
+  TYPE EVENASPH
+  CURV 0.25 0 0 0 0 ""
+  PARM 1 0.01
+  PARM 2 -0.002
+  PARM 8 1e-06
+  DISZ 0.8
+  GLAS COC 0 0 1.5 40
+  CONI -0.5
+  DIAM 0.9 0 0 0 1 ""
+SURF 2
+  TYPE STANDARD
+  CURV -0.1
+  DISZ 0.3
+  DIAM 0.8 1 0 0 1 ""
+SURF 3
+  STOP
+  CURV 0
+  DISZ 0.2
+  DIAM 0.55 0 0 0 1 ""
+SURF 4
+  TYPE STANDARD
+  CURV 0.1
+  DISZ 0.6
+  GLAS ___BLANK 1 0 1.64 23.3 0.01
+  FLAP 0 1.1 0
+SURF 5
+  TYPE STANDARD
+  CURV 0
+  DISZ 2.5
+SURF 6
+  TYPE STANDARD
+  CURV 0
+  DISZ 0
+TOL TOFF 0
+MNUM 1 1
+"""
+
+
+def read(tmp_path, text=TEXT, catalogues=(), encoding="utf-8"):
+    (tmp_path / "lens.zmx").write_bytes(text.encode(encoding))
+    return zemax.read(tmp_path / "lens.zmx", catalogues)
+
+
+def edited(*changes: tuple[str, str]) -> str:
+    text = TEXT
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+def test_what_a_file_says(tmp_path):
+    found = read(tmp_path)
+    lens = found.lens
+    assert lens.curvature.tolist() == [0.25, -0.1, 0.0, 0.1, 0.0]
+    assert lens.conic.tolist() == [-0.5, 0.0, 0.0, 0.0, 0.0]
+    assert lens.alpha[0].tolist() == [0.01, -0.002, 0, 0, 0, 0, 0, 1e-6] and not lens.alpha[1:].any()
+    assert lens.thickness.tolist() == [0.8, 0.3, 0.2, 0.6, 2.5]
+    assert lens.media == (builtin("COC"), AIR, AIR, model_glass(1.64, 23.3, 0.01), AIR)
+    assert lens.stop == 2
+    semi = lens.semi_diameter.tolist()
+    assert semi[:2] == [math.inf, 0.8] and semi[3:] == [1.1, math.inf]  # automatic, fixed; floating aperture, nothing
+    assert (found.title, found.comments) == ("A doublet", ("front  lens", "", "", "", ""))
+    assert found.aperture == ("entrance_pupil_diameter_mm", 1.2)
+    assert found.fields == ("angle_deg", ((0.0, 0.0), (1.5, 20.0)))
+    assert (found.wavelengths_um, found.primary) == ((0.6563, 0.5893, 0.4861), 1)
+
+
+@pytest.mark.parametrize("line", ["ENPD 1.2", "FNUM 2.8 0"])
+def test_the_stop_is_what_the_aperture_asks_for(tmp_path, line):
+    """A real ray close to the axis, scaled up to the rim of the pupil, meets the rim of the stop."""
+    lens = read(tmp_path, edited(("ENPD 1.2", line))).lens
+    record, h = [], 1e-5
+    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((0.5893,)), record)
+    efl = -h / float(ray.m / ray.n)
+    pupil_radius = 0.6 if line.startswith("ENPD") else efl / 2.8 / 2
+    assert float(lens.semi_diameter[2]) == pytest.approx(float(record[2].y) / h * pupil_radius, rel=1e-8)
+
+
+def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
+    found = read(tmp_path, edited(("ENPD 1.2", "FLOA")))
+    assert found.aperture is None and float(found.lens.semi_diameter[2]) == 0.55
+
+
+@pytest.mark.parametrize(
+    "line, radius",
+    [
+        ("DIAM 0.8 0 0 0 1", math.inf),  # automatic
+        ("DIAM 0.8 1 0 0 1", 0.8),  # fixed
+        ("DIAM 0.8 2 1 0 1", 0.8),  # picked up
+        ("DIAM 0.8 0 0 0 1\n  CLAP 0 0.7 0", 0.7),
+        ("DIAM 0.8 1 0 0 1\n  FLAP 0 0.8 0", 0.8),
+    ],
+)
+def test_which_radii_clip(tmp_path, line, radius):
+    assert float(read(tmp_path, edited(("DIAM 0.8 1 0 0 1", line))).lens.semi_diameter[1]) == radius
+
+
+@pytest.mark.parametrize("unit, factor", [("CM", 10.0), ("IN", 25.4), ("METER", 1000.0)])
+@pytest.mark.parametrize("kind", range(4))
+def test_units(tmp_path, unit, factor, kind):
+    """In other units the file describes a lens of another size: every length scales, angles and conics do not."""
+    text = edited(("FTYP 0 0", f"FTYP {kind} 0"))
+    small, large = read(tmp_path, text), read(tmp_path, text.replace("UNIT MM", f"UNIT {unit}"))
+    a, b = small.lens, large.lens
+    for name in ("thickness", "semi_diameter"):
+        torch.testing.assert_close(getattr(b, name), factor * getattr(a, name), rtol=1e-12, atol=0)
+    torch.testing.assert_close(b.curvature, a.curvature / factor, rtol=1e-15, atol=0)
+    powers = f64([factor ** (1 - 2 * j) for j in range(1, 9)])
+    torch.testing.assert_close(b.alpha, a.alpha * powers, rtol=1e-14, atol=0)
+    assert torch.equal(a.conic, b.conic) and large.aperture[1] == 1.2 * factor
+    scale = 1.0 if kind == 0 else factor
+    assert small.fields[0] == large.fields[0] == FIELDS[kind]
+    assert large.fields[1] == ((0.0, 0.0), (1.5 * scale, 20 * scale))
+
+
+def test_an_f_number_has_no_unit(tmp_path):
+    small = read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 0")))
+    large = read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 0"), ("UNIT MM", "UNIT IN")))
+    assert small.aperture == large.aperture == ("f_number", 2.8)
+    ratio = large.lens.semi_diameter[2] / small.lens.semi_diameter[2]
+    assert float(ratio) == pytest.approx(25.4, rel=1e-12)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_encodings(tmp_path, encoding, newline):
+    text = edited(("A doublet", "Ø 30 µm")).replace("\n", newline)
+    assert read(tmp_path, text, encoding=encoding).title == "Ø 30 µm"
+
+
+def test_extended_aspheres_are_normalised(tmp_path):
+    """sum_j a_j (r / 2)^2j: alpha_2j = a_j / 4^j."""
+    lines = "  XDAT 1 1.2E+01\n  XDAT 2 2\n  XDAT 4 0.5 0 0 1\n  XDAT 14 -0.25"
+    changes = [("EVENASPH", "XASPHERE"), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", lines)]
+    alpha = read(tmp_path, edited(*changes)).lens.alpha
+    assert alpha[0].tolist() == [0, 0.5 / 4**2, *[0] * 9, -0.25 / 4**12]
+
+
+def test_the_catalogue_that_the_file_names_first_defines_a_glass(tmp_path):
+    """GCAT SECOND FIRST, however the catalogues are given; before the built-in plastics."""
+    paths = []
+    for name, index in (("FIRST", 1.4), ("second", 1.6), ("THIRD", 1.7)):
+        paths.append(tmp_path / f"{name}.agf")
+        paths[-1].write_text(f"NM COC 5 0 1.5 50\nCD {index} 0 0\nLD 0.4 0.8\n")
+    for order in (paths, paths[::-1]):
+        assert read(tmp_path, catalogues=order).lens.media[0].source == "second.agf"
+    assert read(tmp_path, catalogues=paths[2:]).lens.media[0].source == "THIRD.agf"
+
+
+def test_glasses_are_picked_up_and_labelled(tmp_path):
+    """Solve 2 takes the glass of another surface; solve 1 is a model whatever the name says."""
+    found = read(tmp_path, edited(("___BLANK 1 0 1.64 23.3 0.01", "COC 2 1 1.5 40"))).lens
+    assert found.media[3] == builtin("COC")
+    found = read(tmp_path, edited(("COC 0 0 1.5 40", "COC 1 0 1.5 40"), ("___BLANK 1 0", "___BLANK 2 1"))).lens
+    assert found.media[0] == found.media[3] == model_glass(1.5, 40.0, 0.0, "COC")
+    assert found.media[0].refractive_index(0.5875618) == 1.5 and found.media[0].name.startswith("COC ")
+
+
+MISTAKES = [
+    ("CURV 0.25", "CURV 0.2.5", ["line 22", "CURV", "0.2.5"]),
+    ("CURV 0.25", "CURV nan", ["line 22", "nan"]),
+    ("  CURV -0.1\n", "", ["SURF", "surface 2", "no CURV"]),
+    ("DISZ 0.8", "DISZ 0,8", ["line 26", "DISZ", "0,8"]),
+    ("DISZ 0.8", "DISZ INFINITY", ["line 26", "INFINITY"]),
+    ("DISZ 0.8", "DISZ", ["line 26", "DISZ"]),
+    ("CONI -0.5", "CONI x", ["line 28", "CONI", "x"]),
+    ("PARM 2 -0.002", "PARM 2 --1", ["line 24", "PARM", "--1"]),
+    ("PARM 2 -0.002", "PARM two 1", ["line 24", "PARM", "two"]),
+    ("DISZ INFINITY", "DISZ 350", ["line 18", "350", "INFINITY"]),
+    ("  STOP\n", "", ["STOP", "0"]),
+    ("  DISZ 2.5", "  DISZ 2.5\n  STOP", ["STOP", "2"]),
+    ("TYPE EVENASPH", "TYPE COORDBRK", ["line 21", "COORDBRK", "EVENASPH"]),
+    ("TYPE EVENASPH", "TYPE GRINSUR3", ["line 21", "GRINSUR3"]),
+    ("TYPE EVENASPH", "TYPE XASPHERE\n  XDAT 1 3", ["line 21", "XDAT 2"]),
+    ("COC 0 0 1.5 40", "MIRROR 0 0 1.5 40", ["line 27", "mirror"]),
+    ("COC 0 0 1.5 40", "UNOBTAINIUM", ["line 27", "UNOBTAINIUM", "built-in plastics", "YAML"]),
+    ("COC 0 0 1.5 40", "COC 4 0 1.5 40", ["line 27", "offset"]),
+    ("COC 0 0 1.5 40", "COC 2 3 1.5 40", ["line 27", "surface 3"]),
+    ("1.64 23.3", "0.64 23.3", ["GLAS", "0.64"]),
+    ("FLAP 0 1.1", "FLAP 0.2 1.1", ["FLAP", "hole"]),
+    ("FLAP 0 1.1 0", "SQAP 1 1", ["SQAP", "round"]),
+    ("MODE SEQ", "MODE NSC", ["line 2", "NSC"]),
+    ("MNUM 1 1", "MNUM 3 1", ["MNUM", "3 configurations"]),
+    ("UNIT MM", "UNIT PARSEC", ["line 4", "PARSEC", "MM"]),
+    ("ENPD 1.2", "OBNA 0.1", ["aperture", "ENPD"]),
+    ("ENPD 1.2", "ENPD 0", ["line 5", "positive"]),
+    ("FTYP 0 0 2 3", "FTYP 4 0 2 3", ["line 7", "4"]),
+    ("FTYP 0 0 2 3", "FTYP 0 0 3 3", ["line 8", "3 values"]),
+    ("FTYP 0 0 2 3", "FTYP 0 0 2 5", ["5 wavelengths"]),
+    ("WAVM 2 0.5893", "WAVM 2 3.4", ["3.4", "COC"]),
+    ("PWAV 2", "PWAV 4", ["PWAV", "4"]),
+    ("YFLN 0 20\n", "", ["YFLN"]),
+    ("SURF 4", "SURF 5", ["line 40", "surface 4"]),
+    ("  CURV 0\n  DISZ 0\n", "  CURV 0.1\n  DISZ 0\n", ["SURF", "image", "curved"]),
+]
+
+
+@pytest.mark.parametrize("old, new, words", MISTAKES, ids=[new.strip() or f"no {old}" for old, new, _ in MISTAKES])
+def test_a_mistake_is_refused_with_its_line(tmp_path, old, new, words):
+    with pytest.raises(FileError) as error:
+        read(tmp_path, edited((old, new)))
+    assert all(word in str(error.value) for word in ["lens.zmx", *words]), error.value
+
+
+@pytest.mark.parametrize("text", ["", "hello", "SURF 0\n", "\0\0\0", "SURF x\n"])
+def test_what_is_no_lens_file_is_refused(tmp_path, text):
+    with pytest.raises(FileError, match=r"lens\.zmx"):
+        read(tmp_path, text)

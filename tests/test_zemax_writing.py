@@ -1,0 +1,108 @@
+"""Writing Zemax files: what is read back is the same to the last bit, and what they cannot hold is refused."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+import yaml
+from examples import f64, make_lens, materials
+
+from tasklens.files import FileError
+from tasklens.optics import zemax
+from tasklens.optics.materials import AIR, Material, model_glass
+from tasklens.optics.prescription import FIELDS, Prescription
+
+MINE = Material("MINE", "conrady", (1.5, 0.01, 0.002), (0.4, 0.8), "maker")
+
+
+def random_prescription(seed: int) -> Prescription:
+    """Spheres, even aspheres and aspheres beyond r^16, glasses of every kind, all kinds of fields and apertures."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def rand(*shape: int) -> torch.Tensor:
+        return 2 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1
+
+    kinds = (*materials("COC", "OKP4"), MINE, model_glass(1.6, 30.1, 0.0), model_glass(1.7, 20.0, 0.01, "EP_BLANK"))
+    glass = torch.randint(len(kinds), (3,), generator=generator).tolist()
+    alpha = rand(6, 11) * 0.1 ** f64(range(1, 12))
+    alpha[0], alpha[1, 3:], alpha[2, 8:] = 0.0, 0.0, 0.0
+    lens = make_lens(
+        0.3 * rand(6),
+        0.5 + 0.4 * rand(6),
+        [AIR, kinds[glass[0]], kinds[glass[1]], AIR, kinds[glass[2]], AIR],
+        conic=2 * rand(6),
+        alpha=alpha,
+        semi_diameter=[0.7 + seed / 3, math.inf, 1 / 3, math.pi, math.inf, 1.1],
+        stop=int(torch.randint(6, (), generator=generator)),
+    )
+    aperture = (None, ("f_number", 2.8 + float(rand(1)) / 3), ("entrance_pupil_diameter_mm", 1.1))[seed % 3]
+    wavelengths = (0.4861 + seed / 1e3, 0.5893, 0.6563)
+    lens.semi_diameter[lens.stop] = (
+        0.3 if aperture is None else zemax.stop_radius(lens, aperture, wavelengths[seed % 3])
+    )
+    return Prescription(
+        lens=lens,
+        title=("", "yes: no", "Ø 3 mm")[seed % 3],
+        comments=("front", "", "12", "a  b", "", "µ") if seed % 2 else None,
+        aperture=aperture,
+        fields=(FIELDS[seed % 4], tuple(map(tuple, (30 * rand(1 + seed, 2)).tolist()))),
+        wavelengths_um=wavelengths,
+        primary=seed % 3,
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_round_trip_keeps_every_bit(tmp_path, seed):
+    shown = random_prescription(seed)
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"MINE": MINE.definition()}))
+    zemax.write(tmp_path / "lens.zmx", shown)
+    found = zemax.read(tmp_path / "lens.zmx", [tmp_path / "mine.yaml"])
+    assert replace(found, lens=None) == replace(shown, lens=None)
+    assert (found.lens.media, found.lens.stop) == (shown.lens.media, shown.lens.stop)
+    for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
+        a, b = getattr(found.lens, name), getattr(shown.lens, name)
+        assert torch.equal(a.view(torch.int64), b.view(torch.int64)), name
+
+
+def test_a_written_file_has_what_opticstudio_looks_for(tmp_path):
+    zemax.write(tmp_path / "lens.zmx", replace(random_prescription(4), title="T"))
+    lines = (tmp_path / "lens.zmx").read_bytes().decode("ascii", "replace").split("\r\n")
+    for start in ("VERS ", "MODE SEQ", "NAME T", "UNIT MM", "FNUM ", "FTYP 0 0 5 3", "XFLN ", "YFLN ", "PWAV 2"):
+        assert any(line.startswith(start) for line in lines), start
+    assert [line for line in lines if line.startswith("SURF")] == [f"SURF {i}" for i in range(8)]
+    assert sum(line == "  STOP" for line in lines) == 1
+    assert {line.split()[1] for line in lines if line.startswith("  TYPE")} == {"STANDARD", "EVENASPH", "XASPHERE"}
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"fields": None}, ["fields"]),
+        ({"wavelengths_um": None}, ["wavelengths"]),
+        ({"wavelengths_um": (0.5,) * 25}, ["24"]),
+        ({"title": "two\nlines"}, ["one line", "two"]),
+        ({"comments": ("", " a", "", "", "", "")}, ["one line", " a"]),
+        ({"aperture": ("f_number", 1.0)}, ["f_number 1.0", "stop", "mm"]),
+    ],
+)
+def test_what_a_file_cannot_hold_is_refused(tmp_path, change, words):
+    with pytest.raises(FileError) as error:
+        zemax.write(tmp_path / "lens.zmx", replace(random_prescription(1), **change))
+    assert all(word in str(error.value) for word in words), error.value
+    assert not (tmp_path / "lens.zmx").exists()
+
+
+@pytest.mark.parametrize("name", ["MY GLASS", "MIRROR", "___BLANK"])
+def test_a_glass_that_zemax_cannot_name_is_refused(tmp_path, name):
+    shown = random_prescription(1)
+    glass = Material(name, "conrady", (1.5, 0.0, 0.0), (0.4, 0.8))
+    with pytest.raises(FileError, match=name):
+        zemax.write(tmp_path / "lens.zmx", replace(shown, aperture=None, lens=replace(shown.lens, media=(glass,) * 6)))
+
+
+def test_a_stop_without_a_size_is_refused(tmp_path):
+    shown = random_prescription(0)
+    shown.lens.semi_diameter[shown.lens.stop] = math.inf
+    with pytest.raises(FileError, match="radius of its stop"):
+        zemax.write(tmp_path / "lens.zmx", shown)
