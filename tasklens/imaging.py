@@ -13,6 +13,8 @@ import torch.nn.functional as F
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor
 
+_BLOCK = 8  # images that `grid` renders at once: their spectra, and those of a capture each, then stay in the cache
+
 
 def _fast_size(size: int) -> int:
     """The next size that is a product of 2, 3, 5 and 7, for which FFT libraries have kernels."""
@@ -55,12 +57,12 @@ class Camera:
         self._spectra: dict[tuple[int, int], Tensor] = {}
 
     def grid(self, images: Tensor) -> Tensor:
-        """Captures of every image at every field: (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
-
-        Field by field, so that what lies between stays in the cache.
-        """
-        render, kernels = self._prepare(images)
-        return torch.stack([render(*kernel) for kernel in zip(kernels, self.veil, strict=True)])
+        """Captures of every image at every field: (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
+        blocks = []
+        for block in images.split(_BLOCK):
+            render, kernels = self._prepare(block)
+            blocks.append(torch.stack([render(*kernel) for kernel in zip(kernels, self.veil, strict=True)]))
+        return torch.cat(blocks, 1)
 
     def single(self, images: Tensor, fields: Tensor) -> Tensor:
         """Captures of each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""

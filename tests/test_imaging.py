@@ -133,6 +133,14 @@ def test_one_camera_renders_pictures_of_several_sizes():
         torch.testing.assert_close(camera.grid(images), Camera(psf).grid(images), rtol=0, atol=0)
 
 
+def test_many_images_are_rendered_like_few():
+    """Images do not see each other, however many there are."""
+    images = torch.rand(20, 3, 16, 16, generator=torch.Generator().manual_seed(16))
+    camera = Camera(random_psf(17))
+    each = torch.cat([camera.grid(image[None]) for image in images], 1)
+    torch.testing.assert_close(camera.grid(images), each, rtol=0, atol=1e-6)
+
+
 FIELDS = torch.tensor([3, 0, 3])
 
 
