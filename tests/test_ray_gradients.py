@@ -67,7 +67,7 @@ def test_tiles_do_not_show(monkeypatch):
         return torch.stack([rays.x, rays.y, rays.path]), torch.autograd.grad(rays.x.square().sum(), leaf)[0]
 
     whole = traced()
-    monkeypatch.setattr(tracing, "_TILE", 12)
+    monkeypatch.setattr(tracing, "_TILE", 12 * 8)
     for found, expected in zip(traced(), whole, strict=True):
         exact(found, expected, 1e-14)
 

@@ -22,6 +22,7 @@ class Surface:
         curvature: c [1/mm].
         minus_kappa: -(1 + k) c^2 for the conic k.
         columns: M of (2, 1, 1, 1), the coefficients of u^(j - 1) in sag / u and in d sag / du: alpha_2j and j alpha_2j.
+        slopes: M of (1, 1, 1), the second of each.
         curving: (M - 1,) those in d^2 sag / du^2: (j + 1) j alpha_(2j + 2).
         orders: (M,) 1 .. M.
         one: 1, 0-dim.
@@ -31,6 +32,7 @@ class Surface:
     curvature: float
     minus_kappa: float
     columns: tuple[Tensor, ...]
+    slopes: tuple[Tensor, ...]
     curving: Tensor
     orders: Tensor
     one: Tensor
@@ -55,25 +57,43 @@ def surfaces(curvature: Tensor, conic: Tensor, alpha: Tensor) -> list[Surface]:
     planes = (curvature == 0) & (alpha == 0).all(1)
     numbers = torch.stack([curvature, -(1 + conic) * curvature**2, planes], 1).tolist()
     return [
-        Surface(c, minus_kappa, column.unbind(1), curve, orders, one, bool(plane))
+        Surface(c, minus_kappa, column.unbind(1), column[1].unbind(), curve, orders, one, bool(plane))
         for (c, minus_kappa, plane), column, curve in zip(numbers, columns.unbind(), curving.unbind(), strict=True)
     ]
 
 
 def shape(u: Tensor, surface: Surface) -> Shape:
     """The surface at u = r^2, as `aspheres.sag` but without a graph and in few operations."""
-    argument = torch.add(surface.one, u, alpha=surface.minus_kappa)
-    safe = argument.clamp(min=EDGE) if surface.minus_kappa < 0 else argument
-    w = torch.rsqrt(safe)
+    w, safe, argument = _root(u, surface)
     conic = torch.addcmul(surface.one, safe, w)  # 1 + sqrt(argument)
     if not surface.columns:
         return Shape(u * surface.curvature / conic, (0.5 * surface.curvature) * w, w, argument)
-    *lower, both = surface.columns
-    for k, column in enumerate(reversed(lower)):  # Horner's rule, for sag / u and for the slope
-        both = torch.addcmul(column, both, u) if k else (both * u).add_(column)
-    by_u, slope = both.expand(2, *u.shape)
-    sag = torch.addcdiv(by_u, surface.one, conic, value=surface.curvature) * u
+    by_u, slope = _polynomial(u, surface.columns)
+    sag = torch.addcdiv(by_u, surface.one, conic, value=surface.curvature).mul_(u)
     return Shape(sag, torch.add(slope, w, alpha=0.5 * surface.curvature), w, argument)
+
+
+def slope(u: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+    """ds / du and w of `shape` alone."""
+    w, *_ = _root(u, surface)
+    conic = (0.5 * surface.curvature) * w
+    return (conic.add_(_polynomial(u, surface.slopes)) if surface.slopes else conic), w
+
+
+def _root(u: Tensor, surface: Surface) -> tuple[Tensor, Tensor, Tensor]:
+    """1 / sqrt(1 - (1 + k) c^2 u), the argument of the root that was used, and the true one."""
+    argument = torch.add(surface.one, u, alpha=surface.minus_kappa)
+    safe = argument.clamp(min=EDGE) if surface.minus_kappa < 0 else argument
+    return torch.rsqrt(safe), safe, argument
+
+
+def _polynomial(u: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
+    """The sum of coefficients u^(j - 1) by Horner's rule, in place: allocating costs as much as multiplying."""
+    *lower, last = coefficients
+    value = last.expand(*last.shape[:-3], *u.shape)
+    for k, coefficient in enumerate(reversed(lower)):
+        value = torch.addcmul(coefficient, value, u, out=value if k else None)
+    return value
 
 
 def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: Surface):
@@ -91,8 +111,8 @@ def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: Sur
     c = torch.addcmul(surface.one, n, n, value=-1)  # u = a + 2 b t + c t^2
     found = shape(a, surface)
     derivative = torch.addcmul(n, found.slope, b, value=-2)
-    step = found.sag / derivative
-    t = step.clamp(-_STRIDE, _STRIDE)
+    step = torch.div(found.sag, derivative).clamp_(-_STRIDE, _STRIDE)
+    t = step.clone()
     for _ in range(_NEWTON_STEPS):
         least, most = torch.aminmax(step)
         worst = max(-float(least), float(most))
@@ -102,8 +122,8 @@ def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: Sur
             break
         found = shape(u, surface)
         derivative = torch.addcmul(n, found.slope, h, value=-2)
-        step = torch.addcmul(found.sag, t, n, value=-1) / derivative
-        t = t + step.clamp(-_STRIDE, _STRIDE)
+        step = torch.addcmul(found.sag, t, n, value=-1).div_(derivative).clamp_(-_STRIDE, _STRIDE)
+        t += step
     inside = surface.minus_kappa >= 0 or float(found.argument.min()) > EDGE
     if worst <= tolerance and inside and float(derivative.min()) > GRAZING:
         return t, u, h, None

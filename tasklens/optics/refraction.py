@@ -20,7 +20,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tasklens.optics.intersection import GRAZING, Surface, shape
+from tasklens.optics.intersection import GRAZING, Surface, slope
 
 
 class Bundle(NamedTuple):
@@ -54,15 +54,15 @@ class Crossing(NamedTuple):
     b: Tensor
 
 
-def cross(x, y, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bundle, Tensor, Crossing]:
-    """Bend rays at the points (x, y) where they meet the surface; t, u, h and mu as in the equations above.
+def cross(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bundle, Tensor, Crossing]:
+    """Bend rays at the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
 
     Returns:
         the rays behind it, z from its vertex; R^2, not positive in total reflection, when the ray behind means nothing
         but is finite; the Crossing.
     """
-    sag, slope, w, _ = shape(u, surface)
-    e = -2 * slope
+    e, w = slope(u, surface)
+    e *= -2
     q = torch.addcmul(n, e, h)
     g2 = torch.addcmul(surface.one, e * e, u)
     mu_q = mu * q
@@ -71,7 +71,7 @@ def cross(x, y, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bundle,
     inverse_root = torch.rsqrt(safe)
     b = torch.addcmul(mu_q, safe, inverse_root, value=-1) / -g2
     be = b * e
-    behind = Bundle(x, y, sag, torch.addcmul(mu * l, be, x), torch.addcmul(mu * m, be, y), torch.addcmul(b, mu, n))
+    behind = Bundle(x, y, z, torch.addcmul(mu * l, be, x), torch.addcmul(mu * m, be, y), torch.addcmul(b, mu, n))
     return behind, squared, Crossing(x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b)
 
 

@@ -12,7 +12,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Fate, Rays
 from tasklens.optics.refraction import Bundle, Crossing, cross, pull, push
 
-_TILE = 36864
+_TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
 
 
 class _Losses:
@@ -181,9 +181,9 @@ def _onward(
     if met is not None:
         *_, l, m, n = losses.add(~met, Fate.MISSED, i, rays, path)
         x, y = torch.where(met, x, 0.0), torch.where(met, y, 0.0)
-    t, x, y = beyond - t, torch.addcmul(x, beyond, l), torch.addcmul(y, beyond, m)
+    t, x, y, z = beyond - t, torch.addcmul(x, beyond, l), torch.addcmul(y, beyond, m), beyond * n
     path = torch.addcmul(path, media[0], t)
-    behind, squared, crossing = cross(x, y, l, m, n, t, u, h, media[0] / media[1], surface)
+    behind, squared, crossing = cross(x, y, z, l, m, n, t, u, h, media[0] / media[1], surface)
     limit = _limit(semi_diameter)
     if limit < math.inf and float(u.max()) > limit:
         behind = losses.add(u > limit, Fate.OUTSIDE, i, behind, path)
@@ -247,7 +247,7 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
     start = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = [batch(v) for v in start]
     fields = len(start[0])
-    tile = fields if record is not None else max(1, _TILE // (size[-2] * size[-1]))
+    tile = fields if record is not None else max(1, _TILE // (size[-2] * size[-1] * start[2].element_size()))
     shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
     to_index = _carries_derivative(indices)
     keep = to_index or any(_carries_derivative(v) for v in (*shape, *start))
