@@ -83,3 +83,5 @@ def test_paraxial(entry):
         found = paraxial(lens, wavelength)
         assert float(found.efl) == pytest.approx(entry["paraxial"]["efl"][i], rel=0, abs=1e-10)
         assert float(found.bfl) == pytest.approx(entry["paraxial"]["bfl"][i], rel=0, abs=1e-10)
+        pupil = entry["paraxial"]["entrance_pupil_z"][i]
+        assert float(found.entrance_pupil_z) == pytest.approx(pupil, rel=0, abs=1e-10)
