@@ -70,9 +70,7 @@ def test_rays(entry, dtype):
         )
         if "surface_points" in reference:
             expected = torch.tensor(reference["surface_points"], dtype=torch.float64)
-            found = torch.stack([torch.stack([r.x[0], r.y[0], r.z[0]], -1) for r in record]).double()
-            if expected.shape[0] == found.shape[1]:
-                found = found.transpose(0, 1)
+            found = torch.stack([torch.stack([r.x[0], r.y[0], r.z[0]], -1) for r in record], 1).double()
             torch.testing.assert_close(found, expected, rtol=0, atol=image)
 
 
