@@ -8,11 +8,11 @@ import numpy
 import pytest
 import torch
 import torch.nn.functional as F
-from examples import changed, difference, f64, materials, random_lens, random_pictures, tiny_study
+from examples import changed, f64, materials, random_lens, random_pictures, tiny_study
 from torch import nn
 
 from tasklens import jobs
-from tasklens.design import descent, least_squares, methods, spot
+from tasklens.design import descent, least_squares, methods
 from tasklens.design.constraints import (
     first_order_margins,
     manufacturing_margins,
@@ -23,11 +23,11 @@ from tasklens.design.constraints import (
 from tasklens.design.schedule import cosine
 from tasklens.design.start import Variables, flat, parameter_groups, view
 from tasklens.imaging import Camera
-from tasklens.optics.analysis import centroid, chief_points, rms_spot_radius, trace_fields
+from tasklens.optics.analysis import chief_points, trace_fields
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
-from tasklens.settings import Capture, Constraints, LeastSquares, Rates, Spec, Spot, Task
+from tasklens.settings import Capture, Constraints, LeastSquares, Rates, Spec, Task
 from tasklens.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
@@ -300,130 +300,6 @@ def test_descent_lowers_the_loss(start):
 
     lens, _ = descended(network, start, steps=36, images=12, augment=False)
     assert loss(lens) < loss(start)
-
-
-# ---- imaging designs
-
-
-def mean_rms(lens) -> float:
-    rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
-    return float(rms_spot_radius(rays, centroid(rays)).mean())
-
-
-def test_spot_descent_from_flat_makes_a_lens():
-    """Thirty steps from plane plates: less blur and no shorter of its focal length than before."""
-    settings = Spot(method="spot", steps=30, rays=64, rates=Rates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2))
-    begin, history = flat(PLASTICS, SPEC, LIMITS), []
-    lens = spot.design(begin, LOOKS, LIMITS, settings, 0, history)
-    assert mean_rms(lens) < 0.7 * mean_rms(begin)
-    assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
-    assert len(history) == 30
-
-
-def test_random_starts_have_the_focal_length_and_a_focus():
-    """The last curvature and the back focus are solved for; limits on track and back focus hold."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
-    again = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
-    for lens, same in zip(starts, again, strict=True):
-        found = paraxial(lens, LOOKS.wavelengths[1])
-        assert float(found.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
-        assert float(found.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
-        assert LIMITS.min_back_focus < float(found.bfl) and float(lens.thickness.sum()) < LIMITS.max_track
-        assert torch.equal(lens.curvature, same.curvature)
-    assert len({float(lens.curvature[1]) for lens in starts}) == 20
-
-
-def merit_parts(start, names):
-    merit, variables = least_squares.Merit(LOOKS, LIMITS, SETTINGS), Variables.plain(start)
-    values = {name: v for name, v in variables.values().items() if name in names}
-    sizes = [len(v) for v in values.values()]
-
-    def residuals(vector):
-        return merit.residuals(variables.assemble(dict(zip(values, vector.split(sizes), strict=True))))
-
-    return residuals, torch.cat(list(values.values()))
-
-
-def test_merit_jacobian_is_the_limit_of_differences(start):
-    """Forward mode through rays, centroid, focal length and distortion; limits take apertures as given (see below)."""
-    residuals, vector = merit_parts(start, ("curvature", "thickness", "alpha_4"))
-    rays = 2 * len(least_squares._HEIGHTS) * 3 * least_squares._RINGS * least_squares._ARMS
-    rows = [*range(rays), *range(-len(least_squares._HEIGHTS), 0)]
-    found = torch.func.jacfwd(residuals)(vector)[rows]
-    expected = difference(residuals, vector, 1e-6)[rows]
-    assert (expected.abs().amax(0) > 1).all()
-    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
-
-
-@pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
-def test_margins_are_differentiable_at_a_given_aperture(start, name):
-    semi = torch.full_like(start.thickness, 0.7)
-
-    def margins(value):
-        return torch.cat(list(manufacturing_margins(replace(start, **{name: value}), LIMITS, semi).values()))
-
-    found = torch.func.jacfwd(margins)(getattr(start, name))
-    expected = difference(margins, getattr(start, name), 1e-4)
-    assert float(expected.abs().max()) > 0
-    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-8)
-
-
-def test_merit_is_the_mean_square_spot(start):
-    """Without broken limits the squares sum to the mean over fields of the squared RMS spot radius."""
-    easy = Constraints(
-        min_centre_thickness=1e-6, max_centre_thickness=99, min_edge_thickness=1e-6, min_air_gap=1e-6,
-        min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
-    )  # fmt: skip
-    merit = least_squares.Merit(LOOKS, easy, SETTINGS)
-    gentle = start.stopped(0.3)
-    found = float(merit.residuals(gentle).square().sum())
-    heights = torch.tensor(least_squares._HEIGHTS, dtype=torch.float64)
-    fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
-    looks = replace(LOOKS, fields=fields)
-    rays = trace_fields(gentle, looks, sobol_disc(8192, 0))
-    expected = float((1e3 * rms_spot_radius(rays, centroid(rays))).square().mean())
-    assert found == pytest.approx(expected, rel=1e-2)
-
-
-def test_improve_never_increases_the_merit():
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    merit = least_squares.Merit(LOOKS, LIMITS, SETTINGS)
-    for lens in least_squares.random_starts(begin, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
-        before = float(merit.residuals(lens).norm())
-        better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
-        assert error <= before
-        assert error == pytest.approx(float(merit.residuals(better).norm()), rel=1e-9)
-        assert torch.equal(better.alpha, lens.alpha)
-
-
-def test_more_evaluations_make_a_better_lens():
-    """A staged least-squares design of a few seconds beats each of its starts, with or without kicks."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=1)
-    history: list[dict] = []
-    lens = least_squares.design(begin, LOOKS, LIMITS, settings, 0, history)
-    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
-    merit = least_squares.Merit(LOOKS, LIMITS, settings)
-    best = min(float(merit.residuals(x).norm()) for x in starts)
-    final = float(merit.residuals(lens).norm())
-    assert final < 0.5 * best
-    assert final == pytest.approx(history[-1]["rms_um"], rel=1e-9)
-    assert history[-1]["rms_um"] <= min(row["rms_um"] for row in history if row["stage"] == 3)
-
-
-def test_a_kick_that_makes_it_worse_is_forgotten(monkeypatch):
-    """Kicked to plane plates, nothing better comes of a dozen evaluations: the lens from before is returned."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=0)
-    best = least_squares.design(begin, LOOKS, LIMITS, settings, 0, [])
-    monkeypatch.setattr(least_squares, "_kick", lambda lens, rng: begin)
-    monkeypatch.setattr(least_squares, "_KICK_EVALUATIONS", 2)
-    kicked = least_squares.design(begin, LOOKS, LIMITS, settings.model_copy(update={"kicks": 1}), 0, [])
-    assert torch.equal(kicked.curvature, best.curvature) and torch.equal(kicked.alpha, best.alpha)
-
-
-# ---- a finished lens
 
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):

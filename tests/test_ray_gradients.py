@@ -8,7 +8,7 @@ from examples import WAVELENGTHS, difference, f64, parallel_rays, random_lens, r
 
 from tasklens.optics import tracing
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing import trace
+from tasklens.optics.tracing import linearise, trace
 
 SEEDS = range(4)
 
@@ -54,6 +54,30 @@ def test_forward_and_backward_mode_agree(seed):
     gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
     _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (push,))
     exact(along, sum((gradient[k] * push[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
+
+
+def test_linearised_rays_change_as_pushed_ones():
+    """Three changes of the lens at once, each through all of its parameters, against one after the other."""
+    lens, start = random_lens(4), random_rays(12, 5)
+    start = replace(start, **{k: getattr(start, k)[:, None] for k in vars(start)})
+    indices = lens.refractive_indices(WAVELENGTHS[:1])
+    values = {name: getattr(lens, name) for name in ("curvature", "conic", "alpha", "thickness")}
+    generator = torch.Generator().manual_seed(6)
+    changes = {k: torch.randn(3, *v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
+
+    def image(values):
+        rays = trace(replace(lens, **values), start, indices)
+        return torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n])
+
+    rays, derivative = linearise(lens, start, indices)
+    assert torch.equal(torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n]), image(values))
+    moved = derivative(changes)
+    found = torch.stack([moved.x, moved.y, moved.l, moved.m, moved.n], 1)
+    for i in range(3):
+        expected = torch.func.jvp(image, (values,), ({k: v[i] for k, v in changes.items()},))[1]
+        exact(found[i], expected, 1e-11)
+    alone = derivative({"conic": changes["conic"]}).x
+    exact(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).x, alone, 0.0)
 
 
 def test_tiles_do_not_show(monkeypatch):

@@ -7,73 +7,23 @@ and again, as in Hammer optimisation. Budgets count evaluations, so that the res
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy
 import torch
 from scipy.optimize import least_squares
-from torch import Tensor
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, shortfall
+from tasklens.design.merit import Merit
 from tasklens.design.start import ORDERS, Variables
-from tasklens.optics.analysis import View, trace_fields
+from tasklens.optics.analysis import View
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
-from tasklens.optics.pupil import gauss_quadrature
 from tasklens.progress import Progress
 from tasklens.settings import Constraints, LeastSquares
 
-_HEIGHTS = (0.0, 0.3, 0.5, 0.7, 0.87, 1.0)  # fields of the merit function, as parts of the largest
-_RINGS, _ARMS = 6, 4
-_RIM = 1.04  # the outermost ring of the quadrature, at 0.966 of the pupil, to its rim
-_LOST = 300.0  # residual of a lost ray [um]
-_SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
 _SPACES = 0.35  # a random start draws its element and air thicknesses below this part of the focal length
 _KICK_EVALUATIONS = 12
-
-
-@dataclass(frozen=True)
-class Merit:
-    """Residuals [um] of a lens: two per ray, weighted so that their sum of squares is the mean squared spot radius."""
-
-    view: View
-    limits: Constraints
-    settings: LeastSquares
-
-    def _view(self) -> View:
-        """Fields along y at the heights of the merit function."""
-        largest = self.view.fields.norm(dim=-1).max()
-        fields = torch.stack([torch.zeros(len(_HEIGHTS), dtype=torch.float64), largest * torch.tensor(_HEIGHTS)], -1)
-        return replace(self.view, fields=fields)
-
-    def residuals(self, lens: Lens) -> Tensor:
-        view = self._view()
-        pupil, weight = gauss_quadrature(_RINGS, _ARMS)
-        chief_ray = torch.zeros(1, 2, dtype=torch.float64)
-        pupil = torch.cat([pupil, chief_ray])  # the last ray of each bundle
-        record: list = []
-        rays = trace_fields(lens, view, pupil, record)
-        middle = len(view.wavelengths) // 2
-        x, y, valid = rays.x[..., :-1], rays.y[..., :-1], rays.valid[..., :-1]
-        chief_y = rays.y[:, middle, -1]
-        arrived = valid * weight
-        centroid_y = (y * arrived).sum((1, 2)) / arrived.sum((1, 2)).clamp(min=1e-12)
-        centre = centroid_y if self.settings.reference == "centroid" else chief_y
-        # From axis to corner the weight of a field goes geometrically from 1 to `corner_weight`.
-        field = self.settings.corner_weight ** torch.tensor(_HEIGHTS, dtype=torch.float64)
-        share = torch.sqrt(field[:, None, None] / field.sum() * weight / len(view.wavelengths))
-        errors = [torch.where(valid, 1e3 * share * error, _LOST * share) for error in (x, y - centre[:, None, None])]
-        semi_diameter = _RIM * torch.stack([torch.hypot(r.x, r.y).detach().max() for r in record])
-        chief = torch.stack([rays.x[:, middle, -1], chief_y], -1)
-        margins = manufacturing_margins(lens, self.limits, semi_diameter)
-        margins |= first_order_margins(lens, self.limits, view, chief)
-        operands = [_SHORTFALL * shortfall(margins)]
-        if self.settings.max_chief_ray_angle_deg is not None:
-            angle = torch.rad2deg(torch.atan2(rays.m[:, middle, -1].abs(), rays.n[:, middle, -1]))
-            operands.append((angle - self.settings.max_chief_ray_angle_deg).clamp(min=0))
-        # A kicked lens can leave every range; scipy wants numbers all the same, as bad as they may be.
-        return torch.nan_to_num(torch.cat([error.flatten() for error in errors] + operands), 1e6, 1e6, -1e6)
 
 
 def improve(
@@ -90,30 +40,31 @@ def improve(
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
     sizes = [len(value) for value in start.values()]
+    changes = variables.directions(start)
+    latest: dict = {}  # scipy asks for derivatives only at the last vector that it asked residuals for
 
-    def residuals(vector: Tensor) -> Tensor:
-        return merit.residuals(variables.assemble(dict(zip(start, vector.split(sizes), strict=True))))
+    def assembled(vector: numpy.ndarray) -> Lens:
+        return variables.assemble(dict(zip(start, torch.from_numpy(vector).split(sizes), strict=True)))
 
-    def watched(vector: numpy.ndarray) -> numpy.ndarray:
-        errors = residuals(torch.from_numpy(vector)).numpy()
-        watch(float(numpy.linalg.norm(errors)))
-        return errors
+    def residuals(vector: numpy.ndarray) -> numpy.ndarray:
+        errors, latest["columns"] = merit.linearise(assembled(vector))
+        latest["vector"] = vector.copy()
+        watch(float(errors.norm()))
+        return errors.numpy()
 
-    def with_value(vector: Tensor) -> tuple[Tensor, Tensor]:
-        value = residuals(vector)
-        return value, value
+    def jacobian(vector: numpy.ndarray) -> numpy.ndarray:
+        assert numpy.array_equal(vector, latest["vector"])
+        return latest["columns"](changes).numpy()
 
-    jacobian_and_value = torch.func.jacfwd(with_value, has_aux=True)
     result = least_squares(
-        watched,
+        residuals,
         torch.cat(list(start.values())).numpy(),
-        jac=lambda vector: jacobian_and_value(torch.from_numpy(vector))[0].numpy(),
+        jac=jacobian,
         method="trf",
         x_scale="jac",
         max_nfev=evaluations,
     )
-    vector = torch.from_numpy(result.x)
-    return variables.assemble(dict(zip(start, vector.split(sizes), strict=True))), float((2 * result.cost) ** 0.5)
+    return assembled(result.x), float((2 * result.cost) ** 0.5)
 
 
 def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: numpy.random.Generator) -> list[Lens]:

@@ -1,6 +1,6 @@
 """Where designs start, and which numbers of a lens they may change."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -82,6 +82,22 @@ class Variables:
         values = {"curvature": self.lens.curvature[glass], "thickness": self.lens.thickness[glass]}
         values |= {f"alpha_{order}": self.lens.alpha[glass, order // 2 - 1] * self._scale(order) for order in ORDERS}
         return {name: value.detach().clone() for name, value in values.items()}
+
+    def directions(self, names: Iterable[str]) -> dict[str, Tensor]:
+        """V unit changes of the variables `names` in the order of `values`: `curvature` (V, S), `alpha` (V, S, M)."""
+        glass, names = list(self.lens.glass), list(names)
+        changes = {
+            name: torch.zeros(len(names), len(glass), *getattr(self.lens, name).shape, dtype=self.lens.dtype)
+            for name in ("curvature", "thickness", "alpha")
+        }
+        for k, name in enumerate(names):
+            for i, surface in enumerate(glass):
+                if name in changes:
+                    changes[name][k, i, surface] = 1
+                else:
+                    order = int(name.removeprefix("alpha_"))
+                    changes["alpha"][k, i, surface, order // 2 - 1] = 1 / self._scale(order)[i]
+        return {name: change.flatten(0, 1) for name, change in changes.items()}
 
     def assemble(self, values: Mapping[str, Tensor]) -> Lens:
         """The lens with these values in it, differentiable in them; what is not named keeps its value."""

@@ -81,7 +81,7 @@ def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Sur
     Args:
         before: changes of the rays before it, z from its vertex.
         mu_change: change of mu.
-        parameters: changes of curvature and conic, 0-dim, and of alpha (M,).
+        parameters: changes of curvature and conic, which broadcast with the rays, and of alpha (..., M).
 
     Returns:
         changes of the rays behind it, and of t.
@@ -94,8 +94,9 @@ def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Sur
     conic = 0.5 * _cubed(surface.curvature) * dk
     d_sag, d_slope = u * w * v * (dc + conic * u * v), 0.5 * w**3 * (dc + conic * u)
     if powers is not None:
-        d_sag = d_sag + u * (powers.T @ da).reshape(u.shape)
-        d_slope = d_slope + (powers.T @ (surface.orders * da)).reshape(u.shape)
+        size = (*da.shape[:-1], *u.shape)
+        d_sag = d_sag + u * (da @ powers).reshape(size)
+        d_slope = d_slope + ((surface.orders * da) @ powers).reshape(size)
     # P' = P + t D and the intersection
     dx, dy, dz = dx + t * dl, dy + t * dm, dz + t * dn
     dt = (d_sag - dz - e * (x * dx + y * dy)) / q

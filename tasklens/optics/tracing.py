@@ -1,6 +1,7 @@
 """Sequential ray tracing in which every ray has a fate and every number a gradient."""
 
 import math
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import torch
@@ -9,46 +10,11 @@ from torch import Tensor
 
 from tasklens.optics.intersection import GRAZING, Surface, distance, surfaces
 from tasklens.optics.lens import Lens
+from tasklens.optics.losses import Losses
 from tasklens.optics.rays import Fate, Rays
 from tasklens.optics.refraction import Bundle, Crossing, cross, pull, push
 
 _TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
-
-
-class _Losses:
-    """Which rays were lost, where and why; lost rays run on along the axis, where nothing happens to them."""
-
-    def __init__(self, fate: Tensor, lost_at: Tensor):
-        self.fate, self.lost_at = fate, lost_at
-        self.alive: Tensor | None = None  # None while nothing is lost: the common case pays for nothing
-        self.last: tuple[Tensor, ...]  # x, y, z and path where a ray was lost
-
-    def add(self, lost: Tensor, fate: Fate, surface: int, rays: Bundle, path: Tensor) -> Bundle:
-        """Note that rays are lost where they are now, and park them."""
-        self.fate = torch.where(lost, torch.tensor(fate, dtype=torch.int8), self.fate)
-        self.lost_at = torch.where(lost, torch.tensor(surface, dtype=torch.int8), self.lost_at)
-        return self.park(lost, rays, path)
-
-    def park(self, lost: Tensor, rays: Bundle, path: Tensor) -> Bundle:
-        """Put rays on the axis."""
-        now = (*rays[:3], path)
-        if self.alive is None:
-            self.alive, self.last = ~lost, now
-        else:
-            self.alive = self.alive & ~lost
-            self.last = tuple(torch.where(lost, v, old) for v, old in zip(now, self.last, strict=True))
-        axis = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-        return Bundle(*(torch.where(lost, on_axis, v) for on_axis, v in zip(axis, rays, strict=True)))
-
-    def where_lost(self, *now: Tensor) -> tuple[Tensor, ...]:
-        """(x, y, z, path), for lost rays those of their last point."""
-        if self.alive is None:
-            return now
-        return tuple(torch.where(self.alive, v, old) for v, old in zip(now, self.last, strict=True))
-
-    def masked(self, values: Tensor) -> Tensor:
-        """The values, zero for a lost ray."""
-        return values if self.alive is None else torch.where(self.alive, values, 0.0)
 
 
 class _Notes:
@@ -59,7 +25,7 @@ class _Notes:
         self.record = record
         self.to_index = to_index
         self.crossings: list[Crossing | None] | None = [] if keep else None  # None: a plane that bends nothing
-        self.losses: _Losses
+        self.losses: Losses
         self.surfaces: list[Surface]
         self.last: tuple[Tensor, ...]  # l, m, n and t from the last surface to the image plane
 
@@ -71,7 +37,7 @@ class _Sequence(torch.autograd.Function):
 
     @staticmethod
     def forward(notes: _Notes, fate, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
-        notes.losses = losses = _Losses(fate, lost_at)
+        notes.losses = losses = Losses(fate, lost_at)
         notes.surfaces = surfaces(curvature, conic, alpha)
         rays = Bundle(x, y, z, l, m, n)
         if bool(fate.any()):
@@ -142,27 +108,33 @@ class _Sequence(torch.autograd.Function):
 
     @staticmethod
     def jvp(ctx, _notes, _fate, _lost_at, *changes):
-        notes, (indices,) = ctx.notes, ctx.saved_tensors
-        zero, index = indices.new_zeros(()), indices.unbind()
-        *rays, d_path, d_indices, dc, dk, da, d_space = (zero if v is None else v for v in changes)
-        rays = Bundle(*rays)
+        (indices,) = ctx.saved_tensors
+        *rays, path, d_indices, curvature, conic, alpha, thickness = changes
+        return *_pushed(ctx.notes, indices, rays, path, d_indices, curvature, conic, alpha, thickness), None, None
 
-        def row(change: Tensor, i: int) -> Tensor:
-            return change[i] if change.dim() else change
 
-        for i, (crossing, surface) in enumerate(zip(notes.crossings, notes.surfaces, strict=True)):
-            if crossing is not None:
-                mu_change = (row(d_indices, i) - crossing.mu * row(d_indices, i + 1)) / index[i + 1]
-                shape = (row(dc, i), row(dk, i), da[i] if da.dim() else torch.zeros_like(surface.orders))
-                rays, dt = push(rays, mu_change, shape, crossing, surface)
-                d_path = d_path + row(d_indices, i) * crossing.t + index[i] * dt
-            rays = rays._replace(z=rays.z - row(d_space, i))
-        dx, dy, dz, dl, dm, dn = rays
-        l, m, n, t = notes.last
-        dt = -(dz + t * dn) / n
-        d_path = d_path + row(d_indices, -1) * t + index[-1] * dt
-        ends = (dx + t * dl + dt * l, dy + t * dm + dt * m, dl, dm, dn, d_path)
-        return *(notes.losses.masked(v) for v in ends), None, None
+def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, conic, alpha, thickness):
+    """Small changes of rays (..., F, W, N) and surfaces (..., S) carried to the image plane; None stands for zero."""
+    zero, index = indices.new_zeros(()), indices.unbind()
+    rays, d_path = Bundle(*(zero if v is None else v for v in rays)), zero if d_path is None else d_path
+
+    def at(change: Tensor | None, i: int) -> Tensor:
+        return zero if change is None else change[..., i, None, None, None]
+
+    for i, (crossing, surface) in enumerate(zip(notes.crossings, notes.surfaces, strict=True)):
+        if crossing is not None:
+            before, behind = (zero, zero) if d_indices is None else (d_indices[i], d_indices[i + 1])
+            coefficients = torch.zeros_like(surface.orders) if alpha is None else alpha[..., i, :]
+            shape = (at(curvature, i), at(conic, i), coefficients)
+            rays, dt = push(rays, (before - crossing.mu * behind) / index[i + 1], shape, crossing, surface)
+            d_path = d_path + before * crossing.t + index[i] * dt
+        rays = rays._replace(z=rays.z - at(thickness, i))
+    dx, dy, dz, dl, dm, dn = rays
+    l, m, n, t = notes.last
+    dt = -(dz + t * dn) / n
+    d_path = d_path + (zero if d_indices is None else d_indices[-1]) * t + index[-1] * dt
+    ends = (dx + t * dl + dt * l, dy + t * dm + dt * m, dl, dm, dn, d_path)
+    return tuple(notes.losses.masked(v) for v in ends)
 
 
 def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
@@ -171,7 +143,7 @@ def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
 
 
 def _onward(
-    rays: Bundle, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: _Losses
+    rays: Bundle, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: Losses
 ) -> tuple[Bundle, Tensor, Crossing]:
     """Rays before surface i, z from its vertex, to behind it, and their optical path; the lost are noted and parked."""
     x, y, z, l, m, n = rays
@@ -193,7 +165,7 @@ def _onward(
     return behind, path, crossing
 
 
-def _through(rays: Bundle, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: _Losses) -> Bundle:
+def _through(rays: Bundle, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: Losses) -> Bundle:
     """Rays at a plane in one medium, such as a stop in air: as before it, but for those that its aperture stops."""
     limit = _limit(semi_diameter)
     if limit < math.inf:
@@ -261,3 +233,28 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
         record[:] = [Rays(*(v.reshape(size) for v in vars(at).values())) for at in record]
     x, y, l, m, n, path, fate, lost_at = (v.reshape(size) for v in ends)
     return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at)
+
+
+def linearise(
+    lens: Lens, rays: Rays, indices: Tensor, record: list | None = None
+) -> tuple[Rays, Callable[[Mapping[str, Tensor]], Bundle]]:
+    """Trace rays (F, W, N) as `trace` does but without a graph, and give the derivative along changes of the lens.
+
+    Returns:
+        The rays on the image plane, and the function that takes V changes of the lens at once, `curvature`, `conic` and
+        `thickness` (V, S), `alpha` (V, S, M), where a missing one is zero, to those of the rays there, (V, F, W, N).
+        The rays start as they are, whatever the lens.
+    """
+    notes = _Notes(lens.semi_diameter.tolist(), record, keep=True, to_index=False)
+    parts = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
+    shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
+    with torch.no_grad():
+        x, y, l, m, n, path, fate, lost_at = _Sequence.forward(notes, *parts, indices[..., None], *shape)
+
+    def derivative(changes: Mapping[str, Tensor]) -> Bundle:
+        kinds = (changes.get(name) for name in ("curvature", "conic", "alpha", "thickness"))
+        with torch.no_grad():
+            dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds)
+        return Bundle(dx, dy, torch.zeros_like(dx), dl, dm, dn)
+
+    return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at), derivative

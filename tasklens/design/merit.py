@@ -1,0 +1,115 @@
+"""The merit function of damped least squares: two residuals per ray and one per limit, with their derivatives."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, shortfall
+from tasklens.optics.analysis import View
+from tasklens.optics.lens import Lens
+from tasklens.optics.pupil import bundles, gauss_quadrature
+from tasklens.optics.tracing import linearise
+from tasklens.settings import Constraints, LeastSquares
+
+HEIGHTS = (0.0, 0.3, 0.5, 0.7, 0.87, 1.0)  # fields of the merit function, as parts of the largest
+RINGS, ARMS = 6, 4
+_RIM = 1.04  # the outermost ring of the quadrature, at 0.966 of the pupil, to its rim
+_LOST = 300.0  # residual of a lost ray [um]
+_SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
+
+
+class Merit:
+    """Residuals [um] of a lens: two per ray, weighted so that their sum of squares is the mean squared spot radius.
+
+    The stop of the lenses stands in front of them: rays then start alike, whatever the lens.
+    """
+
+    def __init__(self, view: View, limits: Constraints, settings: LeastSquares):
+        heights = torch.tensor(HEIGHTS, dtype=torch.float64)
+        fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
+        self.view, self.limits, self.settings = replace(view, fields=fields), limits, settings
+        pupil, self.weight = gauss_quadrature(RINGS, ARMS)
+        self.pupil = torch.cat([pupil, torch.zeros(1, 2, dtype=torch.float64)])  # the last of each bundle: a chief ray
+        self.middle = len(view.wavelengths) // 2
+        field = settings.corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`
+        self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
+
+    def residuals(self, lens: Lens) -> Tensor:
+        """(R,) residuals [um]."""
+        return self.linearise(lens)[0]
+
+    def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
+        """(R,) residuals [um], and the function from V changes of the lens (see `tracing.linearise`) to (R, V) columns.
+
+        Limits take the apertures as given, without derivative.
+        """
+        view, record = self.view, []
+        start = bundles(lens, view.tangents, self.pupil, view.wavelengths)
+        rays, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths), record)
+        valid = rays.valid[..., :-1]
+        errors = [
+            torch.where(valid, 1e3 * self.share * error, _LOST * self.share)
+            for error in self._errors(rays.x, rays.y, valid)
+        ]
+        semi_diameter = _RIM * torch.stack([torch.hypot(r.x, r.y).max() for r in record])
+        leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
+        leaves["chief"] = torch.stack(
+            [v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)]
+        ).requires_grad_()
+        operands = self._operands(leaves, lens, semi_diameter)
+        values = torch.cat([*(error.flatten() for error in errors), operands.detach()])
+
+        def columns(changes: Mapping[str, Tensor]) -> Tensor:
+            moved = derivative(changes)
+            rows = [
+                torch.where(valid, 1e3 * self.share * error, 0.0).flatten(1)
+                for error in self._errors(moved.x, moved.y, valid)
+            ]
+            chief = torch.stack([v[..., self.middle, -1] for v in (moved.x, moved.y, moved.m, moved.n)], 1)
+            rows.append(_along(operands, leaves, {**changes, "chief": chief}))
+            return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
+
+        # A kicked lens can leave every range; scipy wants numbers all the same, as bad as they may be.
+        return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
+
+    def _errors(self, x: Tensor, y: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+        """Errors in x, and in y about the reference, of all rays but the chief ones; linear: changes may stand here."""
+        if self.settings.reference == "centroid":
+            arrived = valid * self.weight
+            centre = (y[..., :-1] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
+        else:
+            centre = y[..., self.middle, -1]
+        return x[..., :-1], y[..., :-1] - centre[..., None, None]
+
+    def _operands(self, leaves: Mapping[str, Tensor], lens: Lens, semi_diameter: Tensor) -> Tensor:
+        """One-sided residuals of limits, zero where they hold."""
+        shape = {name: value for name, value in leaves.items() if name != "chief"}
+        lens, (x, y, m, n) = replace(lens, **shape), leaves["chief"]
+        margins = manufacturing_margins(lens, self.limits, semi_diameter)
+        margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))
+        operands = [_SHORTFALL * shortfall(margins)]
+        if self.settings.max_chief_ray_angle_deg is not None:
+            angle = torch.rad2deg(torch.atan2(m.abs(), n))
+            operands.append((angle - self.settings.max_chief_ray_angle_deg).clamp(min=0))
+        return torch.cat(operands)
+
+
+def _along(operands: Tensor, leaves: Mapping[str, Tensor], changes: Mapping[str, Tensor]) -> Tensor:
+    """(V, K) changes of K operands along V changes of the leaves; zero for the many operands that are zero."""
+    result = operands.new_zeros(len(changes["chief"]), len(operands))
+    broken = operands.detach().nonzero()[:, 0]
+    if len(broken):
+        names = [name for name in leaves if name in changes]
+        gradients = torch.autograd.grad(
+            operands[broken],
+            [leaves[name] for name in names],
+            torch.eye(len(broken), dtype=operands.dtype),
+            retain_graph=True,
+            is_grads_batched=True,
+            materialize_grads=True,
+        )
+        for name, gradient in zip(names, gradients, strict=True):
+            result[:, broken] += changes[name].flatten(1) @ gradient.flatten(1).T
+    return result

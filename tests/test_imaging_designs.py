@@ -1,0 +1,151 @@
+"""Imaging designs: spot descent; the merit function, its derivatives, and the search that lowers it."""
+
+from dataclasses import replace
+
+import numpy
+import pytest
+import torch
+from examples import difference, materials
+
+from tasklens.design import least_squares, spot
+from tasklens.design.constraints import manufacturing_margins
+from tasklens.design.merit import ARMS, HEIGHTS, RINGS, Merit
+from tasklens.design.start import Variables, flat, view
+from tasklens.optics.analysis import centroid, rms_spot_radius, trace_fields
+from tasklens.optics.paraxial import paraxial
+from tasklens.optics.pupil import sobol_disc
+from tasklens.settings import Constraints, LeastSquares, Rates, Spec, Spot
+
+SPEC, LIMITS = Spec(kernel=11), Constraints()
+LOOKS = view(SPEC)
+PLASTICS = materials("COC", "OKP4")
+SETTINGS = LeastSquares(method="least_squares")
+
+
+@pytest.fixture(scope="module")
+def start():
+    """A random doublet of the right focal length."""
+    flat_lens = flat(PLASTICS, SPEC, LIMITS)
+    return least_squares.random_starts(flat_lens, LOOKS, LIMITS, 1, numpy.random.default_rng(0))[0]
+
+
+def mean_rms(lens) -> float:
+    rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
+    return float(rms_spot_radius(rays, centroid(rays)).mean())
+
+
+def test_spot_descent_from_flat_makes_a_lens():
+    """Thirty steps from plane plates: less blur and no shorter of its focal length than before."""
+    settings = Spot(method="spot", steps=30, rays=64, rates=Rates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2))
+    begin, history = flat(PLASTICS, SPEC, LIMITS), []
+    lens = spot.design(begin, LOOKS, LIMITS, settings, 0, history)
+    assert mean_rms(lens) < 0.7 * mean_rms(begin)
+    assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
+    assert len(history) == 30
+
+
+def test_random_starts_have_the_focal_length_and_a_focus():
+    """The last curvature and the back focus are solved for; limits on track and back focus hold."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    again = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    for lens, same in zip(starts, again, strict=True):
+        found = paraxial(lens, LOOKS.wavelengths[1])
+        assert float(found.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
+        assert float(found.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
+        assert LIMITS.min_back_focus < float(found.bfl) and float(lens.thickness.sum()) < LIMITS.max_track
+        assert torch.equal(lens.curvature, same.curvature)
+    assert len({float(lens.curvature[1]) for lens in starts}) == 20
+
+
+@pytest.mark.parametrize("reference", ["centroid", "chief_ray"])
+def test_merit_columns_are_the_limit_of_differences(start, reference):
+    """Rays, their reference, focal length, distortion, chief-ray angle; of a lens that breaks some of these limits."""
+    settings = SETTINGS.model_copy(update={"reference": reference, "max_chief_ray_angle_deg": 5.0})
+    limits = LIMITS.model_copy(update={"efl_tolerance": 1e-4, "distortion": 1e-4})
+    lens = replace(start, curvature=1.01 * start.curvature)
+    merit, variables = Merit(LOOKS, limits, settings), Variables.plain(lens)
+    values = variables.values()
+    sizes = [len(v) for v in values.values()]
+
+    def residuals(vector):
+        return merit.residuals(variables.assemble(dict(zip(values, vector.split(sizes), strict=True))))
+
+    vector = torch.cat(list(values.values()))
+    found = merit.linearise(lens)[1](variables.directions(values))
+    expected = difference(residuals, vector, 1e-6)
+    errors = 2 * len(merit.share) * 3 * RINGS * ARMS
+    first_order = len(HEIGHTS) + 1 + len(HEIGHTS) - 1  # chief-ray angles, focal length, distortion off the axis
+    rows = [*range(errors), *range(-first_order, 0)]  # other limits take apertures as given (see below)
+    assert (expected[:errors].abs().amax(0) > 1).all() and (expected[-first_order:].abs().amax(1) > 1).sum() > 9
+    torch.testing.assert_close(found[rows], expected[rows], rtol=1e-6, atol=1e-6 * float(expected[rows].abs().max()))
+
+
+@pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
+def test_margins_are_differentiable_at_a_given_aperture(start, name):
+    semi = torch.full_like(start.thickness, 0.7)
+
+    def margins(value):
+        return torch.cat(list(manufacturing_margins(replace(start, **{name: value}), LIMITS, semi).values()))
+
+    found = torch.func.jacfwd(margins)(getattr(start, name))
+    expected = difference(margins, getattr(start, name), 1e-4)
+    assert float(expected.abs().max()) > 0
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-8)
+
+
+def test_merit_is_the_mean_square_spot(start):
+    """Without broken limits the squares sum to the mean over fields of the squared RMS spot radius."""
+    easy = Constraints(
+        min_centre_thickness=1e-6, max_centre_thickness=99, min_edge_thickness=1e-6, min_air_gap=1e-6,
+        min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
+    )  # fmt: skip
+    merit = Merit(LOOKS, easy, SETTINGS)
+    gentle = start.stopped(0.3)
+    found = float(merit.residuals(gentle).square().sum())
+    heights = torch.tensor(HEIGHTS, dtype=torch.float64)
+    fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
+    looks = replace(LOOKS, fields=fields)
+    rays = trace_fields(gentle, looks, sobol_disc(8192, 0))
+    expected = float((1e3 * rms_spot_radius(rays, centroid(rays))).square().mean())
+    assert found == pytest.approx(expected, rel=1e-2)
+
+
+def test_improve_never_increases_the_merit():
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    merit = Merit(LOOKS, LIMITS, SETTINGS)
+    for lens in least_squares.random_starts(begin, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
+        before = float(merit.residuals(lens).norm())
+        better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
+        assert error <= before
+        assert error == pytest.approx(float(merit.residuals(better).norm()), rel=1e-9)
+        assert torch.equal(better.alpha, lens.alpha)
+
+
+def test_more_evaluations_make_a_better_lens():
+    """A staged least-squares design of a few seconds beats each of its starts, with or without kicks."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=1)
+    history: list[dict] = []
+    lens = least_squares.design(begin, LOOKS, LIMITS, settings, 0, history)
+    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
+    merit = Merit(LOOKS, LIMITS, settings)
+    best = min(float(merit.residuals(x).norm()) for x in starts)
+    final = float(merit.residuals(lens).norm())
+    assert final < 0.5 * best
+    assert final == pytest.approx(history[-1]["rms_um"], rel=1e-9)
+    assert history[-1]["rms_um"] <= min(row["rms_um"] for row in history if row["stage"] == 3)
+
+
+def test_a_kick_that_makes_it_worse_is_forgotten(monkeypatch):
+    """Kicked to plane plates, nothing better comes of a dozen evaluations: the lens from before is returned."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    settings = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=0)
+    best = least_squares.design(begin, LOOKS, LIMITS, settings, 0, [])
+    monkeypatch.setattr(least_squares, "_kick", lambda lens, rng: begin)
+    monkeypatch.setattr(least_squares, "_KICK_EVALUATIONS", 2)
+    kicked = least_squares.design(begin, LOOKS, LIMITS, settings.model_copy(update={"kicks": 1}), 0, [])
+    assert torch.equal(kicked.curvature, best.curvature) and torch.equal(kicked.alpha, best.alpha)
+
+
+# ---- a finished lens
