@@ -60,7 +60,7 @@ def timed_steps(
     looks, limits = view(Spec()), Constraints()
     recogniser = frozen(Recogniser(network))
     plates = flat((builtin("COC"), builtin("OKP4")), Spec(), limits)
-    quick = LeastSquares(method="least_squares", starts=6, keep=2, evaluations=36, kicks=0)
+    quick = LeastSquares(method="least_squares", starts=6, evaluations=100)
     lens = least_squares.design(plates, looks, limits, quick, 0, [])  # no ray is lost: lost ones cost time
     variables, rates = Variables.stepped(lens, looks, Rates()), Rates()
     values = {name: value.requires_grad_() for name, value in variables.values().items()}

@@ -159,9 +159,7 @@ class LeastSquares(Frozen):
 
     method: Literal["least_squares"]
     starts: Count = 150
-    keep: Count = 12
-    evaluations: Count = 400
-    kicks: Annotated[int, Field(ge=0)] = 0
+    evaluations: Count = 8000  # of all residuals, with or without their derivatives
     reference: Literal["centroid", "chief_ray"] = "centroid"
     highest_order: Literal[4, 6, 8, 10] = 10
     corner_weight: Positive = 1.0

@@ -1,8 +1,8 @@
 """Imaging design by damped least squares: ray residuals, random starts, staged variables, kicks.
 
-The way of a lens designer: many paraxial starts are sorted by a merit function of two residuals per ray; the best are
-improved in stages (curvatures and spaces, then low orders, then all), and the winner is kicked out of its minimum again
-and again, as in Hammer optimisation. Budgets count evaluations, so that the result does not depend on the machine.
+The way of a lens designer: many paraxial starts are improved in stages (curvatures and spaces, then low orders, then all),
+and fewer of them go on each time. Those left are kicked out of their minima again and again, as in Hammer optimisation,
+and again only the best go on. Budgets count evaluations, so that the result does not depend on the machine.
 """
 
 import itertools
@@ -23,6 +23,8 @@ from tasklens.progress import Progress
 from tasklens.settings import Constraints, LeastSquares
 
 _SPACES = 0.35  # a random start draws its element and air thicknesses below this part of the focal length
+_STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget
+_KICKS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # part of the starts, at least one lens; part of the budget
 _KICK_EVALUATIONS = 12
 
 
@@ -100,32 +102,40 @@ def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, 
     rng = numpy.random.default_rng(seed)
     merit = Merit(view, limits, settings)
     orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
-    stages = (("curvature", "thickness"), ("curvature", "thickness", *orders[:2]), ("curvature", "thickness", *orders))
-    starts = random_starts(flat, view, limits, settings.starts, rng)
-    candidates = sorted(((float(merit.residuals(lens).norm()), i, lens) for i, lens in enumerate(starts)))
-    kept = max(1, settings.keep)
-    progress = Progress("least squares", settings.evaluations + settings.kicks * _KICK_EVALUATIONS)
+    progress = Progress("least squares", settings.evaluations)
     evaluations = itertools.count(1)
 
     def watch(error: float) -> None:
         progress(next(evaluations), rms_um=error)
 
-    for stage, names in enumerate(stages):
-        each = max(2, settings.evaluations // (len(stages) * kept))
-        improved = []
-        for _, i, lens in candidates[:kept]:
-            lens, error = improve(lens, merit, names, each, watch)
-            improved.append((error, i, lens))
-            history.append({"step": len(history) + 1, "stage": stage + 1, "rms_um": error})
-        candidates = sorted(improved)
-        kept = max(1, kept // 3)
-    best, _, lens = candidates[0]
-    for _ in range(settings.kicks):
-        kicked, error = improve(_kick(lens, rng), merit, stages[-1], _KICK_EVALUATIONS, watch)
-        if error < best:
-            best, lens = error, kicked
-        history.append({"step": len(history) + 1, "stage": len(stages) + 1, "rms_um": best})
-    return lens
+    def log(stage: str, error: float) -> None:
+        history.append({"step": len(history) + 1, "stage": stage, "rms_um": error})
+
+    def onward(candidates: list, part: float, share: float) -> tuple[list, int]:
+        """The best candidates, and how many evaluations each of them may take."""
+        kept = sorted(candidates)[: max(1, round(part * settings.starts))]
+        return kept, round(share * settings.evaluations / len(kept))
+
+    candidates = [(0.0, i, lens) for i, lens in enumerate(random_starts(flat, view, limits, settings.starts, rng))]
+    for part, count, share in _STAGES:
+        kept, budget = onward(candidates, part, share)
+        names = ("curvature", "thickness", *orders[:count])
+        candidates = []
+        for _, i, lens in kept:
+            lens, error = improve(lens, merit, names, max(2, budget), watch)
+            candidates.append((error, i, lens))
+            log(f"{count} orders", error)
+    for part, share in _KICKS:
+        kept, budget = onward(candidates, part, share)
+        candidates = []
+        for best, i, lens in kept:
+            for _ in range(max(1, budget // _KICK_EVALUATIONS)):
+                kicked, error = improve(_kick(lens, rng), merit, names, _KICK_EVALUATIONS, watch)
+                if error < best:
+                    best, lens = error, kicked
+                log(f"kicks of {len(kept)}", best)
+            candidates.append((best, i, lens))
+    return min(candidates)[2]
 
 
 def _kick(lens: Lens, rng: numpy.random.Generator) -> Lens:
