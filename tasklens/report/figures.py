@@ -74,7 +74,7 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
             for sign in (1, -1):
                 rim = sign * float(lens.semi_diameter[i])
                 axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2)
-        else:
+        if i in lens.glass:
             axes.plot(z, height, color="black", lw=1)
     for i, medium in enumerate(lens.media[:-1]):
         if medium != AIR:
