@@ -194,9 +194,10 @@ def _use(content: Mapping, name: str) -> dict:
         found["wavelengths_um"] = tuple(number(value, f"{name}: wavelengths_um") for value in wavelengths)
         found["primary"] = _index(_part(content, "primary", int, name), len(wavelengths), f"{name}: primary")
     if "object_distance_mm" in content:
-        found["object_distance_mm"] = number(content["object_distance_mm"], f"{name}: object_distance_mm")
-        if not found["object_distance_mm"] > 0:
-            raise FileError(f"{name}: object_distance_mm: expected a positive number")
+        distance = number(content["object_distance_mm"], f"{name}: object_distance_mm")
+        if not distance > 0:
+            raise FileError(f"{name}: object_distance_mm: expected a positive number, found {distance}")
+        found["object_distance_mm"] = distance
     return found
 
 
