@@ -11,6 +11,7 @@ from tasklens import files, jobs
 from tasklens import study as studies
 from tasklens.digest import code
 from tasklens.layout import PAPER, SHARP, Layout, restored
+from tasklens.settings import Outside
 
 min_version("9.10")
 
@@ -94,8 +95,9 @@ made = []  # the tables of this run, shown at its end
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
     files.write_if_changed(layout.study, studies.dump(study))
-    if any(job.rule.name == "reference" for job in workflow.dag.needrun_jobs()):
-        shell("tasklens check {layout.study} --networks > /dev/null")
+    networks = "--networks" if any(job.rule.name == "reference" for job in workflow.dag.needrun_jobs()) else ""
+    if networks or study.outside:
+        shell("tasklens check {layout.study} {networks} > /dev/null")
     made.extend(sorted(job.wildcards.table for job in workflow.dag.needrun_jobs() if job.rule.name == "table"))
     planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
     total = sum(study.minutes[job.rule.name] for job in planned)

@@ -171,7 +171,13 @@ def analyse(args: argparse.Namespace) -> None:
 
 
 def check(study: Study, args: argparse.Namespace) -> None:
-    """say what a study file describes, or what is wrong with it"""
+    """say what a study file describes, or what is wrong with it and with its lenses from outside"""
+    if study.outside:
+        from tasklens.design import outside
+        from tasklens.design.start import view
+
+        for entry in study.outside.values():
+            outside.fit(entry, view(study.spec), study.spec.f_number, study.evaluation_rays)
     if args.networks:
         from tasklens.recognition import classifiers
 

@@ -14,6 +14,7 @@ from tasklens.settings import (
     Images,
     LeastSquares,
     Lens,
+    Outside,
     Restoration,
     Spec,
     Spot,
@@ -114,10 +115,10 @@ def restore(study: Study, seed: int) -> RestorationJob:
 def table(study: Study, name: str) -> TableJob:
     """Which lenses and classifiers stand in a table of the paper.
 
-    Tables 1, 2 and 4 compare the task-driven with the imaging designs, table 3 with the end-to-end designs. Table 2
-    is about all classifiers, the others about the supervisor.
+    Tables 1, 2 and 4 compare the task-driven with the imaging designs and the lenses from outside, table 3 with the
+    end-to-end designs. Table 2 is about all classifiers, the others about the supervisor.
     """
-    methods = (Task, EndToEnd) if name == "table3" else (Task, Spot, LeastSquares)
+    methods = (Task, EndToEnd) if name == "table3" else (Task, Spot, LeastSquares, Outside)
     return TableJob(
         name=name,
         lenses=tuple(key for key, lens in study.lenses.items() if isinstance(lens.design, methods)),
@@ -127,7 +128,10 @@ def table(study: Study, name: str) -> TableJob:
 
 
 def imaging_rivals(study: Study, lens: str) -> tuple[str, ...]:
-    """The imaging lenses among which a design from the best imaging lens chooses; empty for every other design."""
+    """The imaging lenses among which a design from the best imaging lens chooses; empty for every other design.
+
+    Not the lenses from outside: naming an opponent changes no other row.
+    """
     chosen = study.lens(lens)
     if not (isinstance(chosen.design, EndToEnd) and chosen.design.start == "best_imaging"):
         return ()

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, computed_field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FilePath, computed_field, field_validator, model_validator
 
 from tasklens.optics.materials import Material
 
@@ -166,6 +166,24 @@ class LeastSquares(Frozen):
     max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
 
 
+class Outside(Frozen):
+    """A lens from a file (.zmx, or a lens.yaml), made to fit the specification; its glasses from `catalogues` too.
+
+    `elements` is what the tables call it; its plastics are the file's.
+    """
+
+    elements: Name
+    file: FilePath
+    catalogues: tuple[FilePath, ...] = ()
+
+    @field_validator("file")
+    @classmethod
+    def _known_kind(cls, file: Path) -> Path:
+        if file.suffix.lower() not in (".zmx", ".yaml", ".yml"):
+            raise ValueError("expected a lens file, .zmx or .yaml")
+        return file
+
+
 RENDERED_CLASSES = 10  # of the built-in pictures, recognition.scenes
 
 Design = Annotated[Task | EndToEnd | Spot | LeastSquares, Field(discriminator="method")]
@@ -262,4 +280,4 @@ class Lens(Frozen):
     elements: str
     plastics: tuple[Material, ...]  # with their coefficients: editing one redesigns the lenses that use it
     design_name: str
-    design: Design
+    design: Design | Outside

@@ -27,6 +27,7 @@ from tasklens.settings import (
     LeastSquares,
     Lens,
     Name,
+    Outside,
     Restoration,
     Spec,
     Spot,
@@ -41,7 +42,7 @@ class StudyError(ValueError):
 
 
 class Study(Frozen):
-    """Everything a study is made of. `lenses` = every entry of `elements` with every entry of `designs`.
+    """Everything a study is made of. `lenses` = every entry of `elements` with every one of `designs`, and `outside`.
 
     `materials` is given as a list of files (YAML or AGF) or as definitions; it becomes the definitions of the plastics
     that `elements` use, so that a resolved study needs no other file.
@@ -58,6 +59,7 @@ class Study(Frozen):
     elements: Annotated[dict[Name, tuple[str, ...]], Field(min_length=1)]
     materials: Annotated[dict[str, Material], Field(default_factory=dict, validate_default=True)]
     designs: Annotated[dict[Name, Design], Field(min_length=1)]
+    outside: Annotated[dict[Name, Outside], Field(default_factory=dict)]
     classifiers: Annotated[dict[Name, Classifier], Field(min_length=1)]
     supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
     fine_tuning: Training
@@ -113,6 +115,9 @@ class Study(Frozen):
         for name, design in self.designs.items():
             if isinstance(design, EndToEnd) and design.start == "best_imaging" and not self.imaging_designs:
                 raise ValueError(f"designs.{name}.start: 'best_imaging' needs a design by spot or least_squares")
+        for name in self.outside:
+            if name in self.designs:
+                raise ValueError(f"outside.{name}: one of the designs is called {name} too; rename one")
         for name, plastics in self.elements.items():
             self._room_for(name, len(plastics))
         for material in self.materials.values():
@@ -155,8 +160,8 @@ class Study(Frozen):
 
     @property
     def lenses(self) -> dict[str, Lens]:
-        """Every lens by name, `{elements}-{design}`."""
-        return {
+        """Every lens by name, `{elements}-{design}`; those from outside last."""
+        designed = {
             f"{elements}-{name}": Lens(
                 name=f"{elements}-{name}",
                 elements=elements,
@@ -166,6 +171,12 @@ class Study(Frozen):
             )
             for elements, plastics in self.elements.items()
             for name, design in self.designs.items()
+        }
+        return designed | {
+            f"{lens.elements}-{name}": Lens(
+                name=f"{lens.elements}-{name}", elements=lens.elements, plastics=(), design_name=name, design=lens
+            )
+            for name, lens in self.outside.items()
         }
 
     @property

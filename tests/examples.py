@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tasklens.optics.catalogues import builtin
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR, Material
+from tasklens.optics.materials import AIR, Material, model_glass
 from tasklens.optics.rays import Rays, launch
 from tasklens.recognition.data import Pictures
 
@@ -36,6 +36,19 @@ def make_lens(curvature, thickness, media, *, conic=None, alpha=None, semi_diame
         media=tuple(medium if isinstance(medium, Material) else materials(medium)[0] for medium in media),
         stop=stop,
     )
+
+
+def cooke_triplet(**changes) -> Lens:
+    """A Cooke triplet of 50 mm, made for F/5 and 40 degrees, with its stop in the second space and a cover glass."""
+    crown, flint = model_glass(1.62041, 60.3, 0.0), model_glass(1.62004, 36.4, 0.0)
+    lens = make_lens(
+        [1 / 22.01359, -1 / 435.76044, -1 / 22.21328, 1 / 20.29192, 0.0, 1 / 79.6836, -1 / 18.39533, 0.0, 0.0],
+        [3.25896, 6.00755, 0.99997, 0.5, 4.25041, 2.95208, 30.0, 1.0, 11.0],
+        (crown, "air", flint, "air", "air", crown, "air", "COC", "air"),
+        semi_diameter=[torch.inf] * 4 + [4.0] + [torch.inf] * 4,
+        stop=4,
+    )
+    return replace(lens, **changes)
 
 
 def random_lens(seed: int) -> Lens:

@@ -5,11 +5,13 @@ import csv
 import pytest
 import torch
 import yaml
-from examples import changed, tiny_study
+from examples import changed, cooke_triplet, tiny_study
 
 from tasklens import cli
 from tasklens.files import read_tensors
 from tasklens.layout import Layout
+from tasklens.optics import prescription
+from tasklens.optics.prescription import Prescription
 
 LAYOUT = Layout("results/tiny")
 
@@ -126,6 +128,27 @@ def test_restoration_and_tables_and_figure(lenses):
     assert run("figure", "singlet-imaging1") == 0
     with open(LAYOUT.figure("singlet-imaging1", 0), "rb") as file:
         assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_lens_from_outside_goes_the_same_way(lenses, capsys):
+    """From its file, by name, to its PSF and figure; what cannot be used is said by `check`, before any job."""
+    prescription.write(lenses / "theirs.yaml", Prescription(cooke_triplet()), {})
+    entry = {"elements": "triplet", "file": "theirs.yaml"}
+    study = changed(tiny_study(), "outside.cooke", entry)
+    path = lenses / "outside.yaml"
+    path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
+    for stage in ("design", "psf", "figure"):
+        assert cli.main([stage, "outside.yaml", "triplet-cooke"]) == 0
+    with open(LAYOUT.lens("triplet-cooke", 0)) as file:
+        content = yaml.safe_load(file)
+    assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
+    assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
+    with open(LAYOUT.figure("triplet-cooke", 0), "rb") as file:
+        assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+    assert cli.main(["check", "outside.yaml"]) == 0
+    path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
+    assert cli.main(["check", "outside.yaml"]) == 2
+    assert "theirs.yaml: does not cover the field" in capsys.readouterr().err
 
 
 def test_analyse_prints_the_table_of_a_lens_file(lenses, capsys):

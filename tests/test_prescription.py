@@ -58,6 +58,7 @@ def random_prescription(seed: int) -> Prescription:
         fields=(FIELDS[pick(4)], tuple(map(tuple, awkward(1 + pick(5), 2).tolist()))),
         wavelengths_um=tuple(awkward(3).abs().tolist()),
         primary=pick(3),
+        object_distance_mm=(math.inf, float(awkward(1).abs()))[pick(2)],
     )
 
 
@@ -176,6 +177,7 @@ MISTAKES = [
     (put("wavelengths_um", value=[0.5, None]), ["wavelengths_um", "None"]),
     (put("primary", value=3), ["primary", "3"]),
     (drop("primary"), ["primary"]),
+    *((put("object_distance_mm", value=v), ["object_distance_mm", str(v)]) for v in ("near", 0, -370.0, math.inf)),
 ]
 
 

@@ -10,7 +10,7 @@ from examples import changed, tiny_study
 
 from tasklens import jobs
 from tasklens.layout import SHARP
-from tasklens.optics.catalogues import builtin
+from tasklens.optics.catalogues import PLASTICS, builtin
 from tasklens.settings import Spec
 from tasklens.study import StudyError, dump, load, parse
 
@@ -55,6 +55,12 @@ MISTAKES = [
     ("restoration.decoder", [1, 1], ["encoder", "decoder"]),
     ("constraints.distortion", -0.1, ["-0.1"]),
     ("minutes.design", -1, ["-1"]),
+    ("outside.phone.file", "nowhere.zmx", ["outside.phone.file", "nowhere.zmx", "not point to a file"]),
+    ("outside.phone.file", __file__, ["outside.phone.file", ".zmx", ".yaml"]),
+    ("outside.phone", {"elements": "x", "file": str(PLASTICS), "catalogues": ["no.agf"]}, ["catalogues", "no.agf"]),
+    ("outside.phone", {"elements": "x-y", "file": str(PLASTICS)}, ["elements", "x-y"]),
+    ("outside.phone", {"file": str(PLASTICS)}, ["elements", "required"]),
+    ("outside.imaging1", {"elements": "singlet", "file": str(PLASTICS)}, ["designs", "imaging1", "rename"]),
 ]
 
 
@@ -165,6 +171,20 @@ def test_lenses_are_every_element_choice_with_every_design():
             call(name)
 
 
+def with_outside(**catalogues) -> dict:
+    """The tiny study and a lens from outside; a study does not look into its file."""
+    return changed(tiny_study(), "outside.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})
+
+
+def test_a_lens_from_outside_is_a_lens_of_the_study(tmp_path):
+    """The last one, of elements that need not exist; a resolved study keeps it."""
+    study = parse(with_outside(catalogues=[str(PLASTICS)]))
+    assert list(study.lenses) == [*parse(tiny_study()).lenses, "quadruplet-phone"]
+    assert study.lens("quadruplet-phone").elements == "quadruplet" and "quadruplet" not in study.elements
+    (tmp_path / "study.yaml").write_text(dump(study))
+    assert load(tmp_path / "study.yaml") == study
+
+
 # ---- jobs
 
 
@@ -257,6 +277,20 @@ def test_tables_hold_the_lenses_of_the_paper():
     assert found["table3"].lenses == SUPERVISED
     assert found["table2"].classifiers == ("small", "other")
     assert all(found[name].classifiers == ("small",) for name in ("table1", "table3", "table4"))
+
+
+def test_a_lens_from_outside_adds_rows_and_changes_no_other_job():
+    """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
+    before, after = slices(tiny_study()), slices(with_outside())
+    tables = {("table", name) for name in ("table1", "table2", "table4")}
+    assert {job for job in before if before[job] != after[job]} == tables
+    assert all(job[1] == "quadruplet-phone" for job in after.keys() - before.keys())
+    study = parse(with_outside())
+    for name in jobs.TABLES:
+        outside = () if name == "table3" else ("quadruplet-phone",)
+        assert jobs.table(study, name).lenses == jobs.table(parse(tiny_study()), name).lenses + outside
+    assert jobs.design(study, "quadruplet-phone", 0).classifier is None
+    assert jobs.imaging_rivals(study, "quadruplet-phone") == ()
 
 
 def test_rivals_are_the_imaging_lenses_of_the_same_elements():

@@ -12,7 +12,7 @@ from tasklens import jobs
 from tasklens import layout as layouts
 from tasklens.layout import SHARP, Layout, restored
 from tasklens.report import tables
-from tasklens.study import parse
+from tasklens.study import dump, parse
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
 ACCURACY = {
@@ -21,6 +21,7 @@ ACCURACY = {
     "doublet-imaging2": 65.0,
     "doublet-end_to_end_from_imaging": 60.0,
     "doublet-end_to_end_from_flat": 40.0,  # less than half-way from chance to reference
+    "quadruplet-phone_4p": 80.0,  # in no study but one from outside
 }
 PAPER = pandas.DataFrame(
     [
@@ -134,6 +135,20 @@ def test_table4_is_about_restored_captures(study, layout):
     row = table(study, layout, "table4").loc["tasklens"]
     assert row["accuracy"] == pytest.approx(76) and row["psnr_db"] == pytest.approx(25)
     assert row["psnr_db_paper"] == 24.0
+
+
+def test_a_lens_from_outside_has_its_rows(study, layout, tmp_path):
+    """In tables 1, 2 and 4, last, beside no value of the paper."""
+    (tmp_path / "phone.yaml").write_text("")
+    entry = {"phone_4p": {"elements": "quadruplet", "file": str(tmp_path / "phone.yaml")}}
+    study = parse(yaml.safe_load(dump(study)) | {"outside": entry})
+    for name, accuracy in (("table1", 81), ("table2", 81), ("table4", 86)):
+        found = table(study, layout, name)
+        rows = found[found.elements == "quadruplet"]
+        assert len(rows) == (2 if name == "table2" else 1) and found.index[-1] == "phone_4p"
+        assert rows["accuracy"].tolist() == pytest.approx([accuracy] * len(rows))
+        assert rows["accuracy_paper"].isna().all() if "accuracy_paper" in rows else name == "table4"
+    assert "quadruplet" not in set(table(study, layout, "table3").elements)
 
 
 def test_one_seed_has_no_spread(study, layout):

@@ -1,5 +1,6 @@
 """The study as a workflow: plans of all studies, one true small run, and what reruns after a change."""
 
+import math
 import os
 import re
 import signal
@@ -10,8 +11,10 @@ from pathlib import Path
 
 import pytest
 import yaml
-from examples import changed, tiny_study
+from examples import changed, make_lens, tiny_study
 
+from tasklens.optics import zemax
+from tasklens.optics.prescription import Prescription
 from tasklens.settings import EndToEnd
 from tasklens.study import Study, load, parse
 
@@ -88,7 +91,11 @@ def test_a_study_file_without_a_format_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "key, value, words",
-    [("spec.kernle", 51, ["spec.kernle", "51"]), ("elements.doublet", ["GLASS"], ["GLASS", "doublet"])],
+    [
+        ("spec.kernle", 51, ["spec.kernle", "51"]),
+        ("elements.doublet", ["GLASS"], ["GLASS", "doublet"]),
+        ("outside.phone", {"elements": "quadruplet", "file": "no/phone.zmx"}, ["outside.phone.file", "no/phone.zmx"]),
+    ],
 )
 def test_a_mistake_in_the_study_stops_before_any_job(tmp_path, key, value, words):
     done = snakemake(tmp_path, changed(tiny_study(), key, value), "table1")
@@ -106,6 +113,50 @@ def test_task_driven_designs_wait_for_what_they_need(tmp_path):
     assert plan(tmp_path, tiny_study(), lens.format("tasklens")) == supervised
     rivals = {"images": 1, "reference": 1, "design": 3, "psf": 2, "fine_tune": 2}
     assert plan(tmp_path, tiny_study(), lens.format("end_to_end_from_imaging")) == rivals
+
+
+# ---- a lens from outside
+
+
+def with_outside(folder: Path) -> dict:
+    """The smoke study and a singlet of somebody else in `folder`, of a glass in a catalogue of its own."""
+    (folder / "glass.agf").write_text("NM COC 1 0 1.5 50\nCD 2.3 0 0.01 0 0 0\nLD 0.4 0.8\n")
+    lens = make_lens([0.0, 1.0, 0.0], [0.1, 0.5, 1.5], ("air", "COC", "air"), semi_diameter=[0.3, math.inf, math.inf])
+    use = {"fields": ("angle_deg", ((0.0, 0.0),)), "wavelengths_um": (0.5893,), "primary": 0}
+    zemax.write(folder / "singlet.zmx", Prescription(lens, **use))
+    entry = {"elements": "singlet", "file": "singlet.zmx", "catalogues": ["glass.agf"]}
+    return changed(yaml.safe_load((ROOT / "config" / "smoke.yaml").read_text()), "outside.theirs", entry)
+
+
+def test_a_lens_from_outside_joins_the_tables(tmp_path, monkeypatch):
+    """It has the jobs of an imaging design, and no other lens waits for it."""
+    study = with_outside(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    jobs = expected(parse(study))
+    assert jobs["design"] == 7 and jobs["restore"] == 5
+    assert plan(tmp_path, study, "tables") == jobs
+    lens = "results/smoke/lenses/{}/seed0/lens.yaml"
+    assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}
+    assert plan(tmp_path, study, lens.format("doublet-end_to_end_from_imaging"))["design"] == 4
+
+
+def test_a_changed_file_reruns_the_lens_from_outside(tmp_path):
+    """The lens file or a catalogue; a file that cannot be used stops the study before its first job."""
+    study, target = with_outside(tmp_path), "results/smoke/lenses/singlet-theirs/seed0/lens.yaml"
+    done = snakemake(tmp_path, study, target)
+    assert done.returncode == 0 and (tmp_path / target).exists(), done.stdout + done.stderr
+    assert plan(tmp_path, study, target) == {}
+    for name, old, new in (("singlet.zmx", "DISZ 0.5", "DISZ 0.6"), ("glass.agf", "2.3", "2.4")):
+        path = tmp_path / name
+        before, times = path.read_text(), (path.stat().st_atime, path.stat().st_mtime)
+        path.write_text(before.replace(old, new))
+        assert path.read_text() != before and plan(tmp_path, study, target) == {"design": 1}
+        path.write_text(before)
+        os.utime(path, times)
+    path.write_text("NM COC 1 0 1.5\n")
+    done = snakemake(tmp_path, study, "results/smoke/images/train.safetensors")
+    assert done.returncode != 0 and "glass.agf" in done.stdout + done.stderr
+    assert not (tmp_path / "results/smoke/images").exists()
 
 
 # ---- a true run

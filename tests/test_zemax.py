@@ -76,6 +76,10 @@ def read(tmp_path, text=TEXT, catalogues=(), encoding="utf-8"):
     return zemax.read(tmp_path / "lens.zmx", catalogues)
 
 
+def tensors(lens):
+    return (lens.curvature, lens.conic, lens.alpha, lens.thickness, lens.semi_diameter)
+
+
 def edited(*changes: tuple[str, str]) -> str:
     text = TEXT
     for old, new in changes:
@@ -99,6 +103,17 @@ def test_what_a_file_says(tmp_path):
     assert found.aperture == ("entrance_pupil_diameter_mm", 1.2)
     assert found.fields == ("angle_deg", ((0.0, 0.0), (1.5, 20.0)))
     assert (found.wavelengths_um, found.primary) == ((0.6563, 0.5893, 0.4861), 1)
+
+
+@pytest.mark.parametrize(
+    "distance, unit, expected", [("350", "MM", 350.0), ("2", "IN", 50.8), ("1E+10", "MM", math.inf)]
+)
+def test_the_distance_of_the_object(tmp_path, distance, unit, expected):
+    """In the file's unit; beyond Zemax's limit the object is at infinity. The lens itself is the same."""
+    found = read(tmp_path, edited(("DISZ INFINITY", f"DISZ {distance}"), ("UNIT MM", f"UNIT {unit}")))
+    far = read(tmp_path, edited(("UNIT MM", f"UNIT {unit}")))
+    assert found.object_distance_mm == pytest.approx(expected, rel=1e-15) and math.isinf(far.object_distance_mm)
+    assert all(torch.equal(a, b) for a, b in zip(*map(tensors, (found.lens, far.lens)), strict=True))
 
 
 @pytest.mark.parametrize("line", ["ENPD 1.2", "FNUM 2.8 0"])
@@ -202,7 +217,8 @@ MISTAKES = [
     ("CONI -0.5", "CONI x", ["line 28", "CONI", "x"]),
     ("PARM 2 -0.002", "PARM 2 --1", ["line 24", "PARM", "--1"]),
     ("PARM 2 -0.002", "PARM two 1", ["line 24", "PARM", "two"]),
-    ("DISZ INFINITY", "DISZ 350", ["line 18", "350", "INFINITY"]),
+    ("DISZ INFINITY", "DISZ -350", ["line 18", "-350", "INFINITY"]),
+    ("DISZ INFINITY", "DISZ 0", ["line 18", "0", "INFINITY"]),
     ("  STOP\n", "", ["STOP", "0"]),
     ("  DISZ 2.5", "  DISZ 2.5\n  STOP", ["STOP", "2"]),
     ("TYPE EVENASPH", "TYPE COORDBRK", ["line 21", "COORDBRK", "EVENASPH"]),

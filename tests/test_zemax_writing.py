@@ -49,6 +49,7 @@ def random_prescription(seed: int) -> Prescription:
         fields=(FIELDS[seed % 4], tuple(map(tuple, (30 * rand(1 + seed, 2)).tolist()))),
         wavelengths_um=wavelengths,
         primary=seed % 3,
+        object_distance_mm=(math.inf, 1000 / 3)[seed // 2 % 2],
     )
 
 

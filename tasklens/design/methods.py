@@ -6,15 +6,16 @@ from pathlib import Path
 
 import torch
 
-from tasklens.design import descent, least_squares, spot
+from tasklens.design import descent, least_squares, outside, spot
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.start import flat, view
 from tasklens.jobs import DesignJob
-from tasklens.optics.analysis import chief_points, clear_semi_diameters
+from tasklens.optics.analysis import OUTLINE, chief_points, clear_semi_diameters
 from tasklens.optics.datasheet import figures
 from tasklens.optics.lens import Lens
+from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.data import Pictures
-from tasklens.settings import EndToEnd, LeastSquares, Rates, Spot, Task
+from tasklens.settings import EndToEnd, LeastSquares, Outside, Rates, Spot, Task
 
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first pictures again
 _APERTURE = 1.02  # semi-diameter of a finished surface over what light uses of it
@@ -27,7 +28,7 @@ def design(
     rivals: Mapping[str, tuple[Lens, Path]],
     history: list[dict],
 ) -> tuple[Lens, dict]:
-    """Design a lens by the method of its job.
+    """Design a lens by the method of its job, or take it from its file.
 
     Args:
         job: what to design and how.
@@ -39,6 +40,9 @@ def design(
         The lens with its clear apertures, and the notes for its file: spec, origin, figures, margins.
     """
     settings, looks = job.lens.design, view(job.spec)
+    if isinstance(settings, Outside):
+        lens, fitted = outside.fit(settings, looks, job.spec.f_number, job.rays)
+        return finished(lens, job, {"design": job.lens.design_name, "method": "file"} | fitted)
     start = flat(job.lens.plastics, job.spec, job.constraints)
     origin: dict = {"design": job.lens.design_name, "method": settings.method, "seed": job.seed, "start": "flat"}
     match settings:
@@ -96,15 +100,13 @@ def open_apertures(lens: Lens) -> Lens:
 
 
 def finished(lens: Lens, job: DesignJob, origin: dict) -> tuple[Lens, dict]:
-    """The lens with clear apertures of what light uses and a little more, and the notes for its file."""
+    """The lens and the notes for its file; where it has no clear aperture: what light uses, and a little more."""
     looks = view(job.spec)
-    used = clear_semi_diameters(lens, looks)
+    used = clear_semi_diameters(lens, looks, torch.cat([OUTLINE, sobol_disc(job.rays, seed=0)]))
     margins = manufacturing_margins(lens, job.constraints, used)
     margins |= first_order_margins(lens, job.constraints, looks, chief_points(lens, looks))
     name, value = worst_margin(margins)
-    semi_diameter = used * _APERTURE
-    semi_diameter[lens.stop] = lens.semi_diameter[lens.stop]
-    lens = replace(lens, semi_diameter=semi_diameter)
+    lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), used * _APERTURE, lens.semi_diameter))
     notes = {
         "spec": job.spec.model_dump(mode="json"),
         "origin": origin,

@@ -10,4 +10,5 @@ Conventions, stated once:
   columns run along x, rows along y.
 - Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
 - A ray that is lost keeps its share of the launched light: it lowers energies and MTF. An RMS is of rays that arrive.
+  Light that a clear aperture stops is no part of a cached PSF: it darkens a picture, and exposure makes up for that.
 """

@@ -18,6 +18,7 @@ from tasklens.optics.tracing import trace
 
 _RIM = 64  # rays around the pupil for semi-diameters
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # of the pupil: where chief rays go through
+OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) of the pupil
 
 
 @dataclass(frozen=True)
@@ -161,15 +162,22 @@ def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
     return RayFans(pupil, errors[:, :, :count], errors[:, :, count:])
 
 
-def clear_semi_diameters(lens: Lens, view: View) -> Tensor:
-    """(S,) largest height at which a valid ray of any field and wavelength meets each surface [mm]."""
+def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Tensor:
+    """(S,) largest height at which a valid ray of any field and wavelength meets each surface [mm].
+
+    Of the rays through `pupil` (N, 2); its outline tells enough unless the lens vignettes.
+    """
     record: list[Rays] = []
-    trace_fields(lens, view, torch.cat([rim(_RIM), _CENTRE]), record)
+    trace_fields(lens, view, pupil, record)
     heights = [torch.where(r.lost_at < 0, torch.hypot(r.x, r.y), 0.0).max() for r in record]
     return torch.stack(heights)
 
 
 def evaluation_psf(lens: Lens, view: View, rays: int) -> Tensor:
-    """(F, W, K, K) PSFs centred on the chief rays, from `rays` fixed pupil points."""
+    """(F, W, K, K) PSFs centred on the chief rays, from `rays` fixed pupil points.
+
+    Of the light that the clear apertures let through: what they stop is dark, and not light beside the window.
+    """
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
-    return psf(traced, chief_points(lens, view), view.pixel_pitch, view.kernel)
+    passed = (~traced.stopped).to(lens.dtype).mean(-1).clamp(min=1 / rays)
+    return psf(traced, chief_points(lens, view), view.pixel_pitch, view.kernel) / passed[..., None, None]

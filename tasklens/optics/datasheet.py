@@ -52,9 +52,9 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
 
     Of `rays` pupil points per field and wavelength. Energies are shares of the launched rays: `valid_fraction` of them
     arrive, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF starts at the valid
-    fraction. The RMS radii are those of the rays that arrive. `focus_..._um` is the parabasal focus along z from the
-    image plane. The Seidel sums are totals at the edge of the pupil and the largest field. A figure about a lost chief
-    ray is NaN.
+    fraction; `energy_in_window` is of those that no clear aperture stops, as a PSF is. The RMS radii are those of the
+    rays that arrive. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at
+    the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
     """
     lens = lens.detached()
     return _of_the_lens(lens, view) | {"rays": rays} | _by_field(lens, view, rays)
@@ -99,7 +99,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     found = {
         "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
         "valid_fraction": traced.valid.double().mean((1, 2)),
-        "energy_in_window": inside.double().mean((1, 2)),
+        "energy_in_window": inside.double().sum((1, 2)) / (~traced.stopped).double().sum((1, 2)).clamp(min=1),
         "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
         "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
         "radius_50_um": 1e3 * encircled_energy_radius(traced, middle, 0.5),

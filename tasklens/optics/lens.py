@@ -66,6 +66,17 @@ class Lens:
         factor[self.stop] = scale
         return replace(self, semi_diameter=self.semi_diameter * factor)
 
+    def scaled(self, factor: float) -> "Lens":
+        """The same lens in another size: lengths times s, curvatures over s, alpha_2j over s^(2j - 1)."""
+        power = 2 * torch.arange(self.alpha.shape[1], dtype=self.dtype) + 1
+        return replace(
+            self,
+            curvature=self.curvature / factor,
+            alpha=self.alpha / factor**power,
+            thickness=self.thickness * factor,
+            semi_diameter=self.semi_diameter * factor,
+        )
+
     def detached(self) -> "Lens":
         """The same lens, out of every graph."""
         tensors = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}

@@ -32,6 +32,7 @@ class Prescription:
         fields: one of `FIELDS` and the points (x, y).
         wavelengths_um: in the file's order.
         primary: index of the reference wavelength.
+        object_distance_mm: from the object to the first surface; the lens' image distance is in focus for it.
     """
 
     lens: Lens
@@ -41,6 +42,7 @@ class Prescription:
     fields: tuple[str, tuple[tuple[float, float], ...]] | None = None
     wavelengths_um: tuple[float, ...] | None = None
     primary: int | None = None
+    object_distance_mm: float = math.inf
 
 
 def to_dict(prescription: Prescription) -> dict:
@@ -77,6 +79,8 @@ def to_dict(prescription: Prescription) -> dict:
     if prescription.wavelengths_um is not None:
         use["wavelengths_um"] = list(prescription.wavelengths_um)
         use["primary"] = prescription.primary
+    if math.isfinite(prescription.object_distance_mm):
+        use["object_distance_mm"] = prescription.object_distance_mm
     return {
         "format": FORMAT,
         "units": "mm",
@@ -169,7 +173,7 @@ def _surface(surface: object, where: str) -> dict:
 
 
 def _use(content: Mapping, name: str) -> dict:
-    """Aperture, fields and wavelengths, as far as the file has them."""
+    """Aperture, fields, wavelengths and object distance, as far as the file has them."""
     found: dict = {}
     for key, kinds in (("aperture", APERTURES), ("fields", FIELDS)):
         if key in content:
@@ -189,6 +193,11 @@ def _use(content: Mapping, name: str) -> dict:
         wavelengths = _part(content, "wavelengths_um", list, name)
         found["wavelengths_um"] = tuple(number(value, f"{name}: wavelengths_um") for value in wavelengths)
         found["primary"] = _index(_part(content, "primary", int, name), len(wavelengths), f"{name}: primary")
+    if "object_distance_mm" in content:
+        distance = number(content["object_distance_mm"], f"{name}: object_distance_mm")
+        if not distance > 0:
+            raise FileError(f"{name}: object_distance_mm: expected a positive number, found {distance}")
+        found["object_distance_mm"] = distance
     return found
 
 

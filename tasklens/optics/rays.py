@@ -43,6 +43,11 @@ class Rays:
         """True for rays that reached the image plane."""
         return self.fate == Fate.HIT
 
+    @property
+    def stopped(self) -> Tensor:
+        """True for rays that met a surface outside its clear aperture: vignetted ones."""
+        return self.fate == Fate.OUTSIDE
+
 
 def launch(x: Tensor, y: Tensor, z: Tensor, l: Tensor, m: Tensor, n: Tensor) -> Rays:
     """Rays that start at (x, y, z) [mm from the first vertex] along (l, m, n); the arguments broadcast."""

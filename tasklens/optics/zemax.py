@@ -1,8 +1,9 @@
 """Zemax lens files (.zmx): what of them a rotationally symmetric sequential lens of even aspheres needs.
 
 Read are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model glasses,
-aperture, fields, wavelengths, title and comments. What would change the lens and is not read is an error; what only
-serves Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit functions) is passed over.
+object distance, aperture, fields, wavelengths, title and comments. What would change the lens and is not read is an
+error; what only serves Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit
+functions) is passed over.
 """
 
 import math
@@ -90,6 +91,7 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
         fields=_fields(system, unit, path),
         wavelengths_um=wavelengths,
         primary=primary,
+        object_distance_mm=_object_distance(blocks[0], unit),
     )
 
 
@@ -115,15 +117,21 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]
 
 
 def _check_ends(blocks: list[Block]) -> None:
-    """The object is at infinity in air, the image a plane."""
+    """The object is in air, the image a plane."""
     first, last = blocks[0], blocks[-1]
-    distance = first.line("DISZ")
-    if distance.text.split()[:1] != ["INFINITY"] and abs(distance.number(0)) < _INFINITY:
-        raise distance.error(f"the object is {distance.text} away; only INFINITY is read: set it if that is meant")
     if "GLAS" in first.lines:
         raise first.lines["GLAS"].error("the object is not in air")
     if last.number("CURV", 0.0) or any(line.number(1) for line in last.numbered.values()):
         raise last.head.error("the image surface is curved; only a plane is read")
+
+
+def _object_distance(block: Block, unit: float) -> float:
+    """From the object to the first surface [mm]."""
+    line = block.line("DISZ")
+    distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
+    if not distance > 0:
+        raise line.error(f"expected INFINITY or a positive distance of the object, found {line.text!r}")
+    return unit * distance if distance < _INFINITY else math.inf
 
 
 def _aperture(system: dict[str, Line], unit: float, path: Path) -> tuple[str, float] | None:
@@ -136,7 +144,7 @@ def _aperture(system: dict[str, Line], unit: float, path: Path) -> tuple[str, fl
             if not value > 0:
                 raise system[keyword].error(f"expected a positive number, found {system[keyword].text!r}")
             return kind, value
-    raise FileError(f"{path}: no aperture that an object at infinity can have (ENPD, FNUM or FLOA)")
+    raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
 
 
 def _fields(system: dict[str, Line], unit: float, path: Path) -> tuple[str, tuple[tuple[float, float], ...]]:
@@ -216,7 +224,9 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
     lines += [f"FWGN{' 1' * len(points)}", *(f"{key}{zeros}" for key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"))]
     lines += [f"WAVM {i} {decimal(wavelength)} 1" for i, wavelength in enumerate(wavelengths, 1)]
     lines += [f"PWAV {prescription.primary + 1}"]
-    lines += ["SURF 0", "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', "  DISZ INFINITY", '  DIAM 0 0 0 0 1 ""']
+    distance = prescription.object_distance_mm
+    distance = decimal(distance) if math.isfinite(distance) else "INFINITY"
+    lines += ["SURF 0", "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', f"  DISZ {distance}", '  DIAM 0 0 0 0 1 ""']
     for i, comment in enumerate(comments):
         lines += [f"SURF {i + 1}", *to_lines(lens, i, comment, radii[i])]
     image = f"SURF {len(lens.media) + 1}"

@@ -32,13 +32,13 @@ _SEIDEL = {
     "lateral_colour": "C_II",
 }
 _NOTE = """\
-{rays} rays per field and colour. Valid, in window, EE50, EE80 and MTF are of all launched rays, so that lost
-light counts against them; the RMS is of the rays that arrive. The MTF is geometric, at {quarter:.0f} and
-{half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist frequency): diffraction comes on top and ends every
-MTF at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus: of rays next to the chief ray, along
-z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of the pupil and the largest
-field, at the middle wavelength; C_I and C_II from the longest to the shortest wavelength. Distortion and
-relative illumination are at the middle wavelength too."""
+{rays} rays per field and colour. Valid, EE50, EE80 and MTF are of all launched rays, so that lost light counts
+against them; in window leaves out what clear apertures stop; the RMS is of the rays that arrive. The MTF is
+geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist frequency): diffraction comes
+on top and ends every MTF at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus: of rays next to
+the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of the pupil
+and the largest field, at the middle wavelength; C_I and C_II from the longest to the shortest wavelength.
+Distortion and relative illumination are at the middle wavelength too."""
 
 
 def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:

@@ -74,7 +74,7 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
             for sign in (1, -1):
                 rim = sign * float(lens.semi_diameter[i])
                 axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2)
-        else:
+        if i in lens.glass:
             axes.plot(z, height, color="black", lw=1)
     for i, medium in enumerate(lens.media[:-1]):
         if medium != AIR:
@@ -87,8 +87,13 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
     record: list = []
     image = trace_fields(lens, along_y, fan, record)
     image_z = float(vertices[-1] + lens.thickness[-1])
-    z = torch.stack([r.z[:, 0] + vertices[i] for i, r in enumerate(record)] + [torch.full_like(image.y[:, 0], image_z)])
-    y = torch.stack([r.y[:, 0] for r in record] + [image.y[:, 0]])
+    # Not to a stop behind the first vertex and back: straight to the glass, and from the foremost plane of the lens.
+    z = [record[i].z[:, 0] + vertices[i] for i in lens.glass]
+    y = [record[i].y[:, 0] for i in lens.glass]
+    front = torch.full_like(z[0], float(vertices.min()))
+    before = y[0] - along_y.tangents[:, 1, None] * (z[0] - front)
+    z = torch.stack([front, *z, torch.full_like(front, image_z)])
+    y = torch.stack([before, *y, image.y[:, 0]])
     for k, colour in enumerate(_COLOURS):
         alive = image.valid[k, 0]
         axes.plot(z[:, k, alive].numpy(), y[:, k, alive].numpy(), color=colour, lw=0.6)

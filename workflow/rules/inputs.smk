@@ -10,12 +10,14 @@ def published_weights(wildcards):
 
 
 def design_inputs(wildcards):
-    """What a design reads: nothing, or pictures and the supervisor, or also the imaging lenses to start from."""
+    """What a design reads: pictures and the supervisor, imaging lenses to start from, a lens from outside, or nothing."""
     inputs = {}
     job = jobs.design(study, wildcards.lens, wildcards.seed)
     if job.classifier is not None:
         inputs["pictures"] = layout.images("train")
         inputs["weights"] = layout.reference(study.supervisor)
+    if isinstance(job.lens.design, Outside):
+        inputs["files"] = [str(path) for path in (job.lens.design.file, *job.lens.design.catalogues)]
     rivals = jobs.imaging_rivals(study, wildcards.lens)
     if rivals:
         inputs["rivals"] = [layout.lens(name, wildcards.seed) for name in rivals]

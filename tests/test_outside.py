@@ -1,0 +1,229 @@
+"""Lenses from files: what fitting them to a specification keeps, what it changes, and which lenses it refuses."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
+
+from tasklens import jobs
+from tasklens.design import methods, outside
+from tasklens.design.start import view
+from tasklens.files import FileError
+from tasklens.optics import prescription, zemax
+from tasklens.optics.analysis import centroid, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.lens import Lens
+from tasklens.optics.paraxial import paraxial
+from tasklens.optics.prescription import Prescription
+from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.tracing import trace
+from tasklens.settings import Outside, Spec
+from tasklens.study import parse
+
+SPEC = Spec(field_of_view_deg=36, f_number=4, kernel=101)
+LOOKS = view(SPEC)
+RAYS = 512
+
+
+def fitted(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
+    prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
+    return outside.fit(Outside(elements="triplet", file=folder / "given.yaml"), view(spec), spec.f_number, RAYS)
+
+
+# ---- another size
+
+
+@pytest.mark.parametrize("factor", [0.3, 7.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_scaled_lens_has_scaled_rays(seed, factor):
+    """Points, paths, clear apertures and focal length grow with the lens; directions and lost rays are the same."""
+    lens = replace(random_lens(seed), semi_diameter=f64([0.4, 0.5, torch.inf, 0.6, torch.inf]))
+    rays = random_rays(300, seed)
+    indices = lens.refractive_indices((0.5893,))
+    small = trace(lens, rays, indices)
+    large = trace(lens.scaled(factor), replace(rays, x=factor * rays.x, y=factor * rays.y), indices)
+    assert 0 < small.valid.double().mean() < 1
+    assert torch.equal(large.fate, small.fate) and torch.equal(large.lost_at, small.lost_at)
+    for name in ("x", "y", "path"):
+        torch.testing.assert_close(getattr(large, name), factor * getattr(small, name), rtol=1e-12, atol=1e-12 * factor)
+    for name in ("l", "m", "n"):
+        torch.testing.assert_close(getattr(large, name), getattr(small, name), rtol=0, atol=1e-12)
+    before, after = paraxial(lens, 0.5893), paraxial(lens.scaled(factor), 0.5893)
+    for name in ("efl", "bfl", "entrance_pupil_z", "entrance_pupil_radius"):
+        assert float(getattr(after, name)) == pytest.approx(factor * float(getattr(before, name)), rel=1e-12)
+
+
+def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tmp_path):
+    """By a real ray next to the axis: its slope, and its height in the stop."""
+    lens, _ = fitted(tmp_path, cooke_triplet())
+    record, h = [], 1e-5
+    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((LOOKS.reference,)), record)
+    assert -h / float(ray.m / ray.n) == pytest.approx(SPEC.efl_mm, rel=1e-8)
+    pupil_radius = float(lens.semi_diameter[lens.stop]) * h / float(record[lens.stop].y)
+    assert SPEC.efl_mm / (2 * pupil_radius) == pytest.approx(SPEC.f_number, rel=1e-8)
+
+
+def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
+    """A file of the same lens 7 times as large, stopped down and out of focus: the same lens comes out, as it was."""
+    expected, notes = fitted(tmp_path, cooke_triplet())
+    large = cooke_triplet().scaled(7.0).stopped(0.4)
+    large.thickness[-1] += 1.5
+    found, large_notes = fitted(tmp_path, large, object_distance_mm=800.0)
+    for name in ("curvature", "conic", "alpha", "semi_diameter"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=0)
+    torch.testing.assert_close(found.thickness, expected.thickness, rtol=0, atol=1e-6)
+    assert (found.media, found.stop) == (expected.media, expected.stop)
+    assert large_notes["scale"] == pytest.approx(notes["scale"] / 7, rel=1e-12)
+    assert large_notes["file_efl_mm"] == pytest.approx(7 * notes["file_efl_mm"], rel=1e-12)
+    assert (notes["file_object_distance_mm"], large_notes["file_object_distance_mm"]) == (None, 800.0)
+    shift = notes["image_plane_shift_mm"] - large_notes["image_plane_shift_mm"]
+    assert shift == pytest.approx(1.5 * large_notes["scale"], abs=1e-6)
+
+
+def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
+    """Tracing through to planes on both sides, near and far, gives larger means; each RMS alone has its own best."""
+    lens, _ = fitted(tmp_path, cooke_triplet())
+
+    def rms(shift: float) -> torch.Tensor:
+        thickness = lens.thickness.clone()
+        thickness[-1] += shift
+        rays = trace_fields(replace(lens, thickness=thickness), LOOKS, sobol_disc(RAYS, 0))
+        return rms_spot_radius(rays, centroid(rays))
+
+    best = float(rms(0.0).mean())
+    for shift in (1e-4, 1e-3, 0.1):
+        assert float(rms(shift).mean()) > best < float(rms(-shift).mean())
+    slopes = (rms(1e-3) - rms(-1e-3)).sign()
+    assert {-1.0, 1.0} <= set(slopes.tolist())
+
+
+# ---- what a finished lens says
+
+
+def job_of(folder: Path, lens: Lens, **spec):
+    """The design job of a lens in a file, as a study makes it."""
+    prescription.write(folder / "given.yaml", Prescription(lens), {})
+    entry = {"elements": "triplet", "file": str(folder / "given.yaml")}
+    study = changed(
+        changed(tiny_study(), "outside.cooke", entry),
+        "spec",
+        {"kernel": 11, "field_of_view_deg": 36, "f_number": 4} | spec,
+    )
+    return jobs.design(parse(changed(study, "evaluation_rays", RAYS)), "triplet-cooke", 0)
+
+
+def test_a_finished_lens_from_outside(tmp_path):
+    """It says where it is from, and has figures, margins and finite clear apertures that stop nothing more."""
+    job = job_of(tmp_path, cooke_triplet())
+    lens, notes = methods.design(job, None, None, {}, [])
+    before, fit = outside.fit(job.lens.design, LOOKS, SPEC.f_number, RAYS)
+    assert notes["origin"] == {"design": "cooke", "method": "file"} | fit
+    assert fit["file"] == str(tmp_path / "given.yaml")
+    assert len(notes["margins"]) == 9 and lens.semi_diameter.isfinite().all()
+    assert torch.equal(lens.thickness, before.thickness)
+    valid = [trace_fields(found, LOOKS, sobol_disc(RAYS, 0)).valid for found in (before, lens)]
+    assert torch.equal(*valid)
+
+
+def test_its_own_clear_apertures_vignette(tmp_path):
+    """They scale with the lens; what they stop is dark: a PSF is of the light that passes."""
+    bare = fitted(tmp_path, cooke_triplet())[0]
+    given = cooke_triplet()
+    given.semi_diameter[0] = 8.0
+    job = job_of(tmp_path, given, kernel=31)
+    lens, notes = methods.design(job, None, None, {}, [])
+    scale = notes["origin"]["scale"]
+    assert float(lens.semi_diameter[0]) == pytest.approx(8.0 * scale, rel=1e-14)
+    record: list = []
+    everything = trace_fields(bare, LOOKS, sobol_disc(RAYS, 0), record)
+    passes = torch.hypot(record[0].x, record[0].y) <= 8.0 * scale
+    valid = trace_fields(lens, LOOKS, sobol_disc(RAYS, 0)).valid
+    assert torch.equal(valid, everything.valid & passes)
+    shares = notes["figures"]["valid_fraction"]
+    assert shares == pytest.approx(valid.double().mean((1, 2)).tolist()) and shares[-1] < 0.9 < shares[0]
+    energy = evaluation_psf(lens, view(job.spec), RAYS).sum((-2, -1))
+    torch.testing.assert_close(energy, torch.ones_like(energy), rtol=0, atol=1e-12)
+    assert notes["figures"]["energy_in_window"] == pytest.approx([1.0] * 9, abs=1e-12)
+    again = outside.read(job.lens.design).lens
+    assert float(again.semi_diameter[0]) == 8.0  # the file's lens is not changed
+
+
+def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
+    use = {
+        "fields": ("angle_deg", ((0.0, 0.0),)),
+        "wavelengths_um": (0.5893,),
+        "primary": 0,
+        "object_distance_mm": 500.0,
+    }
+    expected, notes = fitted(tmp_path, cooke_triplet(), **use)
+    zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **use))
+    found, other = outside.fit(Outside(elements="x", file=tmp_path / "lens.ZMX"), LOOKS, SPEC.f_number, RAYS)
+    assert torch.equal(found.thickness, expected.thickness) and found.media == expected.media
+    assert notes | {"file": ""} == other | {"file": ""}
+
+
+# ---- refused
+
+
+def narrow_front() -> Lens:
+    lens = cooke_triplet()
+    lens.semi_diameter[0] = 3.3
+    return lens
+
+
+@pytest.mark.parametrize(
+    "lens, spec, words",
+    [
+        (make_lens([0.0, -0.05, 0.0], [1.0, 1.0, 9.0], ("air", "COC", "air")), {}, ["focal length of -", "no image"]),
+        (cooke_triplet(curvature=torch.zeros(9, dtype=torch.float64)), {}, ["focal length", "no image"]),
+        (narrow_front(), {}, ["F/4", "axis", "clear aperture of surface 0"]),
+        (narrow_front(), {"f_number": 8}, ["does not cover", "degrees", "clear aperture of surface 0"]),
+        (cooke_triplet(), {"field_of_view_deg": 110}, ["does not cover", "degrees", "surface"]),
+        (cooke_triplet(), {"wavelengths_um": (2.4, 0.6, 0.5)}, ["2.4 um", "1.62041/60.3", "0.38 to 0.78"]),
+    ],
+)
+def test_a_lens_that_cannot_serve_the_specification_is_refused(tmp_path, lens, spec, words):
+    with pytest.raises(FileError) as error:
+        fitted(tmp_path, lens, Spec(**{"field_of_view_deg": 36, "f_number": 4} | spec))
+    assert all(word in str(error.value) for word in ["given.yaml", *words]), error.value
+
+
+# ---- lenses of other people; skipped where they are absent
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+PHONES = sorted(path for path in DATA.glob("lenses/cellphone/source/*") if path.suffix.lower() == ".zmx")
+needs_files = pytest.mark.skipif(not PHONES, reason="no lens files here")
+
+
+def phone(path: Path) -> Outside:
+    return Outside(elements="phone", file=path, catalogues=tuple(sorted(DATA.glob("glass/*.AGF"))))
+
+
+@needs_files
+def test_a_phone_quadruplet_close_to_the_specification():
+    """Made for F/2.2 and an object at 370 mm: at F/2.8 and refocused, sharper than the Airy disc (2 um) everywhere."""
+    path = next(path for path in PHONES if path.name.startswith("4P"))
+    spec = Spec()
+    lens, notes = outside.fit(phone(path), view(spec), spec.f_number, 4096)
+    assert notes["file_object_distance_mm"] == 370 and notes["file_efl_mm"] == pytest.approx(2.647, abs=1e-3)
+    first_order = paraxial(lens, spec.wavelengths_um[1])
+    assert float(first_order.efl) == pytest.approx(2.921, abs=5e-4)
+    assert float(first_order.efl / (2 * first_order.entrance_pupil_radius)) == pytest.approx(2.8, rel=1e-12)
+    # From 370 mm to infinity the focus moves by EFL^2 / distance, of the scaled lens.
+    assert notes["image_plane_shift_mm"] == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
+    rays = trace_fields(lens, view(spec), sobol_disc(4096, 0))
+    assert rays.valid.all()
+    rms = 1e3 * rms_spot_radius(rays, centroid(rays))
+    assert 0.5 < float(rms.mean()) < 1.5 and float(rms.max()) < 2.0
+
+
+@needs_files
+@pytest.mark.parametrize("path", PHONES, ids=lambda path: path.stem)
+def test_every_phone_lens_serves(path):
+    """Three to eight elements, stops in front and inside: an image of 8 um or better; a few rays miss an inner stop."""
+    spec = Spec()
+    lens, _ = outside.fit(phone(path), view(spec), spec.f_number, 256)
+    rays = trace_fields(lens, view(spec), sobol_disc(256, 0))
+    assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
+    assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)
