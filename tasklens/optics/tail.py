@@ -1,7 +1,7 @@
 """The tail of a PSF as numbers: how much of its light lies outside what radius.
 
-Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are shares of the
-launched rays: a lost ray lies outside of every radius.
+Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are shares of
+the launched rays: a lost ray lies outside of every radius.
 """
 
 import torch

@@ -11,8 +11,8 @@ from tasklens.layout import Layout
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
 PSFs are centred (table 1: about the centroid). The core holds 50 % of the launched light; `tail_energy` is the share
-outside 3 core radii, `outside_window` that outside the PSF window; the RMS is of the rays that arrive. A sharp core with
-a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian spot."""
+outside 3 core radii, `outside_window` that outside the PSF window; the RMS is of the rays that arrive. A sharp core
+with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian spot."""
 
 
 def collect(job: TailJob, layout: Layout) -> pandas.DataFrame:

@@ -1,7 +1,7 @@
 """Whether a finished study keeps its word: limits of the lenses, and accuracies that come out again.
 
-Stored weights recognise all test pictures anew, through the cached PSFs (stage `reproduce`, a job per measurement). What
-comes out is compared with the pictures and metrics that fine-tuning left, and with the tables.
+Stored weights recognise all test pictures anew, through the cached PSFs (stage `reproduce`, a job per measurement).
+What comes out is compared with the pictures and metrics that fine-tuning left, and with the tables.
 """
 
 from dataclasses import dataclass
