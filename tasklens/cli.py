@@ -190,9 +190,7 @@ def verify(study: Study, args: argparse.Namespace) -> int:
     layout = Layout.of(study)
     findings = verification.verify(jobs.verify(study), layout)
     print(Path(layout.table("verdicts", "md")).read_text())
-    print(verification.summary(findings))
-    for failure in findings.failures:
-        print(f"failed: {failure}", file=sys.stderr)
+    print(verification.summary(findings))  # all on standard output: Snakemake shows no log under --quiet
     return 1 if findings.failures else 0
 
 

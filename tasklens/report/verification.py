@@ -72,7 +72,7 @@ def verify(job: VerificationJob, layout: Layout) -> Findings:
 def broken_limits(content: dict, efl_mm: float) -> dict[str, float]:
     """Margins below zero [mm, or a fraction] by limit: those in a lens file, and that of the specified focal length."""
     worst = content["worst_margin"]
-    missed = abs(content["figures"]["efl_mm"] / efl_mm - 1)
+    missed = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # of the power, as designs are held to it
     margins = [*content["margins"].items(), (worst["limit"], worst["value"]), ("efl_tolerance", EFL_TOLERANCE - missed)]
     return {limit: value for limit, value in margins if not value >= -ROUNDING}
 
@@ -110,9 +110,8 @@ def _table_failures(job: TableJob, accuracy: dict[tuple, float], layout: Layout)
 
 
 def summary(findings: Findings) -> str:
-    """What was checked and how much of it failed, with the limits that no design promised to keep."""
+    """A line for everything broken, with `failed` or `not promised` before it, and one for what was checked."""
     lines = [f"not promised: {failure}" for failure in findings.unpromised]
-    lines.append(
-        f"Checked {findings.lenses} lenses and {findings.measurements} measurements: {len(findings.failures)} failures."
-    )
-    return "\n".join(lines)
+    lines += [f"failed: {failure}" for failure in findings.failures]
+    count = f"{findings.lenses} lenses and {findings.measurements} measurements: {len(findings.failures)} failures"
+    return "\n".join([*lines, f"Checked {count}."])
