@@ -7,7 +7,7 @@ import sys
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
-from tasklens import files, jobs
+from tasklens import claims, files, jobs
 from tasklens import study as studies
 from tasklens.digest import code
 from tasklens.layout import PAPER, SHARP, Layout, restored
@@ -47,7 +47,7 @@ localrules:
 
 rule tables:
     input:
-        [layout.table(name, "csv") for name in jobs.TABLES],
+        [layout.table(name, "csv") for name in (*jobs.TABLES, "verdicts", "psf_tail")],
 
 
 rule backbones:
@@ -87,6 +87,7 @@ include: "workflow/rules/psf.smk"
 include: "workflow/rules/classify.smk"
 include: "workflow/rules/restore.smk"
 include: "workflow/rules/report.smk"
+include: "workflow/rules/verify.smk"
 
 
 made = []  # the tables of this run, shown at its end
@@ -95,10 +96,14 @@ made = []  # the tables of this run, shown at its end
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
     files.write_if_changed(layout.study, studies.dump(study))
-    networks = "--networks" if any(job.rule.name == "reference" for job in workflow.dag.needrun_jobs()) else ""
+    running = workflow.dag.needrun_jobs()
+    networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
     if networks or study.outside:
         shell("tasklens check {layout.study} {networks} > /dev/null")
-    made.extend(sorted(job.wildcards.table for job in workflow.dag.needrun_jobs() if job.rule.name == "table"))
+    shown = [path for job in running for path in job.output if path.endswith(".md")]
+    if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
+        shown = [path for path in shown if path != layout.table("verdicts", "md")]
+    made.extend(sorted(shown))
     planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
     total = sum(study.minutes[job.rule.name] for job in planned)
     cores = workflow.cores or 1  # a cluster has none
@@ -106,8 +111,8 @@ onstart:
 
 
 onsuccess:
-    for name in made:
-        print(open(layout.table(name, "md")).read())
+    for path in made:
+        print(open(path).read())
 
 
 onerror:

@@ -10,10 +10,11 @@ import sys
 import warnings
 from pathlib import Path
 
-from tasklens import jobs
+from tasklens import claims, jobs
+from tasklens.arguments import parser
 from tasklens.files import FileError
-from tasklens.layout import SHARP, Layout, restored
-from tasklens.study import Study, StudyError, load
+from tasklens.layout import Layout, restored
+from tasklens.study import Study, StudyError
 
 
 def images(study: Study, args: argparse.Namespace) -> None:
@@ -84,6 +85,20 @@ def psf(study: Study, args: argparse.Namespace) -> None:
     write_tensors(Path(layout.psf(args.lens, args.seed)), {"psf": grid.float()}, notes)
 
 
+def tail(study: Study, args: argparse.Namespace) -> None:
+    """trace how the light of a lens spreads: core, tail, and energy encircled by each radius"""
+    from tasklens.design.start import view
+    from tasklens.files import write_rows
+    from tasklens.optics import prescription
+    from tasklens.optics.tail import tail
+
+    layout, job = Layout.of(study), jobs.psf(study)
+    lens = prescription.read(Path(layout.lens(args.lens, args.seed)))[0].lens
+    by_field, curve = tail(lens, view(job.spec), job.rays)
+    write_rows(Path(layout.tail(args.lens, args.seed)), by_field)
+    write_rows(Path(layout.encircled_energy(args.lens, args.seed)), curve)
+
+
 def restore(study: Study, args: argparse.Namespace) -> None:
     """train the restoration network on the captures of a lens"""
     from restoration import training
@@ -101,9 +116,8 @@ def restore(study: Study, args: argparse.Namespace) -> None:
 
 def fine_tune(study: Study, args: argparse.Namespace) -> None:
     """fine-tune a classifier on the captures of a lens, and measure it on every field"""
-    from restoration import training as restoring
-    from tasklens.files import read_tensors, write_rows, write_tensors
-    from tasklens.imaging import Camera
+    from restoration.stored import sight
+    from tasklens.files import write_rows, write_tensors
     from tasklens.recognition import classifiers, data, evaluation, training
 
     layout = Layout.of(study)
@@ -113,16 +127,10 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     recogniser = classifiers.build(
         job.classifier, len(splits["train"].classes), Path(layout.reference(args.classifier))
     )
-    camera = network = None
-    if job.capture is not None:
-        grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
-        camera = Camera(grid, job.capture.outside, job.capture.colour)
-    if job.restoration is not None:
-        network = restoring.build(job.restoration).eval().requires_grad_(False)
-        network.load_state_dict(read_tensors(Path(layout.restoration(args.lens, args.seed)))[0])
-    sight = evaluation.Sight(camera, network)
-    training.fit(recogniser, splits["train"], job.training, job.seed, f"fine-tune {name}", sight.one_field)
-    rows = evaluation.measure(recogniser, splits, sight)
+    paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
+    seen = sight(job.capture, job.restoration, *paths)
+    training.fit(recogniser, splits["train"], job.training, job.seed, f"fine-tune {name}", seen.one_field)
+    rows, by_picture = evaluation.measure(recogniser, splits, seen)
     common = {
         "elements": job.elements,
         "design": job.design,
@@ -133,6 +141,25 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     weights = recogniser.network.state_dict()
     write_tensors(Path(layout.classifier(args.lens, args.seed, name)), weights, {"model": job.classifier.model})
     write_rows(Path(layout.metrics(args.lens, args.seed, name)), [common | row for row in rows])
+    write_rows(Path(layout.pictures(args.lens, args.seed, name)), by_picture)
+
+
+def reproduce(study: Study, args: argparse.Namespace) -> None:
+    """recognise the test pictures again with the stored weights, through the stored PSFs"""
+    from restoration.stored import sight
+    from tasklens.files import write_rows
+    from tasklens.recognition import classifiers, data, evaluation
+
+    layout = Layout.of(study)
+    job = jobs.reproduce(study, args.lens, args.classifier, args.restored)
+    name = restored(args.classifier) if args.restored else args.classifier
+    pictures = data.read(Path(layout.images("test")))
+    weights = Path(layout.classifier(args.lens, args.seed, name))
+    recogniser = classifiers.build(job.classifier, len(pictures.classes), weights).eval()
+    paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
+    correct, _ = evaluation.evaluate(recogniser, pictures, sight(job.capture, job.restoration, *paths))
+    rows = evaluation.by_picture(correct, pictures)
+    write_rows(Path(layout.reproduced(args.lens, args.seed, name)), rows)
 
 
 def table(study: Study, args: argparse.Namespace) -> None:
@@ -140,6 +167,31 @@ def table(study: Study, args: argparse.Namespace) -> None:
     from tasklens.report import tables
 
     tables.make(jobs.table(study, args.table), Layout.of(study), study.name, partial=args.partial)
+
+
+def psf_tail(study: Study, args: argparse.Namespace) -> None:
+    """make the table of the tails of all PSFs, and their curves of encircled energy"""
+    from tasklens.report import tails
+
+    tails.make(jobs.psf_tail(study), Layout.of(study), study.name)
+
+
+def verdicts(study: Study, args: argparse.Namespace) -> None:
+    """judge the paper's claims by the measured accuracies"""
+    from tasklens.report import verdicts
+
+    verdicts.make(claims.verdicts(study), Layout.of(study), study.name)
+
+
+def verify(study: Study, args: argparse.Namespace) -> int:
+    """check the limits of all lenses and that all accuracies come out again; print failures and verdicts"""
+    from tasklens.report import verification
+
+    layout = Layout.of(study)
+    findings = verification.verify(jobs.verify(study), layout)
+    print(Path(layout.table("verdicts", "md")).read_text())
+    print(verification.summary(findings))  # all on standard output: Snakemake shows no log under --quiet
+    return 1 if findings.failures else 0
 
 
 def figure(study: Study, args: argparse.Namespace) -> None:
@@ -192,60 +244,28 @@ STAGES = {
     reference: ("classifier",),
     design: ("lens", "--seed"),
     psf: ("lens", "--seed"),
+    tail: ("lens", "--seed"),
     restore: ("lens", "--seed"),
     fine_tune: ("lens", "classifier", "--seed", "--restored"),
+    reproduce: ("lens", "classifier", "--seed", "--restored"),
     table: ("table", "--partial"),
+    psf_tail: (),
+    verdicts: (),
+    verify: (),
     figure: ("lens", "--seed"),
 }
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line: a subcommand per stage, and one that needs a lens file and no study."""
-    top = argparse.ArgumentParser(prog="tasklens", description=__doc__.splitlines()[0])
-    commands = top.add_subparsers(required=True, metavar="stage")
-    for stage, arguments in STAGES.items():
-        command = commands.add_parser(stage.__name__.replace("_", "-"), help=stage.__doc__, description=stage.__doc__)
-        command.add_argument("study", type=Path, help="study file (YAML)")
-        for name in arguments:
-            if name == "--seed":
-                command.add_argument(name, type=int, default=0)
-            elif name == "--restored":
-                command.add_argument(name, action="store_true", help="on captures restored by NAFNet")
-            elif name == "--networks":
-                command.add_argument(name, action="store_true", help="build every classifier once, without weights")
-            elif name == "--partial":
-                text = "of what has been measured, as <table>-partial"
-                command.add_argument(name, action="store_true", help=text)
-            elif name == "lens" and stage is fine_tune:
-                command.add_argument(name, help=f"name of a lens, or {SHARP} for the pictures themselves")
-            else:
-                command.add_argument(name, choices=jobs.TABLES if name == "table" else None)
-        command.set_defaults(run=lambda args, stage=stage: stage(load(args.study), args))
-    command = commands.add_parser(analyse.__name__, help=analyse.__doc__, description=analyse.__doc__)
-    command.add_argument("file", type=Path, help="lens file (YAML) with its spec")
-    command.add_argument("--rays", type=_count, default=4096, help="per field and colour")
-    command.set_defaults(run=analyse)
-    return top
-
-
-def _count(text: str) -> int:
-    """A whole number above zero."""
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a number of rays, got {text!r}")
-    return int(text)
-
-
 def main(argv: list[str] | None = None) -> int:
-    """Run one stage; a mistake in the study or its data ends in one message and exit status 2."""
-    args = parser().parse_args(argv)
+    """Run one stage; a mistake in the study or its data ends in exit status 2, a failed `verify` in 1."""
+    args = parser(__doc__.splitlines()[0], STAGES, analyse).parse_args(argv)
     # torch's word to itself, at the first forward-mode derivative of a process
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
-        args.run(args)
+        return args.run(args) or 0
     except (StudyError, FileError, FileNotFoundError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
         return 2
-    return 0
 
 
 if __name__ == "__main__":

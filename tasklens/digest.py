@@ -2,7 +2,7 @@
 
 It covers the stage's function in `tasklens.cli` and every module of ours that the stage imports, directly or through
 others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.settings`,
-`tasklens.study` and `tasklens.jobs` are left out, since what a stage reads of them is its job slice.
+`tasklens.study`, `tasklens.jobs` and `tasklens.claims` are left out, since what a stage reads of them is its job slice.
 """
 
 import ast
@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("tasklens", "restoration")
-DATA_ONLY = ("tasklens.settings", "tasklens.study", "tasklens.jobs")
+DATA_ONLY = ("tasklens.settings", "tasklens.study", "tasklens.jobs", "tasklens.claims")
 
 
 def _file(module: str) -> Path | None:

@@ -4,7 +4,7 @@ A job is handed this slice and nothing else, and Snakemake compares it: by const
 jobs that read it and no others. What a job reads from other jobs are files.
 """
 
-from tasklens.layout import SHARP
+from tasklens.layout import SHARP, restored
 from tasklens.settings import (
     Capture,
     Classifier,
@@ -61,11 +61,45 @@ class RestorationJob(Frozen):
     seed: int
 
 
+class ReproductionJob(Frozen):
+    classifier: Classifier
+    capture: Capture | None
+    restoration: Restoration | None
+
+
 class TableJob(Frozen):
     name: str
     lenses: tuple[str, ...]
     classifiers: tuple[str, ...]
     seeds: tuple[int, ...]
+
+    def seen(self, classifier: str) -> str:
+        """Name under which a classifier is measured for this table: in table 4 it sees restored captures."""
+        return restored(classifier) if self.name == "table4" else classifier
+
+    @property
+    def measured(self) -> tuple[tuple[str, str], ...]:
+        """Lens (or SHARP) and classifier of every measurement that the table shows."""
+        sharp = tuple((SHARP, classifier) for classifier in self.classifiers)
+        return sharp + tuple((lens, self.seen(classifier)) for lens in self.lenses for classifier in self.classifiers)
+
+
+class TailJob(Frozen):
+    lenses: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+
+class VerificationJob(Frozen):
+    lenses: tuple[str, ...]
+    promising: tuple[str, ...]  # those of `lenses` whose method promises to keep the constraints
+    efl_mm: float
+    tables: tuple[TableJob, ...]
+    seeds: tuple[int, ...]
+
+    @property
+    def measured(self) -> tuple[tuple[str, str], ...]:
+        """Lens (or SHARP) and classifier of every measurement that a table shows, each once."""
+        return tuple(dict.fromkeys(pair for table in self.tables for pair in table.measured))
 
 
 def images(study: Study) -> Images:
@@ -123,6 +157,30 @@ def table(study: Study, name: str) -> TableJob:
         name=name,
         lenses=tuple(key for key, lens in study.lenses.items() if isinstance(lens.design, methods)),
         classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
+        seeds=study.seeds,
+    )
+
+
+def reproduce(study: Study, lens: str, classifier: str, restored: bool) -> ReproductionJob:
+    return ReproductionJob(
+        classifier=study.classifier(classifier),
+        capture=None if lens == SHARP else study.capture,
+        restoration=study.restoration if restored else None,
+    )
+
+
+def psf_tail(study: Study) -> TailJob:
+    return TailJob(lenses=tuple(study.lenses), seeds=study.seeds)
+
+
+def verify(study: Study) -> VerificationJob:
+    """What is verified: all lenses, and the measurements of the tables that this study has lenses for."""
+    tables = (table(study, name) for name in TABLES)
+    return VerificationJob(
+        lenses=tuple(study.lenses),
+        promising=tuple(name for name, lens in study.lenses.items() if lens.keeps_constraints),
+        efl_mm=study.spec.efl_mm,
+        tables=tuple(job for job in tables if job.lenses),
         seeds=study.seeds,
     )
 

@@ -38,11 +38,23 @@ class Layout:
     def psf(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/lenses/{lens}/seed{seed}/psf.safetensors"
 
+    def tail(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/lenses/{lens}/seed{seed}/psf_tail.csv"
+
+    def encircled_energy(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/lenses/{lens}/seed{seed}/encircled_energy.csv"
+
     def classifier(self, lens: str, seed: int | str, classifier: str) -> str:
         return f"{self.root}/classifiers/{lens}/seed{seed}/{classifier}.safetensors"
 
     def metrics(self, lens: str, seed: int | str, classifier: str) -> str:
         return f"{self.root}/metrics/{lens}/seed{seed}/{classifier}.csv"
+
+    def pictures(self, lens: str, seed: int | str, classifier: str) -> str:
+        return f"{self.root}/metrics/{lens}/seed{seed}/{classifier}-pictures.csv"
+
+    def reproduced(self, lens: str, seed: int | str, classifier: str) -> str:
+        return f"{self.root}/verification/{lens}/seed{seed}/{classifier}-pictures.csv"
 
     def restoration(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/restoration/{lens}/seed{seed}/nafnet.safetensors"

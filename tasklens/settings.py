@@ -281,3 +281,8 @@ class Lens(Frozen):
     plastics: tuple[Material, ...]  # with their coefficients: editing one redesigns the lenses that use it
     design_name: str
     design: Design | Outside
+
+    @property
+    def keeps_constraints(self) -> bool:
+        """Whether its method promises to keep the constraints and the focal length: verification holds it to them."""
+        return isinstance(self.design, Descent | Spot | LeastSquares)

@@ -34,7 +34,22 @@ from tasklens.settings import (
     Training,
 )
 
-STAGES = ("images", "reference", "design", "psf", "fine_tune", "restore", "fine_tune_restored", "table", "figure")
+STAGES = (
+    "images",
+    "reference",
+    "design",
+    "psf",
+    "tail",
+    "fine_tune",
+    "restore",
+    "fine_tune_restored",
+    "reproduce",
+    "reproduce_restored",
+    "table",
+    "psf_tail",
+    "verdicts",
+    "figure",
+)
 
 
 class StudyError(ValueError):

@@ -380,9 +380,10 @@ def test_evaluation_against_a_hand_count():
     correct, quality = evaluation.evaluate(Brightness(), pictures, evaluation.Sight())
     assert correct.tolist() == [[True, True, True, False, True]]
     assert quality.shape == (1, 5)
-    rows = evaluation.measure(
+    rows, by_picture = evaluation.measure(
         Brightness(), {"test": pictures, "minival": pictures.take(torch.tensor([3, 4]))}, evaluation.Sight()
     )
+    assert [row["field0"] for row in by_picture] == [1, 1, 1, 0, 1]
     found = {(row["field"], row["metric"]): row["value"] for row in rows}
     assert found.pop((0, "accuracy")) == pytest.approx(80)
     assert found.pop((0, "minival_accuracy")) == pytest.approx(50)
@@ -408,9 +409,14 @@ def test_every_field_is_evaluated_on_every_picture():
     assert correct.double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(quality[1, :3], expected, rtol=0, atol=1e-3)
-    rows = evaluation.measure(
+    rows, by_picture = evaluation.measure(
         Brightness(), {"test": pictures, "minival": pictures}, evaluation.Sight(dimming([1.0, 0.5]))
     )
+    assert by_picture[:3] == [
+        {"picture": 0, "label": "dark", "field0": 1, "field1": 1},
+        {"picture": 1, "label": "bright", "field0": 1, "field1": 0},
+        {"picture": 2, "label": "medium", "field0": 1, "field1": 0},
+    ]
     assert [row["field"] for row in rows if row["metric"] == "psnr_db"] == [0, 1]
 
 

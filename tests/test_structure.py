@@ -24,6 +24,7 @@ FLOORS = [
     ("tasklens.study",),
     ("tasklens.layout",),
     ("tasklens.jobs",),
+    ("tasklens.claims", "tasklens.arguments"),
     ("tasklens.optics",),
     ("tasklens.imaging",),
     ("tasklens.recognition",),
@@ -78,7 +79,7 @@ def test_only_the_command_line_imports_restoration():
     assert {user for user in users if not user.startswith("restoration")} == {"tasklens.cli"}
 
 
-@pytest.mark.parametrize("module", ["cli", "study", "jobs", "layout", "digest", "files"])
+@pytest.mark.parametrize("module", ["cli", "study", "jobs", "claims", "layout", "digest", "files"])
 def test_parsing_a_study_needs_no_torch(module):
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
@@ -87,8 +88,9 @@ def test_parsing_a_study_needs_no_torch(module):
     assert found.stdout.strip() == "[]"
 
 
-def test_tables_need_no_torch():
-    code = "import sys, tasklens.report.tables; print('torch' in sys.modules)"
+@pytest.mark.parametrize("module", ["tables", "verdicts", "verification", "tails"])
+def test_tables_need_no_torch(module):
+    code = f"import sys, tasklens.report.{module}; print('torch' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "False"
 
@@ -123,8 +125,8 @@ def copy(tmp_path, monkeypatch):
     digest.code.cache_clear()
 
 
-READ_PICTURES = {"images", "reference", "design", "restore", "fine_tune"}
-STAGES = ("images", "reference", "design", "psf", "restore", "fine_tune", "table", "figure")
+READ_PICTURES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
+STAGES = (*READ_PICTURES, "psf", "tail", "table", "psf_tail", "verdicts", "figure")
 
 
 @pytest.mark.parametrize(
@@ -146,13 +148,14 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
 @pytest.mark.parametrize(
     "path, old, new, touched",
     [
-        ("tasklens/optics/psf.py", "kernel // 2", "kernel // 3", {"design", "psf", "figure"}),
-        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune"}),
+        ("tasklens/optics/psf.py", "kernel // 2", "kernel // 3", {"design", "psf", "tail", "figure"}),
+        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune", "reproduce"}),
         ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_PICTURES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
-        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
-        ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune"}),
+        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts"}),
+        ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
         ("tasklens/cli.py", "grid.float()", "grid", {"psf"}),
+        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", {"verdicts"}),
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from examples import changed, tiny_study
 
-from tasklens import jobs
+from tasklens import claims, jobs
 from tasklens.layout import SHARP
 from tasklens.optics.catalogues import PLASTICS, builtin
 from tasklens.settings import Spec
@@ -197,12 +197,15 @@ def slices(mapping: dict) -> dict[tuple, str]:
             for restored in (False, True) if lens != SHARP else (False,):
                 key = "restored" if restored else "fine_tune", lens, classifier
                 found[key] = jobs.fine_tune(study, lens, classifier, seed, restored)
+                found["reproduce", *key] = jobs.reproduce(study, lens, classifier, restored)
     for lens, seed in itertools.product(study.lenses, study.seeds):
         found["design", lens] = jobs.design(study, lens, seed)
         found["psf", lens] = jobs.psf(study)
         found["restore", lens] = jobs.restore(study, seed)
     for table in jobs.TABLES:
         found["table", table] = jobs.table(study, table)
+    found["psf_tail",] = jobs.psf_tail(study)
+    found["verdicts",] = claims.verdicts(study)
     return {key: job.model_dump_json() for key, job in found.items()}
 
 
@@ -215,15 +218,17 @@ READERS = [
     ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf", "design")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
-    ("restoration.steps", 9, lambda job: job[0] in ("restore", "restored")),
+    ("restoration.steps", 9, lambda job: job[0] in ("restore", "restored") or job[:2] == ("reproduce", "restored")),
     ("capture.outside", "renormalise",
      lambda job: job[0] in ("restore", "restored") or (job[0] == "fine_tune" and job[1] != SHARP)
-     or (job[0] == "design" and job[1] in SUPERVISED)),
+     or (job[0] == "reproduce" and job[2] != SHARP) or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.rate", 2e-3,
-     lambda job: job == ("reference", "small") or (job[0] in ("fine_tune", "restored") and job[2] == "small")
+     lambda job: job == ("reference", "small")
+     or (job[0] in ("fine_tune", "restored", "reproduce") and job[-1] == "small")
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.other.model", "test_vit2",
-     lambda job: job == ("reference", "other") or (job[0] in ("fine_tune", "restored") and job[2] == "other")),
+     lambda job: job == ("reference", "other")
+     or (job[0] in ("fine_tune", "restored", "reproduce") and job[-1] == "other")),
     ("elements.singlet", ["PMMA"], lambda job: job[0] == "design"),
 ]  # fmt: skip
 

@@ -50,7 +50,7 @@ def plan(folder: Path, study: dict | Path | None, *targets: str) -> dict[str, in
 
 
 def expected(study: Study) -> dict[str, int]:
-    """Jobs of all four tables, counted from the study."""
+    """Jobs of all tables, counted from the study."""
     seeds, all_lenses = len(study.seeds), len(study.lenses)
     end_to_end = sum(isinstance(lens.design, EndToEnd) for lens in study.lenses.values())
     compared = all_lenses - end_to_end  # in tables 1, 2 and 4; the end-to-end lenses stand in table 3 only
@@ -63,6 +63,9 @@ def expected(study: Study) -> dict[str, int]:
         "restore": compared * seeds,
         "fine_tune_restored": compared * seeds,
         "table": 4,
+        "tail": all_lenses * seeds,
+        "psf_tail": 1,
+        "verdicts": 1,
     }
 
 
@@ -71,6 +74,9 @@ def test_every_study_plans_its_jobs(tmp_path, path):
     """A dry run counts what the study implies."""
     study = load(path)
     assert plan(tmp_path, path, "tables") == expected(study)
+    verified = plan(tmp_path, path, "verify")
+    assert verified["reproduce"] == verified["fine_tune"]
+    assert verified["reproduce_restored"] == verified["fine_tune_restored"]
     assert plan(tmp_path, path, "figures")["figure"] == len(study.lenses) * len(study.seeds)
 
 

@@ -1,6 +1,6 @@
 """Imaging design by damped least squares: ray residuals, random starts, staged variables, kicks.
 
-The way of a lens designer: many paraxial starts are improved in stages (curvatures and spaces, then low orders, then all),
+The way of a lens designer: many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders),
 and fewer of them go on each time. Those left are kicked out of their minima again and again, as in Hammer optimisation,
 and again only the best go on. Budgets count evaluations, so that the result does not depend on the machine.
 """

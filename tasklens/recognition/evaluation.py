@@ -54,10 +54,27 @@ def evaluate(recogniser: nn.Module, pictures: Pictures, sight: Sight) -> tuple[T
     return torch.cat(correct, -1), torch.cat(quality, -1)
 
 
-def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -> list[dict]:
-    """Rows (field, metric, value): accuracy [%] on test and minival and PSNR [dB] per field, parameters [millions].
+def by_picture(correct: Tensor, pictures: Pictures) -> list[dict]:
+    """A row per picture: its place in the split, its label, and at each field 1 where it is recognised, else 0.
 
-    The PSNR is left out where the pictures themselves are seen. `chance` is the accuracy of guessing [%].
+    Args:
+        correct: (F, N) bool, from `evaluate`.
+    """
+    fields = [f"field{k}" for k in range(len(correct))]
+    labels = [pictures.classes[label] for label in pictures.labels.tolist()]
+    return [
+        {"picture": i, "label": label} | dict(zip(fields, found, strict=True))
+        for i, (label, found) in enumerate(zip(labels, correct.int().T.tolist(), strict=True))
+    ]
+
+
+def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -> tuple[list[dict], list[dict]]:
+    """How well a classifier recognises, as means and picture by picture.
+
+    Returns:
+        Rows (field, metric, value): accuracy [%] on test and minival and PSNR [dB] per field, parameters [millions];
+        the PSNR is left out where the pictures themselves are seen, `chance` is the accuracy of guessing [%].
+        And the rows of `by_picture` for the test pictures.
     """
     correct, quality = evaluate(recogniser, splits["test"], sight)
     chosen, _ = evaluate(recogniser, splits["minival"], sight)
@@ -73,4 +90,5 @@ def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -
         for field, value in enumerate(values.tolist())
     ]
     whole = {"parameters_m": parameters_m(recogniser), "chance": 100 / len(splits["test"].classes)}
-    return rows + [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
+    rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
+    return rows, by_picture(correct, splits["test"])

@@ -12,7 +12,7 @@ import pandas
 
 from tasklens.files import write_text
 from tasklens.jobs import TableJob
-from tasklens.layout import PAPER, SHARP, Layout, restored
+from tasklens.layout import PAPER, SHARP, Layout
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {
@@ -29,14 +29,19 @@ _TITLES = {
 }
 
 
+def lens_file(path: Path) -> dict:
+    """What a lens file says, unchecked and without torch."""
+    import yaml
+
+    return yaml.load(path.read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
 def lens_values(path: Path) -> dict[str, float]:
     """Means over the nine fields of what a lens file says: RMS and 50 % radius [um], energy inside the window.
 
     And its worst margin, negative where the lens breaks a limit of manufacturing [mm], focal length or distortion.
     """
-    import yaml
-
-    content = yaml.load(path.read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    content = lens_file(path)
     figures = content["figures"]
 
     def mean(key: str) -> float:
@@ -83,8 +88,7 @@ def collect(job: TableJob, layout: Layout, partial: bool) -> pandas.DataFrame:
                 rows.append({"elements": "", "design": "reference", "seed": seed, "accuracy": reference})
             for lens in job.lenses:
                 elements, _, design = lens.partition("-")
-                name = restored(classifier) if job.name == "table4" else classifier
-                paths = [Path(layout.metrics(lens, seed, name)), Path(layout.lens(lens, seed))]
+                paths = [Path(layout.metrics(lens, seed, job.seen(classifier))), Path(layout.lens(lens, seed))]
                 if partial and not all(path.exists() for path in paths):
                     continue
                 values = measured_values(paths[0]) | lens_values(paths[1]) | {"reference_accuracy": reference}

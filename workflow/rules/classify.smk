@@ -23,6 +23,7 @@ rule fine_tune:
     output:
         weights=layout.classifier("{lens}", "{seed}", "{classifier}"),
         metrics=layout.metrics("{lens}", "{seed}", "{classifier}"),
+        pictures=layout.pictures("{lens}", "{seed}", "{classifier}"),
     log:
         f"{layout.root}/logs/fine_tune/{{lens}}-seed{{seed}}-{{classifier}}.log",
     threads: 1

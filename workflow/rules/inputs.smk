@@ -1,6 +1,7 @@
 """What the rules read, where it depends on the wildcards."""
 
 PICTURES = [layout.images(split) for split in ("train", "minival", "test")]
+VERIFIED = jobs.verify(study)
 
 
 def published_weights(wildcards):
@@ -33,14 +34,17 @@ def seen_through(wildcards):
 def table_inputs(wildcards):
     """The lenses of a table, and the metrics of its classifiers on them and on the pictures themselves."""
     job = jobs.table(study, wildcards.table)
-    seen = restored if job.name == "table4" else str
     return {
         "lenses": [layout.lens(lens, seed) for lens in job.lenses for seed in job.seeds],
-        "metrics": [
-            layout.metrics(lens, seed, seen(classifier))
-            for lens in job.lenses
-            for seed in job.seeds
-            for classifier in job.classifiers
-        ],
-        "reference": [layout.metrics(SHARP, seed, classifier) for seed in job.seeds for classifier in job.classifiers],
+        "metrics": [layout.metrics(lens, seed, classifier) for lens, classifier in job.measured for seed in job.seeds],
+    }
+
+
+def measured(wildcards):
+    """All lenses, and all that the tables show: metrics, and the pictures that were recognised."""
+    pairs = [(lens, seed, classifier) for lens, classifier in VERIFIED.measured for seed in study.seeds]
+    return {
+        "lenses": [layout.lens(lens, seed) for lens in study.lenses for seed in study.seeds],
+        "metrics": [layout.metrics(*names) for names in pairs],
+        "pictures": [layout.pictures(*names) for names in pairs],
     }

@@ -12,3 +12,20 @@ rule psf:
         code=code("psf"),
     shell:
         "tasklens psf {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
+
+
+rule tail:
+    input:
+        layout.lens("{lens}", "{seed}"),
+    output:
+        layout.tail("{lens}", "{seed}"),
+        layout.encircled_energy("{lens}", "{seed}"),
+    log:
+        f"{layout.root}/logs/tail/{{lens}}-seed{{seed}}.log",
+    threads: 1
+    params:
+        study=layout.study,
+        job=jobs.psf(study).model_dump_json(),
+        code=code("tail"),
+    shell:
+        "tasklens tail {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -15,6 +15,42 @@ rule table:
         "tasklens table {params.study} {wildcards.table} 2> {log}"
 
 
+rule psf_tail:
+    input:
+        [layout.tail(lens, seed) for lens in study.lenses for seed in study.seeds],
+        [layout.encircled_energy(lens, seed) for lens in study.lenses for seed in study.seeds],
+    output:
+        layout.table("psf_tail", "csv"),
+        layout.table("psf_tail", "md"),
+        layout.table("encircled_energy", "csv"),
+    log:
+        f"{layout.root}/logs/psf_tail.log",
+    threads: 1
+    params:
+        study=layout.study,
+        job=jobs.psf_tail(study).model_dump_json(),
+        code=code("psf_tail"),
+    shell:
+        "tasklens psf-tail {params.study} 2> {log}"
+
+
+rule verdicts:
+    input:
+        unpack(measured),
+    output:
+        layout.table("verdicts", "csv"),
+        layout.table("verdicts", "md"),
+    log:
+        f"{layout.root}/logs/verdicts.log",
+    threads: 1
+    params:
+        study=layout.study,
+        job=claims.verdicts(study).model_dump_json(),
+        code=code("verdicts"),
+    shell:
+        "tasklens verdicts {params.study} 2> {log}"
+
+
 rule figure:
     input:
         lens=layout.lens("{lens}", "{seed}"),

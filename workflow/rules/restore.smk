@@ -24,6 +24,7 @@ rule fine_tune_restored:
     output:
         weights=layout.classifier("{lens}", "{seed}", restored("{classifier}")),
         metrics=layout.metrics("{lens}", "{seed}", restored("{classifier}")),
+        pictures=layout.pictures("{lens}", "{seed}", restored("{classifier}")),
     log:
         f"{layout.root}/logs/fine_tune_restored/{{lens}}-seed{{seed}}-{{classifier}}.log",
     threads: 1

@@ -1,0 +1,99 @@
+"""The claims of the paper (Yang et al. 2024, sections 4 and 5) about the lenses of a study; no torch here.
+
+A claim belongs to one table: its classifier, and captures as they are or restored.
+"""
+
+from itertools import pairwise
+
+from tasklens import jobs
+from tasklens.settings import EndToEnd, Frozen, Task
+from tasklens.study import Study
+
+IMAGING1 = "imaging1"  # the paper's spot minimisation; the other imaging designs are its strong lenses
+
+OVER_IMAGING1 = "more accurate than imaging1"
+OVER_STRONG = "more accurate than the best other imaging design"
+FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
+OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
+FLAT_FAILS = "end-to-end design from flat does not converge"
+
+
+class Claim(Frozen):
+    """That one lens is better than the best of its rivals, or (`FLAT_FAILS`) that one design does not converge.
+
+    Attributes:
+        table: where the paper shows it.
+        text: one of the five sentences above.
+        lens: the lens that it is about.
+        rivals: of these the one with the best minival accuracy is the opponent; none for a lens judged alone.
+        classifier: name under which it is measured, such as `resnet-restored` in table 4.
+        reference: name under which the same classifier is measured on the pictures themselves.
+    """
+
+    table: str
+    text: str
+    lens: str
+    rivals: tuple[str, ...]
+    classifier: str
+    reference: str
+
+
+class VerdictsJob(Frozen):
+    claims: tuple[Claim, ...]
+    seeds: tuple[int, ...]
+
+
+def verdicts(study: Study) -> VerdictsJob:
+    """Every claim that the lenses of a study can decide, table by table."""
+    found = []
+    for table in (jobs.table(study, name) for name in jobs.TABLES):
+        pairs = _end_to_end(study) if table.name == "table3" else _against_imaging(study)
+        found += [
+            Claim(
+                table=table.name,
+                text=text,
+                lens=lens,
+                rivals=rivals,
+                classifier=table.seen(classifier),
+                reference=classifier,
+            )
+            for classifier in table.classifiers
+            for text, lens, rivals in pairs
+        ]
+    return VerdictsJob(claims=tuple(found), seeds=study.seeds)
+
+
+def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Each task-driven lens against `imaging1`, the other imaging lenses, and those of the next number of elements."""
+    imaging = [lens for lens in study.lenses.values() if lens.design_name in study.imaging_designs]
+    counts = sorted({len(plastics) for plastics in study.elements.values()})
+    following = dict(pairwise(counts))
+    found = []
+    for lens in study.lenses.values():
+        if isinstance(lens.design, Task):
+            more = following.get(len(lens.plastics))
+            same = [other for other in imaging if other.elements == lens.elements]
+            opposed = {
+                OVER_IMAGING1: [other for other in same if other.design_name == IMAGING1],
+                OVER_STRONG: [other for other in same if other.design_name != IMAGING1],
+                FEWER_ELEMENTS: [other for other in imaging if len(other.plastics) == more],
+            }
+            found += [(text, lens.name, tuple(o.name for o in others)) for text, others in opposed.items() if others]
+    return found
+
+
+def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Each task-driven lens against end-to-end design from imaging; each end-to-end design from flat alone."""
+    found = []
+    for lens in study.lenses.values():
+        if isinstance(lens.design, Task):
+            found += [
+                (OVER_END_TO_END, lens.name, (other.name,))
+                for other in study.lenses.values()
+                if other.elements == lens.elements
+                and isinstance(other.design, EndToEnd)
+                and other.design.start == "best_imaging"
+            ]
+        elif isinstance(lens.design, EndToEnd) and lens.design.start == "flat":
+            found.append((FLAT_FAILS, lens.name, ()))
+    return found

@@ -1,0 +1,119 @@
+"""Tails of PSFs: discs, Gaussian spots and cores with a halo, of which every number is known."""
+
+import math
+
+import pandas
+import pytest
+import torch
+from examples import f64, landed, make_lens
+
+from tasklens.design.start import view
+from tasklens.jobs import TailJob
+from tasklens.layout import Layout
+from tasklens.optics import tail as tails_of
+from tasklens.optics.analysis import distances
+from tasklens.optics.datasheet import figures
+from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.tail import RADII_UM, encircled_energy, tail
+from tasklens.report import tails
+from tasklens.settings import Spec
+
+ORIGIN = f64([[0.0, 0.0]])
+
+
+def measured(monkeypatch, points, valid=None, centre=(0.0, 0.0)) -> tuple[dict, pandas.DataFrame]:
+    """Tail and curve of one field whose rays land on `points` (N, 2) [um] about a chief ray at `centre` [um]."""
+    x, y = (points + f64(centre)).T / 1e3
+    rays = landed(x[None, None], y[None, None], valid)
+    monkeypatch.setattr(tails_of, "trace_fields", lambda *given: rays)
+    monkeypatch.setattr(tails_of, "chief_points", lambda *given: f64([centre]) / 1e3)
+    by_field, curve = tail(None, view(Spec()), len(points))
+    return by_field[0], pandas.DataFrame(curve)
+
+
+def test_a_disc_of_even_light(monkeypatch):
+    """Half of the light within R / sqrt(2), which is the RMS too; no tail. The centre is the chief ray's point."""
+    found, _ = measured(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
+    assert found["core_radius_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
+    assert found["radius_80_um"] == pytest.approx(10 * math.sqrt(0.8), rel=2e-3)
+    assert found["rms_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
+    assert found["tail_energy"] == found["outside_window"] == 0
+
+
+def test_a_gaussian_spot(monkeypatch):
+    """exp(-r^2 / 2 s^2): core s sqrt(2 ln 2), RMS over core 1 / sqrt(ln 2) = 1.20, outside 3 cores 2^-9."""
+    u, v = sobol_disc(8192, 0).T
+    radius = u**2 + v**2  # uniform over 0 .. 1
+    points = torch.stack([u, v], -1) * (torch.sqrt(-2 * torch.log1p(-radius)) / torch.sqrt(radius))[:, None] * 5
+    found, curve = measured(monkeypatch, points)
+    assert found["core_radius_um"] == pytest.approx(5 * math.sqrt(2 * math.log(2)), rel=2e-3)
+    assert found["rms_um"] / found["core_radius_um"] == pytest.approx(1 / math.sqrt(math.log(2)), rel=1e-2)
+    assert found["tail_energy"] == pytest.approx(2**-9, rel=0.1)
+    expected = 1 - torch.exp(-0.5 * (f64(RADII_UM) / 5) ** 2)
+    torch.testing.assert_close(f64(curve["fraction"].tolist()), expected, rtol=0, atol=2e-3)
+
+
+def test_a_core_in_a_halo(monkeypatch):
+    """Of ten rays six land 2 um from the centre, two at 20 um, one at 100 um beside the window, one is lost."""
+    points = f64([[2, 0]] * 6 + [[0, 20]] * 2 + [[0, 100], [0, 0]])
+    valid = torch.tensor([True] * 9 + [False])[None, None]
+    found, curve = measured(monkeypatch, points, valid)
+    assert found["core_radius_um"] == pytest.approx(2) and found["radius_80_um"] == pytest.approx(20)
+    assert found["tail_energy"] == pytest.approx(0.4) and found["outside_window"] == pytest.approx(0.2)
+    assert found["rms_um"] == pytest.approx(math.sqrt((6 * 4 + 2 * 400 + 10_000) / 9))
+    at = curve.set_index("radius_um")["fraction"]
+    assert [at[1.778], at[2.239], at[1000.0]] == pytest.approx([0, 0.6, 0.9])
+
+
+def test_a_field_without_a_core_has_no_tail_energy(monkeypatch):
+    points, lost = torch.zeros(4, 2, dtype=torch.float64), torch.tensor([True, False, False, False])[None, None]
+    found, _ = measured(monkeypatch, points, lost)
+    assert math.isinf(found["core_radius_um"]) and math.isnan(found["tail_energy"])
+    assert found["outside_window"] == 0.75
+
+
+def test_encircled_energy_is_a_count():
+    """Against a count of the rays within each radius, also on the radius itself."""
+    points = torch.randn(2, 3, 50, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    rays = landed(points[..., 0], points[..., 1])
+    centre = f64([[0.0, 0.0], [0.5, -0.5]])
+    radii = torch.cat([f64([0.0, 0.3, 1.0, 9.0]), distances(rays, centre)[0, 0, :3]])
+    found = encircled_energy(rays, centre, radii)
+    away = (points - centre[:, None, None]).norm(dim=-1)
+    expected = torch.stack([(away <= r * (1 + 1e-15)).double().mean((1, 2)) for r in radii], -1)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-15)
+
+
+def test_figures_agree_with_the_lens_file():
+    """By the same rays: energy in the window and RMS about the chief ray."""
+    looks = view(Spec())
+    lens = make_lens([0, 0.7, 0], [0.1, 0.4, 2.6], ("air", "COC", "air"), semi_diameter=[0.5, torch.inf, torch.inf])
+    by_field, curve = tail(lens, looks, 256)
+    expected = figures(lens, looks, 256)
+    assert [row["rms_um"] for row in by_field] == pytest.approx(expected["rms_chief_ray_um"], nan_ok=True)
+    assert [1 - row["outside_window"] for row in by_field] == pytest.approx(expected["energy_in_window"])
+    curve = pandas.DataFrame(curve)
+    assert set(curve["field"]) == set(range(9)) and curve.groupby("field")["fraction"].is_monotonic_increasing.all()
+
+
+def test_table_means_over_fields_and_seeds(tmp_path):
+    """Ratios are of the means over fields; a field without a number leaves the mean without one."""
+    layout, job = Layout(str(tmp_path)), TailJob(lenses=("a", "b"), seeds=(0, 1))
+    cores = {("a", 0): [1, 3], ("a", 1): [4, 4], ("b", 0): [1, 1], ("b", 1): [math.inf, 1]}
+    for (lens, seed), core in cores.items():
+        path = tmp_path / f"lenses/{lens}/seed{seed}"
+        path.mkdir(parents=True)
+        tail_energy = [0.1 if math.isfinite(c) else math.nan for c in core]
+        rows = {"field": [0, 1], "core_radius_um": core, "tail_energy": tail_energy, "rms_um": [8, 8]}
+        pandas.DataFrame(rows).to_csv(layout.tail(lens, seed), index=False)
+        curve = pandas.DataFrame({"field": [0, 1], "radius_um": 5.0, "fraction": 0.5})
+        curve.to_csv(layout.encircled_energy(lens, seed), index=False)
+    tails.make(job, layout, "tiny")
+    table = pandas.read_csv(layout.table("psf_tail", "csv")).set_index("lens")
+    assert table.loc["a", "core_radius_um"] == 3 and table.loc["a", "core_radius_um_std"] == pytest.approx(2**0.5)
+    assert table.loc["a", "rms_over_core"] == 3 and table.loc["a", "tail_energy"] == pytest.approx(0.1)
+    assert math.isinf(table.loc["b", "core_radius_um"]) and math.isnan(table.loc["b", "tail_energy"])
+    curves = pandas.read_csv(layout.table("encircled_energy", "csv"))
+    assert list(curves) == ["lens", "seed", "field", "radius_um", "fraction"] and len(curves) == 8
+    with open(layout.table("psf_tail", "md")) as file:
+        assert "nan" not in file.read()

@@ -1,0 +1,219 @@
+"""Claims that a study can decide, and verdicts from pictures of which every one is known."""
+
+import math
+
+import numpy
+import pandas
+import pytest
+import yaml
+from examples import changed, tiny_study
+
+from tasklens import claims
+from tasklens.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
+from tasklens.files import FileError
+from tasklens.layout import SHARP, Layout, restored
+from tasklens.report import verdicts
+from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
+from tasklens.study import parse
+
+PICTURES, FIELDS = 200, 9
+DOUBLET = ["COC", "OKP4"]
+
+
+def study_of(seeds: int, **elements):
+    plastics = elements or {"doublet": DOUBLET, "triplet": [*DOUBLET, "COC"]}
+    designs = tiny_study()["designs"] | {"imaging3": tiny_study()["designs"]["imaging2"]}
+    study = tiny_study() | {"elements": plastics, "designs": designs}
+    return parse(changed(study, "seeds", list(range(seeds))))
+
+
+def results(tmp_path, study, accuracy, minival=None, inside=0.9) -> Layout:
+    """Files of a study in which a lens recognises a fraction accuracy(lens, classifier, seed) of all captures.
+
+    Drawn by chance, one number for a picture and its field for all lenses: a better lens recognises what a worse one
+    does, and more.
+    """
+    layout = Layout(str(tmp_path))
+    luck = numpy.random.default_rng(0).random((PICTURES, FIELDS))
+    index = {"picture": range(PICTURES), "label": ["cat"] * PICTURES}
+    for seed in study.seeds:
+        for lens in (SHARP, *study.lenses):
+            for name in [*study.classifiers, *map(restored, study.classifiers)]:
+                fields = 1 if lens == SHARP else FIELDS
+                right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
+                chosen = (minival or accuracy)(lens, name, seed)
+                path = tmp_path / f"metrics/{lens}/seed{seed}"
+                path.mkdir(parents=True, exist_ok=True)
+                columns = {f"field{k}": right[:, k] for k in range(fields)}
+                pandas.DataFrame(index | columns).to_csv(layout.pictures(lens, seed, name), index=False)
+                rows = [("minival_accuracy", k, 100 * chosen) for k in range(fields)] + [("chance", "", 10.0)]
+                frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
+                frame.to_csv(layout.metrics(lens, seed, name), index=False)
+            folder = tmp_path / f"lenses/{lens}/seed{seed}"
+            folder.mkdir(parents=True, exist_ok=True)
+            figures = {"rms_centroid_um": [9.0], "radius_50_um": [3.0], "energy_in_window": [inside]}
+            text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
+            (folder / "lens.yaml").write_text(text)
+    return layout
+
+
+def judged(tmp_path, study, accuracy, **others) -> pandas.DataFrame:
+    layout = results(tmp_path, study, accuracy, **others)
+    return verdicts.collect(claims.verdicts(study), layout).set_index(["table", "claim", "lens", "classifier"])
+
+
+def by_design(**accuracies):
+    return lambda lens, name, seed: accuracies.get(lens.partition("-")[2] or lens, 0.5)
+
+
+# ---- which claims
+
+
+def test_claims_of_each_table():
+    """Tables 1, 2 and 4 for every classifier that they show, table 3 about end-to-end design."""
+    job = claims.verdicts(study_of(1))
+    found = {(c.table, c.text, c.lens, c.classifier): c.rivals for c in job.claims}
+    assert len(found) == len(job.claims)
+    imaging = ("doublet-imaging2", "doublet-imaging3")
+    triplets = tuple(f"triplet-imaging{k}" for k in (1, 2, 3))
+    for table, classifiers in (("table1", ["small"]), ("table2", ["small", "other"]), ("table4", ["small-restored"])):
+        mine = {key[1:]: rivals for key, rivals in found.items() if key[0] == table}
+        assert len(mine) == 5 * len(classifiers)
+        for classifier in classifiers:
+            assert mine[OVER_IMAGING1, "doublet-tasklens", classifier] == ("doublet-imaging1",)
+            assert mine[OVER_STRONG, "doublet-tasklens", classifier] == imaging
+            assert mine[FEWER_ELEMENTS, "doublet-tasklens", classifier] == triplets
+            assert (FEWER_ELEMENTS, "triplet-tasklens", classifier) not in mine
+    assert {key[1:]: rivals for key, rivals in found.items() if key[0] == "table3"} == {
+        (OVER_END_TO_END, "doublet-tasklens", "small"): ("doublet-end_to_end_from_imaging",),
+        (FLAT_FAILS, "doublet-end_to_end_from_flat", "small"): (),
+        (OVER_END_TO_END, "triplet-tasklens", "small"): ("triplet-end_to_end_from_imaging",),
+        (FLAT_FAILS, "triplet-end_to_end_from_flat", "small"): (),
+    }
+
+
+def test_fewer_elements_are_judged_between_neighbours_in_the_study():
+    """Without a triplet, a doublet meets the quadruplets; another choice of plastics is no other number of elements."""
+    others = {"other": DOUBLET[::-1], "quadruplet": 2 * DOUBLET, "singlet": ["COC"]}
+    job = claims.verdicts(study_of(1, doublet=DOUBLET, **others))
+    found = {c.lens: {r.partition("-")[0] for r in c.rivals} for c in job.claims if c.text == FEWER_ELEMENTS}
+    assert found == {
+        "singlet-tasklens": {"doublet", "other"},
+        "doublet-tasklens": {"quadruplet"},
+        "other-tasklens": {"quadruplet"},
+    }
+
+
+def test_claims_about_absent_lenses_are_left_out(tmp_path):
+    """A study without task-driven or end-to-end lenses has no claim, and its file says so."""
+    designs = {name: design for name, design in tiny_study()["designs"].items() if name.startswith("imaging")}
+    study = parse(tiny_study() | {"designs": designs})
+    job = claims.verdicts(study)
+    assert job.claims == ()
+    verdicts.make(job, Layout(str(tmp_path)), "tiny")
+    assert list(pandas.read_csv(tmp_path / "tables/verdicts.csv")) == verdicts.COLUMNS
+    assert "no lenses that the paper's claims are about" in (tmp_path / "tables/verdicts.md").read_text()
+
+
+# ---- their verdicts
+
+
+@pytest.mark.parametrize(
+    "low, high, seeds, expected",
+    [(0.1, 2, 5, HOLDS), (-2, -0.1, 5, FAILS), (-1, 1, 5, UNDECIDED), (0, 1, 9, UNDECIDED), (5, 6, 4, UNDECIDED)],
+)
+def test_rule(low, high, seeds, expected):
+    found, reason = verdicts.verdict(low, high, seeds)
+    assert found == expected and (reason == "fewer than five seeds") is (seeds < 5)
+
+
+def test_five_seeds_decide(tmp_path):
+    """Clearly better, clearly worse, and not different at all, with seeds that vary together."""
+
+    def accuracy(lens, name, seed):
+        return by_design(tasklens=0.7, imaging1=0.5, imaging2=0.8, end_to_end_from_imaging=0.7)(lens, name, seed) + (
+            0.01 * seed
+        )
+
+    found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracy)
+    better = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
+    assert better["verdict"] == HOLDS and better["difference"] == pytest.approx(20, abs=2)
+    assert better["low"] < better["difference"] < better["high"] and better["seeds"] == 5
+    worse = found.loc["table4", OVER_STRONG, "doublet-tasklens", "small-restored"]
+    assert worse["verdict"] == FAILS and worse["opponent"] == "doublet-imaging2"
+    same = found.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
+    assert same["verdict"] == UNDECIDED and same["difference"] == same["low"] == same["high"] == 0
+
+
+def test_fewer_than_five_seeds_decide_nothing_and_are_shown(tmp_path):
+    found = judged(tmp_path, study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
+    row = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
+    assert row["verdict"] == UNDECIDED and row["reason"] == "fewer than five seeds"
+    assert 50 < row["low"] <= row["difference"] <= row["high"] < 70
+
+
+def test_the_opponent_is_chosen_on_the_minival(tmp_path):
+    """imaging2 is the best by test and the worst by minival: imaging3 it is; each classifier chooses its own."""
+
+    def minival(lens, name, seed):
+        return (
+            0.9
+            if lens.endswith("imaging2") and name == "other"
+            else by_design(imaging3=0.6, imaging2=0.1)(lens, name, seed)
+        )
+
+    found = judged(tmp_path, study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
+    assert found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]["opponent"] == "doublet-imaging3"
+    assert found.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["opponent"] == "triplet-imaging3"
+    assert found.loc["table2", OVER_STRONG, "doublet-tasklens", "other"]["opponent"] == "doublet-imaging2"
+
+
+@pytest.mark.parametrize(
+    "accuracy, inside, expected, difference",
+    [(0.2, 0.9, HOLDS, 35), (0.8, 0.9, FAILS, -25), (0.8, 0.3, HOLDS, 20), (0.3, 0.3, HOLDS, 25)],
+)
+def test_convergence_is_judged_by_the_rule_of_table_3(tmp_path, accuracy, inside, expected, difference):
+    """Sharp pictures 100 %, chance 10 %: half-way is 55 %. Half of the light is missed by 50 % less what is inside."""
+    accuracies = by_design(sharp=1.0, end_to_end_from_flat=accuracy)
+    found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracies, inside=inside)
+    found = found.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
+    assert found["verdict"] == expected and found["opponent"] == ""
+    assert found["difference"] == pytest.approx(difference, abs=3)
+
+
+def test_interval_is_of_pictures_not_of_captures(tmp_path):
+    """If all captures of a picture agree, the error is that of 200 pictures, whatever the number of captures."""
+    study = study_of(1)
+    layout = results(tmp_path, study, by_design())
+    generator = numpy.random.default_rng(3)
+    share = {}
+    for lens in ("doublet-tasklens", "doublet-imaging1"):
+        right = (generator.random(PICTURES) < 0.6).astype(int)
+        share[lens] = right
+        frame = pandas.DataFrame({"picture": range(PICTURES), "label": "cat"} | {f"field{k}": right for k in range(9)})
+        frame.to_csv(layout.pictures(lens, 0, "small"), index=False)
+    found = verdicts.collect(claims.verdicts(study), layout).iloc[0]
+    difference = 100 * (share["doublet-tasklens"] - share["doublet-imaging1"])
+    assert found["difference"] == pytest.approx(difference.mean())
+    width = 2 * 1.96 * difference.std() / math.sqrt(PICTURES)
+    assert found["high"] - found["low"] == pytest.approx(width, rel=0.05)
+
+
+def test_other_pictures_are_refused(tmp_path):
+    study = study_of(1)
+    layout = results(tmp_path, study, by_design())
+    path = layout.pictures("doublet-imaging1", 0, "small")
+    pandas.read_csv(path).iloc[::-1].to_csv(path, index=False)
+    with pytest.raises(FileError, match=r"doublet-imaging1.*same test pictures"):
+        verdicts.collect(claims.verdicts(study), layout)
+
+
+def test_files_of_the_verdicts_agree(tmp_path):
+    study = study_of(1)
+    layout = results(tmp_path, study, by_design(tasklens=0.6))
+    verdicts.make(claims.verdicts(study), layout, "tiny")
+    rows = pandas.read_csv(layout.table("verdicts", "csv"))
+    with open(layout.table("verdicts", "md")) as file:
+        body = [line for line in file.read().splitlines() if line.startswith("|")][2:]
+    assert len(body) == len(rows) == 5 + 10 + 4 + 5
+    assert all(f"{row.difference:+.2f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
