@@ -11,7 +11,7 @@ from tasklens import claims, files, jobs
 from tasklens import study as studies
 from tasklens.digest import code
 from tasklens.layout import PAPER, SHARP, Layout, restored
-from tasklens.settings import Outside
+from tasklens.design_settings import Outside
 
 min_version("9.10")
 

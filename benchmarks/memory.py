@@ -13,12 +13,14 @@ import timing
 import timm
 import torch
 
-from tasklens.design.descent import Problem, descend
+from tasklens.design import task
+from tasklens.design.descent import Problem
 from tasklens.design.start import flat, view
+from tasklens.design_settings import Task, Walk
 from tasklens.optics.catalogues import builtin
 from tasklens.recognition.classifiers import Recogniser
 from tasklens.recognition.data import Pictures
-from tasklens.settings import Capture, Constraints, Spec, Task
+from tasklens.settings import Capture, Constraints, Spec
 
 LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
 
@@ -32,9 +34,10 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
     pictures = Pictures(images, torch.arange(count), tuple(map(str, range(1000))))
     problem = Problem(view(spec), limits, Capture(), pictures, seed=0)
-    settings = Task(method="task", steps=1, images=count, rays=256, micro_batch=captures)
+    walk = Walk(steps=1, pixels=(1, 1))
+    settings = Task(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
     before, begin = timing.peak_memory_gib(), time.process_time()
-    descend(flat((builtin("COC"), builtin("OKP4")), spec, limits), recogniser, problem, settings, [], "memory")
+    task.design(flat((builtin("COC"), builtin("OKP4")), spec, limits), recogniser, problem, settings, [])
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

@@ -22,13 +22,14 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 from tasklens.design import least_squares
 from tasklens.design.constraints import penalty
 from tasklens.design.start import Variables, flat, parameter_groups, view
+from tasklens.design_settings import LeastSquares, Rates
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import trace_fields
 from tasklens.optics.catalogues import builtin
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.settings import Constraints, LeastSquares, Rates, Spec
+from tasklens.settings import Constraints, Spec
 from tasklens.study import parse
 
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"

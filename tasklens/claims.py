@@ -6,7 +6,8 @@ A claim belongs to one table: its classifier, and captures as they are or restor
 from itertools import pairwise
 
 from tasklens import jobs
-from tasklens.settings import EndToEnd, Frozen, Task
+from tasklens.design_settings import EndToEnd, Task
+from tasklens.settings import Frozen
 from tasklens.study import Study
 
 IMAGING1 = "imaging1"  # the paper's spot minimisation; the other imaging designs are its strong lenses

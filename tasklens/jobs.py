@@ -4,23 +4,9 @@ A job is handed this slice and nothing else, and Snakemake compares it: by const
 jobs that read it and no others. What a job reads from other jobs are files.
 """
 
+from tasklens.design_settings import EndToEnd, LeastSquares, Lens, Outside, Spot, Task
 from tasklens.layout import SHARP, restored
-from tasklens.settings import (
-    Capture,
-    Classifier,
-    Constraints,
-    EndToEnd,
-    Frozen,
-    Images,
-    LeastSquares,
-    Lens,
-    Outside,
-    Restoration,
-    Spec,
-    Spot,
-    Task,
-    Training,
-)
+from tasklens.settings import Capture, Classifier, Constraints, Frozen, Images, Restoration, Spec, Training
 from tasklens.study import Study
 
 TABLES = ("table1", "table2", "table3", "table4")

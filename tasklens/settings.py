@@ -4,9 +4,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FilePath, computed_field, field_validator, model_validator
-
-from tasklens.optics.materials import Material
+from pydantic import BaseModel, ConfigDict, Field, computed_field, field_validator, model_validator
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -82,111 +80,7 @@ class Constraints(Frozen):
     distortion: Fraction = 0.03
 
 
-class Rates(Frozen):
-    """AdamW step sizes of the lens; each asphere order above alpha_4 takes `decay` times the one before (paper 3.3).
-
-    `normalised`: the step sizes of alpha_k are those of alpha_k R^(k - 1), R the radius that light uses on the surface
-    of the starting lens in mm; else of alpha_k itself, as in the paper.
-    """
-
-    curvature: Positive = 1e-4
-    thickness: Positive = 1e-4
-    alpha_4: Positive = 1e-4
-    decay: Fraction = 0.02
-    normalised: bool = True
-    final: Fraction = 1.0  # the rates at the last step, as a fraction; reached on a cosine
-
-
-class ColdStart(Frozen):
-    """Pixels that begin coarse and a stop that begins small; both reach their true size after a part of the steps."""
-
-    pixel_scale: Annotated[float, Field(ge=1)] = 20.0
-    pixel_duration: Annotated[float, Field(gt=0, le=1)] = 0.8
-    stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
-    stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5
-
-
-class Descent(Frozen):
-    """Stochastic descent of the classifier's loss through captures, PSFs and rays."""
-
-    steps: Count
-    images: Count = 64
-    rays: Count = 256
-    rates: Rates = Rates()
-    cold_start: ColdStart | None = None
-    penalty: Positive = 100.0
-    augment: bool = True
-
-
-class Polish(Frozen):
-    """End-to-end design after the task-driven one (paper 3.3): lens rates as a part of the design's, at full pixels."""
-
-    steps: Count
-    rates_scale: Annotated[float, Field(gt=0, le=1)] = 0.1
-    network_rate: Positive = 1e-5
-
-
-class Task(Descent):
-    """Task-driven design: the classifier is frozen, and trained with the lens only in the final polish."""
-
-    method: Literal["task"]
-    micro_batch: Count = 64  # captures that a frozen classifier sees at once: memory only, same gradient
-    polish: Polish | None = None
-
-
-class EndToEnd(Descent):
-    """Lens and classifier descend together, from flat plates or from the best imaging lens by minival accuracy."""
-
-    method: Literal["end_to_end"]
-    start: Literal["flat", "best_imaging"]
-    network_rate: Positive = 1e-5
-
-
-class Spot(Frozen):
-    """RMS spot size by AdamW from flat plates, with an opening stop."""
-
-    method: Literal["spot"]
-    steps: Count
-    rays: Count = 256
-    rates: Rates = Rates()
-    stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
-    stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5
-    penalty: Positive = 100.0
-
-
-class LeastSquares(Frozen):
-    """Damped least squares on ray residuals, from many random paraxial starts, as a lens designer works."""
-
-    method: Literal["least_squares"]
-    starts: Count = 150
-    evaluations: Count = 8000  # of all residuals, with or without their derivatives
-    reference: Literal["centroid", "chief_ray"] = "centroid"
-    highest_order: Literal[4, 6, 8, 10] = 10
-    corner_weight: Positive = 1.0
-    max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
-
-
-class Outside(Frozen):
-    """A lens from a file (.zmx, or a lens.yaml), made to fit the specification; its glasses from `catalogues` too.
-
-    `elements` is what the tables call it; its plastics are the file's.
-    """
-
-    elements: Name
-    file: FilePath
-    catalogues: tuple[FilePath, ...] = ()
-
-    @field_validator("file")
-    @classmethod
-    def _known_kind(cls, file: Path) -> Path:
-        if file.suffix.lower() not in (".zmx", ".yaml", ".yml"):
-            raise ValueError("expected a lens file, .zmx or .yaml")
-        return file
-
-
 RENDERED_CLASSES = 10  # of the built-in pictures, recognition.scenes
-
-Design = Annotated[Task | EndToEnd | Spot | LeastSquares, Field(discriminator="method")]
 
 
 class Images(Frozen):
@@ -271,18 +165,3 @@ class Capture(Frozen):
 
     outside: Literal["veil", "renormalise"] = "veil"
     colour: Literal["srgb", "linear"] = "srgb"
-
-
-class Lens(Frozen):
-    """One lens of the study: how many elements of which plastic, and how it comes about."""
-
-    name: str
-    elements: str
-    plastics: tuple[Material, ...]  # with their coefficients: editing one redesigns the lenses that use it
-    design_name: str
-    design: Design | Outside
-
-    @property
-    def keeps_constraints(self) -> bool:
-        """Whether its method promises to keep the constraints and the focal length: verification holds it to them."""
-        return isinstance(self.design, Descent | Spot | LeastSquares)

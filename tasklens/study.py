@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
 
+from tasklens.design_settings import Design, EndToEnd, LeastSquares, Lens, Outside, Spot
 from tasklens.optics.catalogues import collect
 from tasklens.optics.materials import Material, from_definitions
 from tasklens.settings import (
@@ -20,17 +21,11 @@ from tasklens.settings import (
     Classifier,
     Constraints,
     Count,
-    Design,
-    EndToEnd,
     Frozen,
     Images,
-    LeastSquares,
-    Lens,
     Name,
-    Outside,
     Restoration,
     Spec,
-    Spot,
     Training,
 )
 

@@ -73,7 +73,8 @@ def test_every_design_leaves_a_readable_lens(lenses):
         assert content["worst_margin"]["value"] == min(content["margins"].values())
         assert rows(LAYOUT.history(f"singlet-{name}", 0))
     phases = [row["phase"] for row in rows(LAYOUT.history("singlet-tasklens", 0))]
-    assert phases == ["task-driven"] * 2 + ["polish"]
+    walks = [phase for k in (1, 2) for phase in [f"start {k} of 2"] * 2 + [f"start {k} of 2, judged"]]
+    assert phases == walks + ["refinement"] * 2 + ["polish"]
 
 
 def test_design_from_imaging_begins_with_the_better_lens(lenses):

@@ -10,6 +10,7 @@ from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, rand
 from tasklens import jobs
 from tasklens.design import methods, outside
 from tasklens.design.start import view
+from tasklens.design_settings import Outside
 from tasklens.files import FileError
 from tasklens.optics import prescription, zemax
 from tasklens.optics.analysis import centroid, evaluation_psf, rms_spot_radius, trace_fields
@@ -18,7 +19,7 @@ from tasklens.optics.paraxial import paraxial
 from tasklens.optics.prescription import Prescription
 from tasklens.optics.pupil import sobol_disc
 from tasklens.optics.tracing import trace
-from tasklens.settings import Outside, Spec
+from tasklens.settings import Spec
 from tasklens.study import parse
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel=101)

@@ -14,11 +14,12 @@ from examples import WAVELENGTHS, f64, materials, random_lens
 
 from tasklens.design import least_squares
 from tasklens.design.start import flat, view
+from tasklens.design_settings import LeastSquares
 from tasklens.optics.analysis import View, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.pupil import sobol_disc
-from tasklens.settings import Constraints, LeastSquares, Spec
+from tasklens.settings import Constraints, Spec
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # it draws; nothing is drawn here
 pytest.importorskip("optiland", reason="the second-opinion extra is not installed")

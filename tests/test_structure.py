@@ -21,6 +21,7 @@ FLOORS = [
     ("tasklens.optics.materials", "tasklens.optics.zemax_text"),
     ("tasklens.optics.catalogues",),
     ("tasklens.settings",),
+    ("tasklens.design_settings",),
     ("tasklens.study",),
     ("tasklens.layout",),
     ("tasklens.jobs",),

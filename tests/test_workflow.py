@@ -13,9 +13,9 @@ import pytest
 import yaml
 from examples import changed, make_lens, tiny_study
 
+from tasklens.design_settings import EndToEnd
 from tasklens.optics import zemax
 from tasklens.optics.prescription import Prescription
-from tasklens.settings import EndToEnd
 from tasklens.study import Study, load, parse
 
 ROOT = Path(__file__).parents[1]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis import View, clear_semi_diameters, distortion
+from tasklens.optics.analysis import View, chief_points, clear_semi_diameters, distortion
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR
@@ -49,7 +49,7 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
 
 
 def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tensor) -> dict[str, Tensor]:
-    """Margins of focal length and distortion, as fractions; for designs that no pinhole-centred PSF holds to them.
+    """Margins of focal length and distortion, as fractions.
 
     Args:
         chief: (F, 2) image points of the chief rays of `view` [mm].
@@ -77,9 +77,11 @@ def corner_view(view: View) -> View:
 
 
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
-    """Sum of squared shortfalls of the manufacturing margins, for gradient descent."""
+    """Sum of squared shortfalls of all margins, for gradient descent."""
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
-    return shortfall(manufacturing_margins(lens, limits, semi_diameter)).square().sum()
+    margins = manufacturing_margins(lens, limits, semi_diameter)
+    margins |= first_order_margins(lens, limits, view, chief_points(lens, view))
+    return shortfall(margins).square().sum()
 
 
 def worst_margin(margins: Mapping[str, Tensor]) -> tuple[str, float]:

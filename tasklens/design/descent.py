@@ -18,17 +18,17 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 from tasklens.design.constraints import penalty
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
+from tasklens.design_settings import EndToEnd, Polish
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import View, centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
-from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.training import parameter_groups as network_groups
 from tasklens.recognition.training import shuffled
-from tasklens.settings import Capture, Constraints, Descent
+from tasklens.settings import Capture, Constraints
 
 
 @dataclass(frozen=True)
@@ -84,23 +84,21 @@ def descend(
     start: Lens,
     recogniser: nn.Module,
     problem: Problem,
-    settings: Descent,
+    settings: EndToEnd | Polish,
     history: list[dict],
     label: str,
-    network_rate: float | None = None,
 ) -> Lens:
-    """Minimise the classifier's loss over the lens and, if `network_rate` is given, over the network as well.
+    """Minimise the classifier's loss over the lens and the network at once, with AdamW.
 
     PSFs are centred on the pinhole point, which holds the lens to its focal length and distortion.
 
     Args:
         start: the lens to begin with.
-        recogniser: without `network_rate` a frozen copy judges; with it, it is trained in place, in `train()`.
+        recogniser: trained in place, in `train()`; all captures of a step pass at once, for its batch statistics.
         problem: pictures, fields, limits.
         settings: steps, rates, cold start.
         history: receives a row per logged step.
         label: for progress lines and the history.
-        network_rate: AdamW's rate for the network.
 
     Returns:
         The lens after the last step; if the loss stops being finite, the last lens with a finite one, and the history
@@ -113,16 +111,12 @@ def descend(
     variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     groups = parameter_groups(values, settings.rates)
-    joint = network_rate is not None
-    if joint:
-        recogniser.train().requires_grad_(True)
-        groups += [group | {"lr": network_rate} for group in network_groups(recogniser, weight_decay=0.05)]
-    else:
-        recogniser = frozen(recogniser)
+    recogniser.train().requires_grad_(True)
+    groups += [group | {"lr": settings.network_rate} for group in network_groups(recogniser, weight_decay=0.05)]
     optimizer = torch.optim.AdamW(groups)
     rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: cosine(step / steps, settings.rates.final))
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
-    micro_batch = settings.images * len(view.fields) if joint else settings.micro_batch
+    captures = settings.images * len(view.fields)
     progress = Progress(label, steps)
     last = variables.values()
     for step, indices in enumerate(shuffled(len(pictures), settings.images, steps, generator), 1):
@@ -139,7 +133,7 @@ def descend(
         images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
         optimizer.zero_grad()
         losses, gradient = loss_at_psf(
-            recogniser, images, pictures.labels[indices], grid.float(), problem.capture, micro_batch
+            recogniser, images, pictures.labels[indices], grid.float(), problem.capture, captures
         )
         loss = losses.mean()
         total = loss + settings.penalty * bounds
@@ -170,6 +164,5 @@ def descend(
                     "rate": rates.get_last_lr()[0],
                 }
             )
-    if joint:
-        recogniser.eval().requires_grad_(False)
+    recogniser.eval().requires_grad_(False)
     return variables.assemble(values).detached()

@@ -15,12 +15,13 @@ from scipy.optimize import least_squares
 
 from tasklens.design.merit import Merit
 from tasklens.design.start import ORDERS, Variables
+from tasklens.design_settings import LeastSquares
 from tasklens.optics.analysis import View
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
 from tasklens.progress import Progress
-from tasklens.settings import Constraints, LeastSquares
+from tasklens.settings import Constraints
 
 _SPACES = 0.35  # a random start draws its element and air thicknesses below this part of the focal length
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget
@@ -100,7 +101,7 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
 def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, seed: int, history: list[dict]) -> Lens:
     """The best lens found within the budget of `settings`; arguments as for `spot.design`."""
     rng = numpy.random.default_rng(seed)
-    merit = Merit(view, limits, settings)
+    merit = Merit(view, limits, settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg)
     orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
     progress = Progress("least squares", settings.evaluations)
     evaluations = itertools.count(1)

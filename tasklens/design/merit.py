@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -11,7 +12,7 @@ from tasklens.optics.analysis import View
 from tasklens.optics.lens import Lens
 from tasklens.optics.pupil import bundles, gauss_quadrature
 from tasklens.optics.tracing import linearise
-from tasklens.settings import Constraints, LeastSquares
+from tasklens.settings import Constraints
 
 HEIGHTS = (0.0, 0.3, 0.5, 0.7, 0.87, 1.0)  # fields of the merit function, as parts of the largest
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
@@ -26,15 +27,25 @@ class Merit:
     The stop of the lenses stands in front of them: rays then start alike, whatever the lens.
     """
 
-    def __init__(self, view: View, limits: Constraints, settings: LeastSquares):
+    def __init__(
+        self,
+        view: View,
+        limits: Constraints,
+        reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
+        corner_weight: float = 1.0,
+        max_chief_ray_angle_deg: float | None = None,
+    ):
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
-        self.view, self.limits, self.settings = replace(view, fields=fields), limits, settings
+        self.view, self.limits = replace(view, fields=fields), limits
+        self.reference, self.max_chief_ray_angle_deg = reference, max_chief_ray_angle_deg
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         self.pupil = torch.cat([pupil, torch.zeros(1, 2, dtype=torch.float64)])  # the last of each bundle: a chief ray
         self.middle = len(view.wavelengths) // 2
-        field = settings.corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`
+        field = corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`
         self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
+        self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # residuals of rays; then of limits
+        self.per_mm = _SHORTFALL
 
     def residuals(self, lens: Lens) -> Tensor:
         """(R,) residuals [um]."""
@@ -51,7 +62,7 @@ class Merit:
         valid = rays.valid[..., :-1]
         errors = [
             torch.where(valid, 1e3 * self.share * error, _LOST * self.share)
-            for error in self._errors(rays.x, rays.y, valid)
+            for error in self._errors(rays.x, rays.y, valid, change=False)
         ]
         semi_diameter = _RIM * torch.stack([torch.hypot(r.x, r.y).max() for r in record])
         leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
@@ -65,7 +76,7 @@ class Merit:
             moved = derivative(changes)
             rows = [
                 torch.where(valid, 1e3 * self.share * error, 0.0).flatten(1)
-                for error in self._errors(moved.x, moved.y, valid)
+                for error in self._errors(moved.x, moved.y, valid, change=True)
             ]
             chief = torch.stack([v[..., self.middle, -1] for v in (moved.x, moved.y, moved.m, moved.n)], 1)
             rows.append(_along(operands, leaves, {**changes, "chief": chief}))
@@ -74,13 +85,16 @@ class Merit:
         # A kicked lens can leave every range; scipy wants numbers all the same, as bad as they may be.
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
 
-    def _errors(self, x: Tensor, y: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-        """Errors in x, and in y about the reference, of all rays but the chief ones; linear: changes may stand here."""
-        if self.settings.reference == "centroid":
-            arrived = valid * self.weight
-            centre = (y[..., :-1] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
-        else:
-            centre = y[..., self.middle, -1]
+    def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
+        """Errors in x, and in y about the reference, of all rays but the chief ones; or a change of them."""
+        match self.reference:
+            case "centroid":
+                arrived = valid * self.weight
+                centre = (y[..., :-1] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
+            case "chief_ray":
+                centre = y[..., self.middle, -1]
+            case "pinhole":
+                centre = torch.zeros_like(self.view.fields[:, 1]) if change else self.view.fields[:, 1]
         return x[..., :-1], y[..., :-1] - centre[..., None, None]
 
     def _operands(self, leaves: Mapping[str, Tensor], lens: Lens, semi_diameter: Tensor) -> Tensor:
@@ -90,9 +104,9 @@ class Merit:
         margins = manufacturing_margins(lens, self.limits, semi_diameter)
         margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))
         operands = [_SHORTFALL * shortfall(margins)]
-        if self.settings.max_chief_ray_angle_deg is not None:
+        if self.max_chief_ray_angle_deg is not None:
             angle = torch.rad2deg(torch.atan2(m.abs(), n))
-            operands.append((angle - self.settings.max_chief_ray_angle_deg).clamp(min=0))
+            operands.append((angle - self.max_chief_ray_angle_deg).clamp(min=0))
         return torch.cat(operands)
 
 

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import torch
 
-from tasklens.design import descent, least_squares, outside, spot
+from tasklens.design import descent, least_squares, outside, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.start import flat, view
+from tasklens.design_settings import EndToEnd, LeastSquares, Outside, Spot, Task
 from tasklens.jobs import DesignJob
 from tasklens.optics.analysis import OUTLINE, chief_points, clear_semi_diameters
 from tasklens.optics.datasheet import figures
 from tasklens.optics.lens import Lens
 from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.data import Pictures
-from tasklens.settings import EndToEnd, LeastSquares, Outside, Rates, Spot, Task
 
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first pictures again
 _APERTURE = 1.02  # semi-diameter of a finished surface over what light uses of it
@@ -53,32 +53,17 @@ def design(
             lens = least_squares.design(start, looks, job.constraints, settings, job.seed, history)
         case Task():
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
-            lens = descent.descend(start, recogniser, problem, settings, history, "task-driven")
+            lens = task.design(start, recogniser, problem, settings, history)
             if settings.polish is not None:
-                polish = settings.model_copy(
-                    update={
-                        "steps": settings.polish.steps,
-                        "rates": scaled(settings.rates, settings.polish.rates_scale),
-                        "cold_start": None,
-                    }
-                )
-                rate = settings.polish.network_rate
                 fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
-                lens = descent.descend(lens, recogniser, fresh, polish, history, "polish", rate)
+                lens = descent.descend(lens, recogniser, fresh, settings.polish, history, "polish")
         case EndToEnd():
             if rivals:
                 origin["start"] = best(rivals)
                 start = open_apertures(rivals[origin["start"]][0])
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
-            lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", settings.network_rate)
+            lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end")
     return finished(lens, job, origin)
-
-
-def scaled(rates: Rates, factor: float) -> Rates:
-    """All step sizes times `factor`."""
-    return rates.model_copy(
-        update={name: factor * getattr(rates, name) for name in ("curvature", "thickness", "alpha_4")}
-    )
 
 
 def best(rivals: Mapping[str, tuple[Lens, Path]]) -> str:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import torch
 
+from tasklens.design_settings import Outside
 from tasklens.files import FileError
 from tasklens.optics import prescription, zemax
 from tasklens.optics.analysis import View, centroid, chief_rays, rms_spot_radius, trace_fields
@@ -13,7 +14,6 @@ from tasklens.optics.paraxial import paraxial
 from tasklens.optics.prescription import Prescription
 from tasklens.optics.pupil import rim, sobol_disc
 from tasklens.optics.rays import Fate, Rays
-from tasklens.settings import Outside
 
 
 def fit(settings: Outside, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:

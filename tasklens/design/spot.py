@@ -5,14 +5,15 @@ import sys
 
 import torch
 
-from tasklens.design.constraints import first_order_margins, penalty, shortfall
+from tasklens.design.constraints import penalty
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
-from tasklens.optics.analysis import View, centroid, chief_points, trace_fields
+from tasklens.design_settings import Spot
+from tasklens.optics.analysis import View, centroid, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
-from tasklens.settings import Constraints, Spot
+from tasklens.settings import Constraints
 
 
 def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: int, history: list[dict]) -> Lens:
@@ -21,7 +22,7 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
     Args:
         start: the lens to begin with.
         view: fields and colours, of equal weight.
-        limits: held by penalties on manufacturing, focal length and distortion.
+        limits: held by a penalty.
         settings: steps, rates and the opening of the stop.
         seed: of the pupil points, which are redrawn at every step.
         history: receives a row per logged step.
@@ -45,7 +46,6 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
         spot = torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt().mean()  # a lost ray counts as 1 mm away
         bounds = penalty(lens, limits, view)
-        bounds = bounds + shortfall(first_order_margins(lens, limits, view, chief_points(lens, view))).square().sum()
         loss = spot / scale + settings.penalty * bounds
         if not torch.isfinite(loss):
             print(f"spot: diverged at step {step}, loss {loss.item()}", file=sys.stderr, flush=True)

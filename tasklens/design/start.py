@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from tasklens.design_settings import Rates
 from tasklens.optics.analysis import View, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR, Material
-from tasklens.settings import FLAT_TRACK, Constraints, Rates, Spec
+from tasklens.settings import FLAT_TRACK, Constraints, Spec
 
 ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
 

@@ -1,0 +1,169 @@
+"""Task-driven design: the loss of a frozen classifier moves rays, and the rays move the lens.
+
+Plain descent from flat plates ends in poor lenses, for two reasons. The parameters of a lens act on its rays in nearly
+the same few ways, so that equal steps in each are very unequal on the sensor; and descents from the same plates end far
+apart. So each step is measured in ray displacement: with the averaged gradient g of the loss, it solves
+
+    minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
+
+where d.M d is the mean squared displacement of rays by the change d of the variables, s the stride, `scale` a change
+that is small for a variable, and c + C d the linearised shortfall of the limits (a Gauss-Newton metric as in least
+squares, a trust region as in Levenberg-Marquardt). And several walks start from the plates; the one with the least loss
+goes on.
+"""
+
+import math
+import sys
+from collections.abc import Callable
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torchvision.transforms.v2 import TrivialAugmentWide
+
+from tasklens.design.descent import Problem, loss_at_psf
+from tasklens.design.merit import Merit
+from tasklens.design.schedule import cosine, geometric
+from tasklens.design.start import Variables
+from tasklens.design_settings import Rates, Task, Walk
+from tasklens.imaging import Camera
+from tasklens.optics.analysis import centroid, rms_spot_radius, trace_fields
+from tasklens.optics.lens import Lens
+from tasklens.optics.psf import psf
+from tasklens.optics.pupil import sobol_disc
+from tasklens.progress import Progress
+from tasklens.recognition.classifiers import frozen
+from tasklens.recognition.training import shuffled
+
+# Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
+_SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
+_SCALED = 3.0  # ray displacement [um] that costs as much as such a change, or the stride where that is longer
+_LIMITS = 1000.0  # w [1/mm^2]
+_JUDGES = 64  # pictures that compare the walks
+
+
+def design(start: Lens, recogniser: nn.Module, problem: Problem, settings: Task, history: list[dict]) -> Lens:
+    """The lens at the end of the best walk from `start`; the classifier judges in `eval()` and is not changed.
+
+    Args:
+        start: the lens to begin with.
+        recogniser: the well-trained classifier.
+        problem: pictures, fields, limits, seed.
+        settings: how many walks, how they go, and how the best one goes on.
+        history: receives a row per logged step and per judgement.
+    """
+    recogniser = frozen(recogniser)
+    torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
+    seeds = torch.Generator().manual_seed(problem.seed)
+    judged = torch.randperm(len(problem.pictures), generator=seeds)[:_JUDGES]
+    found = []
+    for walk in range(settings.starts):
+        label = f"start {walk + 1} of {settings.starts}"
+        lens = _walk(start, recogniser, problem, settings, settings.start, seeds, history, label)
+        loss = _judge(lens, recogniser, problem, settings, judged)
+        history.append({"phase": f"{label}, judged", "step": settings.start.steps, "loss": loss})
+        found.append((loss, walk, lens))
+    best = min(found, key=lambda entry: entry[:2])[2]
+    return _walk(best, recogniser, problem, settings, settings.refine, seeds, history, "refinement")
+
+
+def _judge(lens: Lens, recogniser: nn.Module, problem: Problem, settings: Task, judged: Tensor) -> float:
+    """Mean loss of the judging pictures at the pixels with which a walk ends; infinite if it is not finite."""
+    view = problem.view
+    rays = trace_fields(lens, view, sobol_disc(settings.rays, problem.seed))
+    grid = psf(rays, view.fields, view.pixel_pitch * settings.start.pixels[1], view.kernel).float()
+    images, labels = problem.pictures.batch(judged)
+    with torch.no_grad():
+        captures = Camera(grid, problem.capture.outside, problem.capture.colour).grid(images)
+        loss = float(torch.stack([F.cross_entropy(recogniser(field), labels) for field in captures]).mean())
+    return loss if math.isfinite(loss) else math.inf
+
+
+def _walk(
+    start: Lens,
+    recogniser: nn.Module,
+    problem: Problem,
+    settings: Task,
+    walk: Walk,
+    seeds: torch.Generator,
+    history: list[dict],
+    label: str,
+) -> Lens:
+    """The lens after the steps of `walk`; if the loss or a step stops being finite, the last finite one."""
+    view, pictures = problem.view, problem.pictures
+    variables = Variables.stepped(start, view, Rates())
+    values = variables.values()
+    names, sizes = list(values), [len(value) for value in values.values()]
+    directions = variables.directions(names)
+    scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
+    merit = Merit(view, problem.limits)
+    augment = TrivialAugmentWide() if settings.augment else nn.Identity()
+    seed = int(torch.randint(2**31, (), generator=seeds))
+    batches = shuffled(len(pictures), settings.images, walk.steps, torch.Generator().manual_seed(seed))
+    vector, mean = torch.cat(list(values.values())), torch.zeros_like(scale)
+    progress = Progress(label, walk.steps)
+    for step, indices in enumerate(batches, 1):
+        done = (step - 1) / walk.steps
+        first, last = walk.pixels
+        pixels = last * geometric(first / last, done / walk.duration)
+        stride = walk.stride * view.pixel_pitch * pixels
+        if done > walk.duration:
+            stride *= cosine((done - walk.duration) / (1 - walk.duration), walk.final)
+        leaf = vector.clone().requires_grad_()
+        lens = variables.assemble(dict(zip(names, leaf.split(sizes), strict=True)))
+        rays = trace_fields(lens, view, sobol_disc(settings.rays, seed + step))
+        grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
+        images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
+        labels = pictures.labels[indices]
+        losses, upstream = loss_at_psf(recogniser, images, labels, grid.float(), problem.capture, settings.micro_batch)
+        grid.backward(upstream.to(grid.dtype))
+        mean = walk.momentum * mean + (1 - walk.momentum) * leaf.grad
+        gradient = mean / (1 - walk.momentum**step)
+        change, broken = _step(merit, lens.detached(), directions, gradient, scale, stride, walk.damping)
+        if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
+            message = f"{label}: diverged at step {step}, loss per field {losses.tolist()}"
+            print(message, file=sys.stderr, flush=True)
+            history.append({"phase": f"{label}, diverged", "step": step})
+            break
+        inside = grid.detach().sum((-2, -1)).mean().item()
+        progress(step, loss=losses.mean().item(), energy_in_window=inside)
+        if step % max(1, walk.steps // 50) == 0:
+            row = {"phase": label, "step": step, "loss": losses.mean().item(), "worst_field": losses.max().item()}
+            rms = 1e3 * rms_spot_radius(rays, centroid(rays)).mean().item()
+            row |= {"energy_in_window": inside, "rms_um": rms, "pixel_scale": pixels, "stride_um": stride}
+            history.append(row | {"shortfall": broken})
+        vector = vector + change
+    return variables.assemble(dict(zip(names, vector.split(sizes), strict=True)))
+
+
+def _step(
+    merit: Merit, lens: Lens, directions: dict, gradient: Tensor, scale: Tensor, stride: float, damping: float
+) -> tuple[Tensor, float]:
+    """The change of the variables that moves rays by `stride` [um] RMS, and the length of the shortfall before it.
+
+    Where limits are broken by more than a stride can mend, they have what there is of it.
+    """
+    residuals, columns = merit.linearise(lens)
+    jacobian = columns(directions)
+    rays, limits = jacobian.split([merit.rays, len(jacobian) - merit.rays])
+    shortfall = residuals[merit.rays :]
+    broken = shortfall > 0
+    limits, shortfall = limits[broken] / merit.per_mm, shortfall[broken] / merit.per_mm
+    metric = rays.T @ rays
+    regular = metric + damping * torch.diag(metric.diagonal() + (max(stride, _SCALED) / scale).square())
+    curvature = _LIMITS * limits.T @ limits
+    slope = gradient + _LIMITS * limits.T @ shortfall
+
+    def change(log_mu: float) -> Tensor:
+        return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
+
+    log_mu = _bisect(lambda value: float(change(value) @ metric @ change(value)) <= stride**2)
+    return change(log_mu), float(shortfall.norm())
+
+
+def _bisect(holds: Callable[[float], bool], low: float = -12.0, high: float = 8.0) -> float:
+    """The least value within 1e-3, to the right of which `holds` is true."""
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
