@@ -33,7 +33,8 @@ from tasklens.settings import Capture, Constraints, Spec
 from tasklens.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
-NO_LIMITS = LIMITS.model_copy(update={"max_slope": 99, "max_track": 99, "efl_tolerance": 9, "distortion": 9})
+NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
+NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})
 LOOKS = view(SPEC)
 NAMES = ("COC", "OKP4")
 PLASTICS = materials(*NAMES)
@@ -236,8 +237,8 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour):
 RATES = Rates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
 
 
-def problem():
-    return descent.Problem(LOOKS, LIMITS, Capture(), random_pictures(12, 16, 3, seed=0), seed=1)
+def problem(limits=LIMITS):
+    return descent.Problem(LOOKS, limits, Capture(), random_pictures(12, 16, 3, seed=0), seed=1)
 
 
 def descended(network, lens, **settings):
@@ -247,11 +248,11 @@ def descended(network, lens, **settings):
     return descent.descend(lens, network, problem(), settings, history, "test"), history
 
 
-def walked(network, lens, **settings):
+def walked(network, lens, limits=LIMITS, **settings):
     start, refine = Walk(steps=3, pixels=(20, 5)), Walk(steps=2, pixels=(5, 1))
     settings = {"images": 4, "rays": 16, "starts": 2, "start": start, "refine": refine} | settings
     history: list[dict] = []
-    return task.design(lens, network, problem(), Task(method="task", **settings), history), history
+    return task.design(lens, network, problem(limits), Task(method="task", **settings), history), history
 
 
 def test_frozen_network_stays_frozen(start):
@@ -271,9 +272,9 @@ def test_the_walk_with_the_least_loss_goes_on(start, monkeypatch):
     judged, losses = [], iter([2.0, 1.0, 3.0])
     monkeypatch.setattr(task, "_judge", lambda lens, *rest: (judged.append(lens), next(losses))[1])
     coarse, nothing = Walk(steps=3, pixels=(20, 20)), Walk(steps=1, pixels=(20, 20), stride=1e-9)
-    lens, _ = walked(small_network(), start, starts=3, start=coarse, refine=nothing)
+    lens, _ = walked(small_network(), start, NO_LIMITS, starts=3, start=coarse, refine=nothing)
     moved = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
-    assert moved[1] < 1e-9 and min(moved[0], moved[2]) > 1e-4
+    assert moved[1] < 0.01 * min(moved[0], moved[2])
 
 
 @pytest.mark.parametrize("stride", [0.5, 5.0])

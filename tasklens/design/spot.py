@@ -28,7 +28,8 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         history: receives a row per logged step.
 
     Returns:
-        The lens after the last step; if the loss stops being finite, the last lens with a finite one.
+        The lens with the least loss of all steps with the full stop; the last finite one if there is none. Descents from
+        plates jump into bad lenses now and then, and do not always come back.
     """
     variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
@@ -37,7 +38,7 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         optimizer, lambda step: cosine(step / settings.steps, settings.rates.final)
     )
     progress = Progress("spot", settings.steps)
-    last = variables.values()
+    least, best = math.inf, variables.values()
     for step in range(1, settings.steps + 1):
         lens = variables.assemble(values)
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
@@ -50,8 +51,10 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         if not torch.isfinite(loss):
             print(f"spot: diverged at step {step}, loss {loss.item()}", file=sys.stderr, flush=True)
             history.append({"step": step, "rms_um": math.inf})
-            return variables.assemble(last).detached()
-        last = {name: value.detach().clone() for name, value in values.items()}
+            break
+        if scale < 1 or loss.item() < least:
+            best = {name: value.detach().clone() for name, value in values.items()}
+            least = loss.item() if scale == 1 else math.inf
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -60,4 +63,4 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         progress(step, rms_um=rms_um, penalty=bounds.item())
         if step % max(1, settings.steps // 100) == 0:
             history.append({"step": step, "rms_um": rms_um, "penalty": bounds.item(), "rate": rates.get_last_lr()[0]})
-    return variables.assemble(values).detached()
+    return variables.assemble(best).detached()
