@@ -96,7 +96,7 @@ made = []  # the tables of this run, shown at its end
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
     files.write_if_changed(layout.study, studies.dump(study))
-    running = workflow.dag.needrun_jobs()
+    running = list(workflow.dag.needrun_jobs())
     networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
     if networks or study.outside:
         shell("tasklens check {layout.study} {networks} > /dev/null")
@@ -104,7 +104,7 @@ onstart:
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
         shown = [path for path in shown if path != layout.table("verdicts", "md")]
     made.extend(sorted(shown))
-    planned = [job for job in workflow.dag.needrun_jobs() if job.rule.name in study.minutes]
+    planned = [job for job in running if job.rule.name in study.minutes]
     total = sum(study.minutes[job.rule.name] for job in planned)
     cores = workflow.cores or 1  # a cluster has none
     print(f"Study {study.name}: {len(planned)} jobs, about {total / cores:.0f} minutes on {cores} cores.")

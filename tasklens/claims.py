@@ -14,6 +14,7 @@ IMAGING1 = "imaging1"  # the paper's spot minimisation; the other imaging design
 
 OVER_IMAGING1 = "more accurate than imaging1"
 OVER_STRONG = "more accurate than the best other imaging design"
+OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only `regimes` asks
 FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
 FLAT_FAILS = "end-to-end design from flat does not converge"
@@ -64,15 +65,36 @@ def verdicts(study: Study) -> VerdictsJob:
     return VerdictsJob(claims=tuple(found), seeds=study.seeds)
 
 
+def regimes(study: Study) -> VerdictsJob:
+    """Each task-driven lens against the best imaging lens of its elements, with the supervisor (table 1)."""
+    found = [
+        Claim(
+            table="table1",
+            text=OVER_IMAGING,
+            lens=lens.name,
+            rivals=tuple(f"{lens.elements}-{name}" for name in study.imaging_designs),
+            classifier=study.supervisor,
+            reference=study.supervisor,
+        )
+        for lens in study.lenses.values()
+        if isinstance(lens.design, Task)
+    ]
+    return VerdictsJob(claims=tuple(claim for claim in found if claim.rivals), seeds=study.seeds)
+
+
 def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Each task-driven lens against `imaging1`, the other imaging lenses, and those of the next number of elements."""
-    imaging = [lens for lens in study.lenses.values() if lens.design_name in study.imaging_designs]
-    counts = sorted({len(plastics) for plastics in study.elements.values()})
-    following = dict(pairwise(counts))
     found = []
     for lens in study.lenses.values():
         if isinstance(lens.design, Task):
-            more = following.get(len(lens.plastics))
+            imaging = [
+                other
+                for other in study.lenses.values()
+                if other.design_name in study.imaging_designs
+                and study.spec_of(other.elements) == study.spec_of(lens.elements)
+            ]
+            counts = sorted({len(other.plastics) for other in imaging})
+            more = dict(pairwise(counts)).get(len(lens.plastics))
             same = [other for other in imaging if other.elements == lens.elements]
             opposed = {
                 OVER_IMAGING1: [other for other in same if other.design_name == IMAGING1],

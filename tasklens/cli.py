@@ -72,7 +72,7 @@ def psf(study: Study, args: argparse.Namespace) -> None:
     from tasklens.optics import prescription
     from tasklens.optics.analysis import evaluation_psf
 
-    layout, job = Layout.of(study), jobs.psf(study)
+    layout, job = Layout.of(study), jobs.psf(study, args.lens)
     lens = prescription.read(Path(layout.lens(args.lens, args.seed)))[0].lens
     grid = evaluation_psf(lens, view(job.spec), job.rays)
     notes = {
@@ -92,7 +92,7 @@ def tail(study: Study, args: argparse.Namespace) -> None:
     from tasklens.optics import prescription
     from tasklens.optics.tail import tail
 
-    layout, job = Layout.of(study), jobs.psf(study)
+    layout, job = Layout.of(study), jobs.psf(study, args.lens)
     lens = prescription.read(Path(layout.lens(args.lens, args.seed)))[0].lens
     by_field, curve = tail(lens, view(job.spec), job.rays)
     write_rows(Path(layout.tail(args.lens, args.seed)), by_field)
@@ -183,6 +183,13 @@ def verdicts(study: Study, args: argparse.Namespace) -> None:
     verdicts.make(claims.verdicts(study), Layout.of(study), study.name)
 
 
+def regimes(study: Study, args: argparse.Namespace) -> None:
+    """make the map of what task-driven design gains over element counts and specifications"""
+    from tasklens.report import regimes
+
+    regimes.make(claims.regimes(study), Layout.of(study), study.name)
+
+
 def verify(study: Study, args: argparse.Namespace) -> int:
     """check the limits of all lenses and that all accuracies come out again; print failures and verdicts"""
     from tasklens.report import verification
@@ -204,7 +211,7 @@ def figure(study: Study, args: argparse.Namespace) -> None:
     layout = Layout.of(study)
     shown, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
     grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
-    spec = jobs.psf(study).spec
+    spec = jobs.psf(study, args.lens).spec
     path = Path(layout.figure(args.lens, args.seed))
     figures.draw(path, args.lens, shown.lens, view(spec), grid, content["figures"])
 
@@ -229,7 +236,8 @@ def check(study: Study, args: argparse.Namespace) -> None:
         from tasklens.design.start import view
 
         for entry in study.outside.values():
-            outside.fit(entry, view(study.spec), study.spec.f_number, study.evaluation_rays)
+            spec = study.spec_of(entry.elements)
+            outside.fit(entry, view(spec), spec.f_number, study.evaluation_rays)
     if args.networks:
         from tasklens.recognition import classifiers
 
@@ -251,6 +259,7 @@ STAGES = {
     table: ("table", "--partial"),
     psf_tail: (),
     verdicts: (),
+    regimes: (),
     verify: (),
     figure: ("lens", "--seed"),
 }

@@ -78,7 +78,7 @@ class TailJob(Frozen):
 class VerificationJob(Frozen):
     lenses: tuple[str, ...]
     promising: tuple[str, ...]  # those of `lenses` whose method promises to keep the constraints
-    efl_mm: float
+    efl_mm: dict[str, float]
     tables: tuple[TableJob, ...]
     seeds: tuple[int, ...]
 
@@ -101,7 +101,7 @@ def design(study: Study, lens: str, seed: int) -> DesignJob:
     supervised = isinstance(chosen.design, Task | EndToEnd)
     return DesignJob(
         lens=chosen,
-        spec=study.spec,
+        spec=study.spec_of(chosen.elements),
         constraints=study.constraints,
         capture=study.capture if supervised else None,
         classifier=study.classifier(study.supervisor) if supervised else None,
@@ -110,8 +110,8 @@ def design(study: Study, lens: str, seed: int) -> DesignJob:
     )
 
 
-def psf(study: Study) -> PsfJob:
-    return PsfJob(spec=study.spec, rays=study.evaluation_rays)
+def psf(study: Study, lens: str) -> PsfJob:
+    return PsfJob(spec=study.spec_of(study.lens(lens).elements), rays=study.evaluation_rays)
 
 
 def fine_tune(study: Study, lens: str, classifier: str, seed: int, restored: bool) -> FineTuneJob:
@@ -165,7 +165,7 @@ def verify(study: Study) -> VerificationJob:
     return VerificationJob(
         lenses=tuple(study.lenses),
         promising=tuple(name for name, lens in study.lenses.items() if lens.keeps_constraints),
-        efl_mm=study.spec.efl_mm,
+        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in study.lenses.items()},
         tables=tuple(job for job in tables if job.lenses),
         seeds=study.seeds,
     )

@@ -7,7 +7,7 @@ was expected.
 import difflib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
@@ -43,6 +43,7 @@ STAGES = (
     "table",
     "psf_tail",
     "verdicts",
+    "regimes",
     "figure",
 )
 
@@ -63,6 +64,7 @@ class Study(Frozen):
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
     images: Images
     spec: Spec = Spec()
+    specs: Annotated[dict[Name, dict[str, Any]], Field(default_factory=dict)]  # by elements: what differs from `spec`
     constraints: Constraints = Constraints()
     capture: Capture = Capture()
     evaluation_rays: Count = 4096
@@ -128,31 +130,35 @@ class Study(Frozen):
         for name in self.outside:
             if name in self.designs:
                 raise ValueError(f"outside.{name}: one of the designs is called {name} too; rename one")
+        known = dict.fromkeys([*self.elements, *(lens.elements for lens in self.outside.values())])
+        for name in self.specs:
+            if name not in known:
+                raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
         for name, plastics in self.elements.items():
-            self._room_for(name, len(plastics))
-        for material in self.materials.values():
-            for wavelength in self.spec.wavelengths_um:
+            self._fits(name, plastics, self.spec_of(name))
+        if self.images.size % self.restoration.multiple:
+            raise ValueError(
+                f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
+                f"restoration network of {len(self.restoration.encoder)} levels needs"
+            )
+        return self
+
+    def _fits(self, name: str, plastics: tuple[str, ...], spec: Spec) -> None:
+        """Whether the plastics, the kernel and the track suit a specification: plates must fit into a flat start."""
+        for material in (self.materials[plastic] for plastic in plastics):
+            for wavelength in spec.wavelengths_um:
                 if not material.covers(wavelength):
                     low, high = material.range_um
                     raise ValueError(
                         f"spec.wavelengths_um: {wavelength} um is outside the {low} to {high} um in which the "
                         f"coefficients of {material.name} hold"
                     )
-        if self.images.size % self.restoration.multiple:
+        if spec.kernel // 2 >= self.images.size:
             raise ValueError(
-                f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
-                f"restoration network of {len(self.restoration.encoder)} levels needs"
-            )
-        if self.spec.kernel // 2 >= self.images.size:
-            raise ValueError(
-                f"spec.kernel: half of {self.spec.kernel} must be less than images.size = {self.images.size}, "
+                f"spec.kernel: half of {spec.kernel} must be less than images.size = {self.images.size}, "
                 "since borders are reflected"
             )
-        return self
-
-    def _room_for(self, name: str, elements: int) -> None:
-        """Whether plates and spaces within the constraints fit into the track, and into a flat start."""
-        limits = self.constraints
+        limits, elements = self.constraints, len(plastics)
         if limits.min_centre_thickness >= limits.max_centre_thickness:
             raise ValueError(
                 f"constraints.min_centre_thickness: {limits.min_centre_thickness} mm must be less than "
@@ -160,13 +166,22 @@ class Study(Frozen):
             )
         least = limits.stop_distance + limits.min_back_focus
         least += elements * limits.min_centre_thickness + (elements - 1) * limits.min_air_gap
-        available = min(limits.max_track, FLAT_TRACK * self.spec.efl_mm)
+        available = min(limits.max_track, FLAT_TRACK * spec.efl_mm)
         if least >= available:
             raise ValueError(
                 f"constraints: a {name} takes at least {least:.2f} mm from stop to image, more than the "
                 f"{available:.2f} mm of max_track = {limits.max_track} and of {FLAT_TRACK} focal lengths; a flat start "
                 "would have a negative thickness"
             )
+
+    def spec_of(self, elements: str) -> Spec:
+        """The specification of these elements: `spec` with what `specs` says of them."""
+        common = self.spec.model_dump(exclude=set(Spec.model_computed_fields))
+        try:
+            return Spec.model_validate(common | self.specs.get(elements, {}))
+        except ValidationError as error:
+            wrong = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
+            raise ValueError(f"specs.{elements}.{wrong}") from None
 
     @property
     def lenses(self) -> dict[str, Lens]:

@@ -28,8 +28,8 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         history: receives a row per logged step.
 
     Returns:
-        The lens with the least loss of all steps with the full stop, since descents from plates jump into bad lenses now
-        and then and do not always come back; the last finite one if there is none.
+        The lens with the least loss of all steps with the full stop: descents from plates jump into bad lenses now and
+        then, and do not always come back. The last finite one if there is none.
     """
     variables = Variables.stepped(start, view, settings.rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}

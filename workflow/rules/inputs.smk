@@ -2,6 +2,7 @@
 
 PICTURES = [layout.images(split) for split in ("train", "minival", "test")]
 VERIFIED = jobs.verify(study)
+REGIMES = claims.regimes(study)
 
 
 def published_weights(wildcards):
@@ -37,6 +38,17 @@ def table_inputs(wildcards):
     return {
         "lenses": [layout.lens(lens, seed) for lens in job.lenses for seed in job.seeds],
         "metrics": [layout.metrics(lens, seed, classifier) for lens, classifier in job.measured for seed in job.seeds],
+    }
+
+
+def opposed(wildcards):
+    """The task-driven lenses, their imaging rivals, and what the supervisor recognised through them."""
+    lenses = list(dict.fromkeys(name for claim in REGIMES.claims for name in (claim.lens, *claim.rivals)))
+    pairs = [(lens, seed) for lens in lenses for seed in study.seeds]
+    return {
+        "lenses": [layout.lens(*pair) for pair in pairs],
+        "metrics": [layout.metrics(*pair, study.supervisor) for pair in pairs],
+        "pictures": [layout.pictures(*pair, study.supervisor) for pair in pairs],
     }
 
 

@@ -8,7 +8,7 @@ rule psf:
     threads: 1
     params:
         study=layout.study,
-        job=jobs.psf(study).model_dump_json(),
+        job=lambda wildcards: jobs.psf(study, wildcards.lens).model_dump_json(),
         code=code("psf"),
     shell:
         "tasklens psf {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
@@ -25,7 +25,7 @@ rule tail:
     threads: 1
     params:
         study=layout.study,
-        job=jobs.psf(study).model_dump_json(),
+        job=lambda wildcards: jobs.psf(study, wildcards.lens).model_dump_json(),
         code=code("tail"),
     shell:
         "tasklens tail {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -51,6 +51,23 @@ rule verdicts:
         "tasklens verdicts {params.study} 2> {log}"
 
 
+rule regimes:
+    input:
+        unpack(opposed),
+    output:
+        layout.table("regimes", "csv"),
+        layout.table("regimes", "md"),
+    log:
+        f"{layout.root}/logs/regimes.log",
+    threads: 1
+    params:
+        study=layout.study,
+        job=claims.regimes(study).model_dump_json(),
+        code=code("regimes"),
+    shell:
+        "tasklens regimes {params.study} 2> {log}"
+
+
 rule figure:
     input:
         lens=layout.lens("{lens}", "{seed}"),
@@ -62,7 +79,7 @@ rule figure:
     threads: 1
     params:
         study=layout.study,
-        job=jobs.psf(study).model_dump_json(),
+        job=lambda wildcards: jobs.psf(study, wildcards.lens).model_dump_json(),
         code=code("figure"),
     shell:
         "tasklens figure {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
