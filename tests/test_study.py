@@ -62,6 +62,9 @@ MISTAKES = [
     ("outside.phone", {"elements": "x", "file": str(PLASTICS), "catalogues": ["no.agf"]}, ["catalogues", "no.agf"]),
     ("outside.phone", {"elements": "x-y", "file": str(PLASTICS)}, ["elements", "x-y"]),
     ("outside.phone", {"file": str(PLASTICS)}, ["elements", "required"]),
+    ("specs", {"nothing": {"f_number": 2.0}}, ["specs.nothing", "singlet"]),
+    ("specs", {"singlet": {"f_numbre": 2.0}}, ["specs.singlet.f_numbre"]),
+    ("specs", {"singlet": {"f_number": -2.0}}, ["specs.singlet.f_number", "greater than 0"]),
     ("outside.imaging1", {"elements": "singlet", "file": str(PLASTICS)}, ["designs", "imaging1", "rename"]),
 ]
 
@@ -306,3 +309,16 @@ def test_rivals_are_the_imaging_lenses_of_the_same_elements():
     assert jobs.imaging_rivals(study, "doublet-end_to_end_from_imaging") == expected
     assert jobs.imaging_rivals(study, "doublet-end_to_end_from_flat") == ()
     assert jobs.imaging_rivals(study, "doublet-tasklens") == ()
+
+
+def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
+    """Other designs, PSFs and focal lengths to verify for doublets, which are no rivals of singlets then."""
+    study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
+    before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
+    found = {job for job in before if before[job] != after[job]}
+    doublets = {job for job in before if job[0] in ("design", "psf") and job[1].startswith("doublet")}
+    assert found == doublets | {("verdicts",)}
+    both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
+    efl_mm = jobs.verify(both).efl_mm
+    assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]
+    assert parse(yaml.safe_load(dump(both))) == both

@@ -12,7 +12,7 @@ from tasklens import claims
 from tasklens.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
 from tasklens.files import FileError
 from tasklens.layout import SHARP, Layout, restored
-from tasklens.report import verdicts
+from tasklens.report import regimes, verdicts
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.study import parse
 
@@ -217,3 +217,35 @@ def test_files_of_the_verdicts_agree(tmp_path):
         body = [line for line in file.read().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 5 + 10 + 4 + 5
     assert all(f"{row.difference:+.2f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
+
+
+# ---- where it pays
+
+
+def test_lenses_of_other_specifications_are_no_rivals():
+    """A faster triplet is no lens with more elements for a doublet; each stands against its own elements in the map."""
+    study = study_of(1, doublet=DOUBLET, triplet_f2=[*DOUBLET, "COC"])
+    assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.verdicts(study).claims)
+    faster = study.model_copy(update={"specs": {"triplet_f2": {"f_number": 2.0}}})
+    assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.verdicts(faster).claims)
+    found = {claim.lens: claim.rivals for claim in claims.regimes(faster).claims}
+    assert found == {
+        f"{name}-tasklens": tuple(f"{name}-imaging{k}" for k in (1, 2, 3)) for name in ("doublet", "triplet_f2")
+    }
+
+
+def test_map_of_regimes(tmp_path):
+    """A row per elements: what was planted, against the rival with the best minival, and the specification."""
+    study = study_of(1).model_copy(update={"specs": {"triplet": {"f_number": 2.0}}})
+    share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
+    layout = results(tmp_path, study, lambda lens, *_: share.get(lens, 0.3))
+    for lens in study.lenses.values():
+        path = tmp_path / f"lenses/{lens.name}/seed0/lens.yaml"
+        spec = study.spec_of(lens.elements).model_dump(mode="json")
+        path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"spec": spec}))
+    regimes.make(claims.regimes(study), layout, "tiny")
+    rows = pandas.read_csv(layout.table("regimes", "csv")).set_index("elements")
+    assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
+    assert rows["opponent"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
+    assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
+    assert "doublet-imaging2" in (tmp_path / "tables/regimes.md").read_text()
