@@ -139,9 +139,10 @@ def _walk(
 def _step(
     merit: Merit, lens: Lens, directions: dict, gradient: Tensor, scale: Tensor, stride: float, damping: float
 ) -> tuple[Tensor, float]:
-    """The change of the variables that moves rays by `stride` [um] RMS, and the length of the shortfall before it.
+    """The change of the variables that moves rays by `stride` [um] RMS, and the length of the shortfall before it [mm].
 
-    Where limits are broken by more than a stride can mend, they have what there is of it.
+    Mending broken limits is part of the stride, never on top of it. Where they need less than the whole of it, the
+    gradient has the rest.
     """
     residuals, columns = merit.linearise(lens)
     jacobian = columns(directions)
