@@ -13,7 +13,7 @@ import numpy
 import torch
 from scipy.optimize import least_squares
 
-from tasklens.design.merit import Merit
+from tasklens.design.merit import SHORTFALL, Merit
 from tasklens.design.start import ORDERS, Variables
 from tasklens.design_settings import LeastSquares
 from tasklens.optics.analysis import View
@@ -27,6 +27,7 @@ _SPACES = 0.35  # a random start draws its element and air thicknesses below thi
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget
 _KICKS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # part of the starts, at least one lens; part of the budget
 _KICK_EVALUATIONS = 12
+_STRICT = 20.0  # times the weight of limits at the end: from the start it would hem in the search
 
 
 def improve(
@@ -101,7 +102,8 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
 def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, seed: int, history: list[dict]) -> Lens:
     """The best lens found within the budget of `settings`; arguments as for `spot.design`."""
     rng = numpy.random.default_rng(seed)
-    merit = Merit(view, limits, settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg)
+    habits = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
+    merit = Merit(view, limits, *habits)
     orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
     progress = Progress("least squares", settings.evaluations)
     evaluations = itertools.count(1)
@@ -136,7 +138,10 @@ def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, 
                     best, lens = error, kicked
                 log(f"kicks of {len(kept)}", best)
             candidates.append((best, i, lens))
-    return min(candidates)[2]
+    strict = Merit(view, limits, *habits, per_mm=_STRICT * SHORTFALL)
+    lens, error = improve(min(candidates)[2], strict, names, 2 * _KICK_EVALUATIONS, watch)
+    log("strict limits", error)
+    return lens
 
 
 def _kick(lens: Lens, rng: numpy.random.Generator) -> Lens:

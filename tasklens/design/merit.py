@@ -18,7 +18,7 @@ HEIGHTS = (0.0, 0.3, 0.5, 0.7, 0.87, 1.0)  # fields of the merit function, as pa
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
 _RIM = 1.02  # the outermost ring of the quadrature, at 0.990 of the pupil, to its rim and a little more
 _LOST = 300.0  # residual of a lost ray [um]
-_SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
+SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
 
 
 class Merit:
@@ -34,6 +34,7 @@ class Merit:
         reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
         corner_weight: float = 1.0,
         max_chief_ray_angle_deg: float | None = None,
+        per_mm: float = SHORTFALL,
     ):
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
@@ -45,7 +46,7 @@ class Merit:
         field = corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`
         self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
         self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # residuals of rays; then of limits
-        self.per_mm = _SHORTFALL
+        self.per_mm = per_mm
 
     def residuals(self, lens: Lens) -> Tensor:
         """(R,) residuals [um]."""
@@ -103,7 +104,7 @@ class Merit:
         lens, (x, y, m, n) = replace(lens, **shape), leaves["chief"]
         margins = manufacturing_margins(lens, self.limits, semi_diameter)
         margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))
-        operands = [_SHORTFALL * shortfall(margins)]
+        operands = [self.per_mm * shortfall(margins)]
         if self.max_chief_ray_angle_deg is not None:
             angle = torch.rad2deg(torch.atan2(m.abs(), n))
             operands.append((angle - self.max_chief_ray_angle_deg).clamp(min=0))
