@@ -18,7 +18,7 @@ from tasklens.design.descent import Problem
 from tasklens.design.start import flat, view
 from tasklens.design_settings import Task, Walk
 from tasklens.optics.catalogues import builtin
-from tasklens.recognition.classifiers import Recogniser
+from tasklens.recognition.classifiers import Recogniser, frozen
 from tasklens.recognition.data import Pictures
 from tasklens.settings import Capture, Constraints, Spec
 
@@ -34,10 +34,11 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
     pictures = Pictures(images, torch.arange(count), tuple(map(str, range(1000))))
     problem = Problem(view(spec), limits, Capture(), pictures, seed=0)
-    walk = Walk(steps=1, pixels=(1, 1))
+    walk = Walk(steps=1, pixels=(1, 1))  # a single step: `task.design` would judge and refine as well
     settings = Task(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
     before, begin = timing.peak_memory_gib(), time.process_time()
-    task.design(flat((builtin("COC"), builtin("OKP4")), spec, limits), recogniser, problem, settings, [])
+    plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
+    task._walk(plates, frozen(recogniser), problem, settings, walk, generator, [], "memory")
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

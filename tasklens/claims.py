@@ -25,7 +25,7 @@ class Claim(Frozen):
 
     Attributes:
         table: where the paper shows it.
-        text: one of the five sentences above.
+        text: one of the sentences above.
         lens: the lens that it is about.
         rivals: of these the one with the best minival accuracy is the opponent; none for a lens judged alone.
         classifier: name under which it is measured, such as `resnet-restored` in table 4.

@@ -36,21 +36,16 @@ class ColdStart(Frozen):
 
 
 class Descent(Frozen):
-    """Stochastic descent of the classifier's loss through captures, PSFs and rays."""
+    """Lens and classifier descend the classifier's loss together, through captures, PSFs and rays."""
 
     steps: Count
     images: Count = 64
     rays: Count = 256
     rates: Rates = Rates()
+    network_rate: Positive = 1e-5
     cold_start: ColdStart | None = None
     penalty: Positive = 100.0
     augment: bool = True
-
-
-class Polish(Descent):
-    """End-to-end design after the task-driven one (paper 3.3): the network learns while the lens takes small steps."""
-
-    network_rate: Positive = 1e-5
 
 
 class Walk(Frozen):
@@ -76,15 +71,14 @@ class Task(Frozen):
     refine: Walk
     augment: bool = True
     micro_batch: Count = 64  # captures that a frozen classifier sees at once: memory only, same gradient
-    polish: Polish | None = None
+    polish: Descent | None = None  # lens and classifier together at the end (paper 3.3)
 
 
 class EndToEnd(Descent):
-    """Lens and classifier descend together, from flat plates or from the best imaging lens by minival accuracy."""
+    """A descent from flat plates, or from the best imaging lens by minival accuracy."""
 
     method: Literal["end_to_end"]
     start: Literal["flat", "best_imaging"]
-    network_rate: Positive = 1e-5
 
 
 class Spot(Frozen):
@@ -144,4 +138,4 @@ class Lens(Frozen):
     @property
     def keeps_constraints(self) -> bool:
         """Whether its method promises to keep the constraints and the focal length: verification holds it to them."""
-        return isinstance(self.design, Task | EndToEnd | Spot | LeastSquares)
+        return not isinstance(self.design, Outside)

@@ -6,11 +6,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from tasklens.design.start import view
+from tasklens.optics.analysis import View
 from tasklens.optics.catalogues import builtin
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR, Material, model_glass
 from tasklens.optics.rays import Rays, launch
 from tasklens.recognition.data import Pictures
+from tasklens.settings import Spec
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -68,6 +71,14 @@ def random_lens(seed: int) -> Lens:
     )
     flat_stop = f64([0.0, 1.0, 1.0, 1.0, 1.0])
     return replace(lens, curvature=lens.curvature * flat_stop, alpha=lens.alpha * flat_stop[:, None])
+
+
+def seen_lens() -> tuple[Lens, View]:
+    """A short real lens with its stop in front, and a view of three of its fields."""
+    looks = view(Spec(kernel=31))
+    fields = looks.fields[[0, 4, 8]] * 0.5
+    stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
 
 
 def random_rays(count: int, seed: int, height: float = 0.4, tangent: float = 0.25) -> Rays:

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, landed, make_lens, random_lens
+from examples import WAVELENGTHS, f64, landed, make_lens, seen_lens
 
-from tasklens.design.start import view
 from tasklens.optics.analysis import (
     View,
     centroid,
@@ -23,7 +22,6 @@ from tasklens.optics.analysis import (
 from tasklens.optics.mtf import airy_radius, diffraction_cutoff, geometric_mtf
 from tasklens.optics.pupil import rim, sobol_disc
 from tasklens.optics.rays import Fate
-from tasklens.settings import Spec
 
 ORIGIN = f64([[0.0, 0.0]])
 ALONG_Y = f64([[0.0, 1.0]])
@@ -78,11 +76,7 @@ def test_spot_diagram_is_about_its_centre_and_without_lost_rays():
 
 @pytest.fixture(scope="module")
 def lens():
-    """A short real lens with its stop in front, and a view of three of its fields."""
-    looks = view(Spec(kernel=31))
-    fields = looks.fields[[0, 4, 8]] * 0.5
-    stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
+    return seen_lens()
 
 
 def test_clear_semi_diameters_pass_all_light_and_not_more(lens):

@@ -1,14 +1,12 @@
 """The figures of a lens in its file, and the table made of them: every number says what the rays say."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 import yaml
-from examples import f64, make_lens, random_lens
+from examples import f64, make_lens, seen_lens
 
-from tasklens.design.start import view
 from tasklens.files import FileError
 from tasklens.optics import prescription
 from tasklens.optics.aberrations import field_curvature, seidel_sums
@@ -17,18 +15,13 @@ from tasklens.optics.datasheet import figures, seidel_by_surface, view_of
 from tasklens.optics.mtf import geometric_mtf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.report import certificate
-from tasklens.settings import Spec
 
 RAYS = 512
 
 
 @pytest.fixture(scope="module")
 def lens():
-    """A short real lens with its stop in front, and a view of three of its fields."""
-    looks = view(Spec(kernel=31))
-    fields = looks.fields[[0, 4, 8]] * 0.5
-    stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
+    return seen_lens()
 
 
 @pytest.fixture(scope="module")

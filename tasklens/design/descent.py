@@ -18,7 +18,7 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 from tasklens.design.constraints import penalty
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
-from tasklens.design_settings import EndToEnd, Polish
+from tasklens.design_settings import Descent
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import View, centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
@@ -84,7 +84,7 @@ def descend(
     start: Lens,
     recogniser: nn.Module,
     problem: Problem,
-    settings: EndToEnd | Polish,
+    settings: Descent,
     history: list[dict],
     label: str,
 ) -> Lens:

@@ -33,8 +33,6 @@ class _Notes:
 class _Sequence(torch.autograd.Function):
     """Rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): the loop over `cross`, `push` and `pull`."""
 
-    generate_vmap_rule = True
-
     @staticmethod
     def forward(notes: _Notes, fate, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
         notes.losses = losses = Losses(fate, lost_at)
