@@ -29,7 +29,7 @@ class Rates(Frozen):
 class ColdStart(Frozen):
     """Pixels that begin coarse and a stop that begins small; both reach their true size after a part of the steps."""
 
-    pixel_scale: Annotated[float, Field(ge=1)] = 20.0
+    pixel_scale: Magnification = 20.0
     pixel_duration: Annotated[float, Field(gt=0, le=1)] = 0.8
     stop_scale: Annotated[float, Field(gt=0, le=1)] = 0.3
     stop_duration: Annotated[float, Field(gt=0, le=1)] = 0.5

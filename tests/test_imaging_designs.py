@@ -65,10 +65,9 @@ def test_merit_columns_are_the_limit_of_differences(start, reference):
     lens = replace(start, curvature=1.01 * start.curvature)
     merit, variables = Merit(LOOKS, limits, reference, max_chief_ray_angle_deg=5.0), Variables.plain(lens)
     values = variables.values()
-    sizes = [len(v) for v in values.values()]
 
     def residuals(vector):
-        return merit.residuals(variables.assemble(dict(zip(values, vector.split(sizes), strict=True))))
+        return merit.residuals(variables.assemble_vector(list(values), vector))
 
     vector = torch.cat(list(values.values()))
     found = merit.linearise(lens)[1](variables.directions(values))

@@ -43,12 +43,11 @@ def improve(
     """
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
-    sizes = [len(value) for value in start.values()]
     changes = variables.directions(start)
     latest: dict = {}  # scipy asks for derivatives only at the last vector that it asked residuals for
 
     def assembled(vector: numpy.ndarray) -> Lens:
-        return variables.assemble(dict(zip(start, torch.from_numpy(vector).split(sizes), strict=True)))
+        return variables.assemble_vector(list(start), torch.from_numpy(vector))
 
     def residuals(vector: numpy.ndarray) -> numpy.ndarray:
         errors, latest["columns"] = merit.linearise(assembled(vector))

@@ -1,6 +1,6 @@
 """Where designs start, and which numbers of a lens they may change."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -99,6 +99,10 @@ class Variables:
                     order = int(name.removeprefix("alpha_"))
                     changes["alpha"][k, i, surface, order // 2 - 1] = 1 / self._scale(order)[i]
         return {name: change.flatten(0, 1) for name, change in changes.items()}
+
+    def assemble_vector(self, names: Sequence[str], vector: Tensor) -> Lens:
+        """As `assemble`, from the values of `names` one after the other."""
+        return self.assemble(dict(zip(names, vector.reshape(len(names), -1), strict=True)))
 
     def assemble(self, values: Mapping[str, Tensor]) -> Lens:
         """The lens with these values in it, differentiable in them; what is not named keeps its value."""

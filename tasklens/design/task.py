@@ -93,7 +93,7 @@ def _walk(
     view, pictures = problem.view, problem.pictures
     variables = Variables.stepped(start, view, Rates())
     values = variables.values()
-    names, sizes = list(values), [len(value) for value in values.values()]
+    names = list(values)
     directions = variables.directions(names)
     scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
     merit = Merit(view, problem.limits)
@@ -110,7 +110,7 @@ def _walk(
         if done > walk.duration:
             stride *= cosine((done - walk.duration) / (1 - walk.duration), walk.final)
         leaf = vector.clone().requires_grad_()
-        lens = variables.assemble(dict(zip(names, leaf.split(sizes), strict=True)))
+        lens = variables.assemble_vector(names, leaf)
         rays = trace_fields(lens, view, sobol_disc(settings.rays, seed + step))
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
         images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
@@ -133,7 +133,7 @@ def _walk(
             row |= {"energy_in_window": inside, "rms_um": rms, "pixel_scale": pixels, "stride_um": stride}
             history.append(row | {"shortfall": broken})
         vector = vector + change
-    return variables.assemble(dict(zip(names, vector.split(sizes), strict=True)))
+    return variables.assemble_vector(names, vector)
 
 
 def _step(
