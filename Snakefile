@@ -31,10 +31,11 @@ shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH;
 
 
 wildcard_constraints:
-    lens="|".join([*study.lenses, SHARP]),
+    lens="|".join([*study.lenses, *study.variants, SHARP]),
     classifier="|".join(study.classifiers),
     seed="|".join(map(str, study.seeds)),
     table="|".join(jobs.TABLES),
+    ablation="|".join(study.ablations),
 
 
 localrules:
@@ -43,6 +44,7 @@ localrules:
     end_to_end,
     restoration,
     figures,
+    ablations,
 
 
 rule tables:
@@ -68,6 +70,21 @@ rule restoration:
 rule figures:
     input:
         [layout.figure(lens, seed) for lens in study.lenses for seed in study.seeds],
+
+
+rule ablations:
+    input:
+        [layout.ablation(name, "csv") for name in study.ablations],
+
+
+for name in study.ablations:
+
+    rule:
+        name:
+            f"ablation_{name}"
+        input:
+            layout.ablation(name, "csv"),
+        localrule: True
 
 
 for name in jobs.TABLES:

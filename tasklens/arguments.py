@@ -12,6 +12,7 @@ _MEANING = {
     "lens": {"help": f"name of a lens; {SHARP} for the pictures themselves, where a classifier follows"},
     "classifier": {},
     "table": {"choices": jobs.TABLES},
+    "ablation": {},
     "--seed": {"type": int, "default": 0},
     "--restored": {"action": "store_true", "help": "on captures restored by NAFNet"},
     "--networks": {"action": "store_true", "help": "build every classifier once, without weights"},

@@ -17,6 +17,7 @@ OVER_STRONG = "more accurate than the best other imaging design"
 OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only `regimes` asks
 FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
+VARIED = "more accurate than the design that it varies"  # only `ablation` asks
 FLAT_FAILS = "end-to-end design from flat does not converge"
 
 
@@ -24,7 +25,7 @@ class Claim(Frozen):
     """That one lens is better than the best of its rivals, or (`FLAT_FAILS`) that one design does not converge.
 
     Attributes:
-        table: where the paper shows it.
+        table: where the paper shows it, or what else of ours asks.
         text: one of the sentences above.
         lens: the lens that it is about.
         rivals: of these the one with the best minival accuracy is the opponent; none for a lens judged alone.
@@ -80,6 +81,30 @@ def regimes(study: Study) -> VerdictsJob:
         if isinstance(lens.design, Task)
     ]
     return VerdictsJob(claims=tuple(claim for claim in found if claim.rivals), seeds=study.seeds)
+
+
+class AblationJob(Frozen):
+    name: str
+    base: str  # lens
+    verdicts: VerdictsJob  # a claim per variant
+
+
+def ablation(study: Study, name: str) -> AblationJob:
+    """Each variant of an ablation against the design that it varies, with the supervisor."""
+    chosen = study.ablations[name]
+    base, *variants = (f"{chosen.elements}-{design}" for design in chosen.names(name))
+    found = tuple(
+        Claim(
+            table="ablation",
+            text=VARIED,
+            lens=lens,
+            rivals=(base,),
+            classifier=study.supervisor,
+            reference=study.supervisor,
+        )
+        for lens in variants
+    )
+    return AblationJob(name=name, base=base, verdicts=VerdictsJob(claims=found, seeds=study.seeds))
 
 
 def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:

@@ -106,7 +106,7 @@ def restore(study: Study, args: argparse.Namespace) -> None:
     from tasklens.imaging import Camera
     from tasklens.recognition import data
 
-    layout, job = Layout.of(study), jobs.restore(study, args.seed)
+    layout, job = Layout.of(study), jobs.restore(study, args.lens, args.seed)
     grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
     camera = Camera(grid, job.capture.outside, job.capture.colour)
     pictures = data.read(Path(layout.images("train")))
@@ -190,6 +190,13 @@ def regimes(study: Study, args: argparse.Namespace) -> None:
     regimes.make(claims.regimes(study), Layout.of(study), study.name)
 
 
+def ablation(study: Study, args: argparse.Namespace) -> None:
+    """make the table of one ablation: a design beside its variants"""
+    from tasklens.report import ablations
+
+    ablations.make(claims.ablation(study, args.ablation), Layout.of(study), study.name)
+
+
 def verify(study: Study, args: argparse.Namespace) -> int:
     """check the limits of all lenses and that all accuracies come out again; print failures and verdicts"""
     from tasklens.report import verification
@@ -260,6 +267,7 @@ STAGES = {
     psf_tail: (),
     verdicts: (),
     regimes: (),
+    ablation: ("ablation",),
     verify: (),
     figure: ("lens", "--seed"),
 }

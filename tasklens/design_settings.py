@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FilePath, field_validator
 
 from tasklens.optics.materials import Material
-from tasklens.settings import Count, Fraction, Frozen, Name, Positive
+from tasklens.settings import Capture, Count, Fraction, Frozen, Name, Positive
 
 Magnification = Annotated[float, Field(ge=1)]
 
@@ -71,6 +71,7 @@ class Task(Frozen):
     refine: Walk
     augment: bool = True
     micro_batch: Count = 64  # captures that a frozen classifier sees at once: memory only, same gradient
+    batch_norm: Literal["stored", "batch"] = "stored"  # by whose statistics the frozen classifier normalises
     polish: Descent | None = None  # lens and classifier together at the end (paper 3.3)
 
 
@@ -134,6 +135,7 @@ class Lens(Frozen):
     plastics: tuple[Material, ...]  # with their coefficients: editing one redesigns the lenses that use it
     design_name: str
     design: Design | Outside
+    capture: Capture | None = None  # where an ablation changes it; else that of the study
 
     @property
     def keeps_constraints(self) -> bool:

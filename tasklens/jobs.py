@@ -103,7 +103,7 @@ def design(study: Study, lens: str, seed: int) -> DesignJob:
         lens=chosen,
         spec=study.spec_of(chosen.elements),
         constraints=study.constraints,
-        capture=study.capture if supervised else None,
+        capture=(chosen.capture or study.capture) if supervised else None,
         classifier=study.classifier(study.supervisor) if supervised else None,
         rays=study.evaluation_rays,
         seed=seed,
@@ -122,14 +122,15 @@ def fine_tune(study: Study, lens: str, classifier: str, seed: int, restored: boo
         design="reference" if sharp else chosen.design_name,
         classifier=study.classifier(classifier),
         training=study.fine_tuning,
-        capture=None if sharp else study.capture,
+        capture=None if sharp else chosen.capture or study.capture,
         restoration=study.restoration if restored else None,
         seed=seed,
     )
 
 
-def restore(study: Study, seed: int) -> RestorationJob:
-    return RestorationJob(restoration=study.restoration, capture=study.capture, seed=seed)
+def restore(study: Study, lens: str, seed: int) -> RestorationJob:
+    capture = study.lens(lens).capture or study.capture
+    return RestorationJob(restoration=study.restoration, capture=capture, seed=seed)
 
 
 def table(study: Study, name: str) -> TableJob:
@@ -150,7 +151,7 @@ def table(study: Study, name: str) -> TableJob:
 def reproduce(study: Study, lens: str, classifier: str, restored: bool) -> ReproductionJob:
     return ReproductionJob(
         classifier=study.classifier(classifier),
-        capture=None if lens == SHARP else study.capture,
+        capture=None if lens == SHARP else study.lens(lens).capture or study.capture,
         restoration=study.restoration if restored else None,
     )
 

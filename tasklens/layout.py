@@ -62,6 +62,9 @@ class Layout:
     def table(self, table: str, suffix: str) -> str:
         return f"{self.root}/tables/{table}.{suffix}"
 
+    def ablation(self, ablation: str, suffix: str) -> str:
+        return self.table(f"ablation_{ablation}", suffix)
+
     def figure(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/figures/{lens}-seed{seed}.png"
 

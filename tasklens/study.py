@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
 
+from tasklens import feasibility
+from tasklens.ablations import Ablation, varied
 from tasklens.design_settings import Design, EndToEnd, LeastSquares, Lens, Outside, Spot
 from tasklens.optics.catalogues import collect
 from tasklens.optics.materials import Material, from_definitions
 from tasklens.settings import (
-    FLAT_TRACK,
     Capture,
     Classifier,
     Constraints,
@@ -44,6 +45,7 @@ STAGES = (
     "psf_tail",
     "verdicts",
     "regimes",
+    "ablation",
     "figure",
 )
 
@@ -72,6 +74,7 @@ class Study(Frozen):
     materials: Annotated[dict[str, Material], Field(default_factory=dict, validate_default=True)]
     designs: Annotated[dict[Name, Design], Field(min_length=1)]
     outside: Annotated[dict[Name, Outside], Field(default_factory=dict)]
+    ablations: Annotated[dict[Name, Ablation], Field(default_factory=dict)]
     classifiers: Annotated[dict[Name, Classifier], Field(min_length=1)]
     supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
     fine_tuning: Training
@@ -135,7 +138,10 @@ class Study(Frozen):
             if name not in known:
                 raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
         for name, plastics in self.elements.items():
-            self._fits(name, plastics, self.spec_of(name))
+            materials = tuple(self.materials[plastic] for plastic in plastics)
+            feasibility.check(name, materials, self.spec_of(name), self.constraints, self.images.size)
+        for name in self.ablations:
+            self._check_ablation(name)
         if self.images.size % self.restoration.multiple:
             raise ValueError(
                 f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
@@ -143,36 +149,33 @@ class Study(Frozen):
             )
         return self
 
-    def _fits(self, name: str, plastics: tuple[str, ...], spec: Spec) -> None:
-        """Whether the plastics, the kernel and the track suit a specification: plates must fit into a flat start."""
-        for material in (self.materials[plastic] for plastic in plastics):
-            for wavelength in spec.wavelengths_um:
-                if not material.covers(wavelength):
-                    low, high = material.range_um
-                    raise ValueError(
-                        f"spec.wavelengths_um: {wavelength} um is outside the {low} to {high} um in which the "
-                        f"coefficients of {material.name} hold"
-                    )
-        if spec.kernel // 2 >= self.images.size:
-            raise ValueError(
-                f"spec.kernel: half of {spec.kernel} must be less than images.size = {self.images.size}, "
-                "since borders are reflected"
-            )
-        limits, elements = self.constraints, len(plastics)
-        if limits.min_centre_thickness >= limits.max_centre_thickness:
-            raise ValueError(
-                f"constraints.min_centre_thickness: {limits.min_centre_thickness} mm must be less than "
-                f"max_centre_thickness = {limits.max_centre_thickness} mm"
-            )
-        least = limits.stop_distance + limits.min_back_focus
-        least += elements * limits.min_centre_thickness + (elements - 1) * limits.min_air_gap
-        available = min(limits.max_track, FLAT_TRACK * spec.efl_mm)
-        if least >= available:
-            raise ValueError(
-                f"constraints: a {name} takes at least {least:.2f} mm from stop to image, more than the "
-                f"{available:.2f} mm of max_track = {limits.max_track} and of {FLAT_TRACK} focal lengths; a flat start "
-                "would have a negative thickness"
-            )
+    def _check_ablation(self, name: str) -> None:
+        ablation = self.ablations[name]
+        for key, known in (("elements", self.elements), ("design", self.designs)):
+            if getattr(ablation, key) not in known:
+                raise ValueError(f"ablations.{name}.{key}: {getattr(ablation, key)!r} is not one of {', '.join(known)}")
+        for variant in ablation.variants:
+            try:
+                lens = self._variant(name, variant)
+            except ValidationError as error:
+                raise ValueError(f"ablations.{name}.variants.{variant}.{_problems(error)}") from None
+            if lens.design_name in self.designs:
+                raise ValueError(f"ablations.{name}: one of the designs is called {lens.design_name} too; rename one")
+
+    def _variant(self, name: str, variant: str) -> Lens:
+        ablation = self.ablations[name]
+        changes = dict(ablation.variants[variant])
+        capture = changes.pop("capture", None)
+        base = self._designed(ablation.elements, ablation.design)
+        design_name = f"{ablation.design}_{name}_{variant}"
+        return Lens(
+            name=f"{ablation.elements}-{design_name}",
+            elements=ablation.elements,
+            plastics=base.plastics,
+            design_name=design_name,
+            design=varied(base.design, changes),
+            capture=None if capture is None else Capture.model_validate(self.capture.model_dump() | capture),
+        )
 
     def spec_of(self, elements: str) -> Spec:
         """The specification of these elements: `spec` with what `specs` says of them."""
@@ -180,29 +183,33 @@ class Study(Frozen):
         try:
             return Spec.model_validate(common | self.specs.get(elements, {}))
         except ValidationError as error:
-            wrong = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
-            raise ValueError(f"specs.{elements}.{wrong}") from None
+            raise ValueError(f"specs.{elements}.{_problems(error)}") from None
 
     @property
     def lenses(self) -> dict[str, Lens]:
         """Every lens by name, `{elements}-{design}`; those from outside last."""
-        designed = {
-            f"{elements}-{name}": Lens(
-                name=f"{elements}-{name}",
-                elements=elements,
-                plastics=tuple(self.materials[plastic] for plastic in plastics),
-                design_name=name,
-                design=design,
-            )
-            for elements, plastics in self.elements.items()
-            for name, design in self.designs.items()
-        }
-        return designed | {
+        designed = [self._designed(elements, name) for elements in self.elements for name in self.designs]
+        return {lens.name: lens for lens in designed} | {
             f"{lens.elements}-{name}": Lens(
                 name=f"{lens.elements}-{name}", elements=lens.elements, plastics=(), design_name=name, design=lens
             )
             for name, lens in self.outside.items()
         }
+
+    def _designed(self, elements: str, design: str) -> Lens:
+        return Lens(
+            name=f"{elements}-{design}",
+            elements=elements,
+            plastics=tuple(self.materials[plastic] for plastic in self.elements[elements]),
+            design_name=design,
+            design=self.designs[design],
+        )
+
+    @property
+    def variants(self) -> dict[str, Lens]:
+        """Every lens by name that only an ablation asks for."""
+        found = [self._variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
+        return {lens.name: lens for lens in found}
 
     @property
     def imaging_designs(self) -> tuple[str, ...]:
@@ -211,11 +218,15 @@ class Study(Frozen):
 
     def lens(self, name: str) -> Lens:
         """The lens `name`; raises StudyError with the known names."""
-        return _pick(self.lenses, name, "lens")
+        return _pick(self.lenses | self.variants, name, "lens")
 
     def classifier(self, name: str) -> Classifier:
         """The classifier `name`; raises StudyError with the known names."""
         return _pick(self.classifiers, name, "classifier")
+
+
+def _problems(error: ValidationError) -> str:
+    return "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
 
 
 def _pick(known: Mapping, name: str, kind: str):

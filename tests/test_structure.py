@@ -22,6 +22,7 @@ FLOORS = [
     ("tasklens.optics.catalogues",),
     ("tasklens.settings",),
     ("tasklens.design_settings",),
+    ("tasklens.ablations", "tasklens.feasibility"),
     ("tasklens.study",),
     ("tasklens.layout",),
     ("tasklens.jobs",),

@@ -206,7 +206,7 @@ def slices(mapping: dict) -> dict[tuple, str]:
     for lens, seed in itertools.product(study.lenses, study.seeds):
         found["design", lens] = jobs.design(study, lens, seed)
         found["psf", lens] = jobs.psf(study, lens)
-        found["restore", lens] = jobs.restore(study, seed)
+        found["restore", lens] = jobs.restore(study, lens, seed)
     for table in jobs.TABLES:
         found["table", table] = jobs.table(study, table)
     found["psf_tail",] = jobs.psf_tail(study)

@@ -27,7 +27,7 @@ def study_of(seeds: int, **elements):
     return parse(changed(study, "seeds", list(range(seeds))))
 
 
-def results(tmp_path, study, accuracy, minival=None, inside=0.9) -> Layout:
+def results(tmp_path, study, accuracy, minival=None, inside=0.9, lenses=None) -> Layout:
     """Files of a study in which a lens recognises a fraction accuracy(lens, classifier, seed) of all captures.
 
     Drawn by chance, one number for a picture and its field for all lenses: a better lens recognises what a worse one
@@ -37,7 +37,7 @@ def results(tmp_path, study, accuracy, minival=None, inside=0.9) -> Layout:
     luck = numpy.random.default_rng(0).random((PICTURES, FIELDS))
     index = {"picture": range(PICTURES), "label": ["cat"] * PICTURES}
     for seed in study.seeds:
-        for lens in (SHARP, *study.lenses):
+        for lens in lenses or (SHARP, *study.lenses):
             for name in [*study.classifiers, *map(restored, study.classifiers)]:
                 fields = 1 if lens == SHARP else FIELDS
                 right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
@@ -47,6 +47,7 @@ def results(tmp_path, study, accuracy, minival=None, inside=0.9) -> Layout:
                 columns = {f"field{k}": right[:, k] for k in range(fields)}
                 pandas.DataFrame(index | columns).to_csv(layout.pictures(lens, seed, name), index=False)
                 rows = [("minival_accuracy", k, 100 * chosen) for k in range(fields)] + [("chance", "", 10.0)]
+                rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
                 frame.to_csv(layout.metrics(lens, seed, name), index=False)
             folder = tmp_path / f"lenses/{lens}/seed{seed}"

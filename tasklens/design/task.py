@@ -52,7 +52,7 @@ def design(start: Lens, recogniser: nn.Module, problem: Problem, settings: Task,
         settings: how many walks, how they go, and how the best one goes on.
         history: receives a row per logged step and per judgement.
     """
-    recogniser = frozen(recogniser)
+    recogniser = frozen(recogniser, settings.batch_norm)
     torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
     seeds = torch.Generator().manual_seed(problem.seed)
     judged = torch.randperm(len(problem.pictures), generator=seeds)[:_JUDGES]

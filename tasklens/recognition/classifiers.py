@@ -2,12 +2,14 @@
 
 import copy
 from pathlib import Path
+from typing import Literal
 
 import timm
 import torch
 from safetensors.torch import load_file
 from timm.layers import freeze_batch_norm_2d
 from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
 
 from tasklens.settings import Classifier
 from tasklens.study import StudyError
@@ -51,12 +53,21 @@ def build(classifier: Classifier, classes: int, weights: Path | None = None) -> 
     return Recogniser(network)
 
 
-def frozen(recogniser: nn.Module) -> nn.Module:
+def frozen(recogniser: nn.Module, batch_norm: Literal["stored", "batch"] = "stored") -> nn.Module:
     """A copy in `eval()` that takes no gradient itself, but passes one on to its images.
 
-    Its batch norms are constant affine maps, which need not keep their inputs: almost half of the memory of a ResNet.
+    Args:
+        batch_norm: by the stored statistics, batch norms are constant affine maps, which need not keep their inputs:
+            almost half of the memory of a ResNet. By those of the batch, they keep what they have stored, too.
     """
-    return freeze_batch_norm_2d(copy.deepcopy(recogniser).eval().requires_grad_(False))
+    copied = copy.deepcopy(recogniser).eval().requires_grad_(False)
+    if batch_norm == "stored":
+        return freeze_batch_norm_2d(copied)
+    for module in copied.modules():
+        if isinstance(module, _BatchNorm):
+            module.train()
+            module.momentum = 0.0
+    return copied
 
 
 def check(name: str, classifier: Classifier, size: int) -> None:

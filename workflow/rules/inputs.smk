@@ -2,7 +2,6 @@
 
 PICTURES = [layout.images(split) for split in ("train", "minival", "test")]
 VERIFIED = jobs.verify(study)
-REGIMES = claims.regimes(study)
 
 
 def published_weights(wildcards):
@@ -41,15 +40,20 @@ def table_inputs(wildcards):
     }
 
 
-def opposed(wildcards):
-    """The task-driven lenses, their imaging rivals, and what the supervisor recognised through them."""
-    lenses = list(dict.fromkeys(name for claim in REGIMES.claims for name in (claim.lens, *claim.rivals)))
+def opposed(job):
+    """The lenses that claims are about, their rivals, and what the supervisor recognised through them."""
+    lenses = list(dict.fromkeys(name for claim in job.claims for name in (claim.lens, *claim.rivals)))
     pairs = [(lens, seed) for lens in lenses for seed in study.seeds]
     return {
         "lenses": [layout.lens(*pair) for pair in pairs],
         "metrics": [layout.metrics(*pair, study.supervisor) for pair in pairs],
         "pictures": [layout.pictures(*pair, study.supervisor) for pair in pairs],
     }
+
+
+def varied(wildcards):
+    """What an ablation compares."""
+    return opposed(claims.ablation(study, wildcards.ablation).verdicts)
 
 
 def measured(wildcards):

@@ -53,7 +53,7 @@ rule verdicts:
 
 rule regimes:
     input:
-        unpack(opposed),
+        unpack(lambda wildcards: opposed(claims.regimes(study))),
     output:
         layout.table("regimes", "csv"),
         layout.table("regimes", "md"),
@@ -66,6 +66,23 @@ rule regimes:
         code=code("regimes"),
     shell:
         "tasklens regimes {params.study} 2> {log}"
+
+
+rule ablation:
+    input:
+        unpack(varied),
+    output:
+        layout.ablation("{ablation}", "csv"),
+        layout.ablation("{ablation}", "md"),
+    log:
+        f"{layout.root}/logs/ablation_{{ablation}}.log",
+    threads: 1
+    params:
+        study=layout.study,
+        job=lambda wildcards: claims.ablation(study, wildcards.ablation).model_dump_json(),
+        code=code("ablation"),
+    shell:
+        "tasklens ablation {params.study} {wildcards.ablation} 2> {log}"
 
 
 rule figure:

@@ -9,7 +9,7 @@ rule restore:
     threads: 1
     params:
         study=layout.study,
-        job=lambda wildcards: jobs.restore(study, wildcards.seed).model_dump_json(),
+        job=lambda wildcards: jobs.restore(study, wildcards.lens, wildcards.seed).model_dump_json(),
         code=code("restore"),
     shell:
         "tasklens restore {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -1,0 +1,84 @@
+"""Ablations: variants of a design, which jobs they change, and the table that compares them."""
+
+import pandas
+import pytest
+import yaml
+from examples import changed, tiny_study
+from test_verdicts import results
+
+from tasklens import claims, jobs
+from tasklens.report import ablations
+from tasklens.report.verdicts import HOLDS, UNDECIDED
+from tasklens.settings import Capture
+from tasklens.study import StudyError, dump, parse
+
+RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "start": {"pixels": [1, 1]}}}}
+WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside": "renormalise"}}}}
+
+
+def with_ablation(ablation: dict) -> dict:
+    return changed(tiny_study(), "ablations.mine", ablation)
+
+
+def test_a_variant_is_its_design_changed_in_what_it_names():
+    """Keys deep inside too, and nothing else; it stands in no table of the paper."""
+    study = parse(with_ablation(RAYS))
+    base, variant = study.lens("singlet-tasklens"), study.lens("singlet-tasklens_mine_few")
+    assert variant.design.rays == 8 and variant.design.start.pixels == (1, 1)
+    start = base.design.start.model_copy(update={"pixels": (1, 1)})
+    assert variant.design == base.design.model_copy(update={"rays": 8, "start": start})
+    assert variant.plastics == base.plastics
+    assert study.lenses == parse(tiny_study()).lenses
+    assert parse(yaml.safe_load(dump(study))) == study
+
+
+def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
+    study = parse(with_ablation(WINDOW))
+    lens = "singlet-tasklens_mine_renormalised"
+    renormalised = Capture(outside="renormalise")
+    assert jobs.design(study, lens, 0).capture == renormalised
+    assert jobs.fine_tune(study, lens, "small", 0, False).capture == renormalised
+    assert jobs.reproduce(study, lens, "small", False).capture == renormalised
+    assert jobs.restore(study, lens, 0).capture == renormalised
+    assert jobs.design(study, "singlet-tasklens", 0).capture == study.capture != renormalised
+
+
+MISTAKES = [
+    ("elements", "doublet", ["elements", "doublet", "singlet"]),
+    ("design", "nothing", ["design", "nothing", "tasklens"]),
+    ("variants", {}, ["variants", "at least 1"]),
+    ("variants", {"few": {"rsys": 8}}, ["variants.few", "rsys", "not permitted"]),
+    ("variants", {"few": {"rays": 0}}, ["variants.few", "rays", "greater than 0"]),
+    ("variants", {"few": {"capture": {"outside": "ignore"}}}, ["variants.few", "outside", "veil"]),
+]
+
+
+@pytest.mark.parametrize("key, value, words", MISTAKES)
+def test_a_mistake_is_named(key, value, words):
+    with pytest.raises(StudyError) as error:
+        parse(with_ablation(RAYS | {key: value}))
+    assert all(word in str(error.value) for word in ["ablations", "mine", *words])
+
+
+def test_a_variant_that_is_called_like_a_design_is_refused():
+    study = with_ablation(RAYS)
+    with pytest.raises(StudyError, match=r"tasklens_mine_few.*rename"):
+        parse(changed(study, "designs.tasklens_mine_few", study["designs"]["imaging1"]))
+
+
+@pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, UNDECIDED)])
+def test_table_of_an_ablation(tmp_path, seeds, judged):
+    """The design first, then its variants with their gain over it, undecided from one seed."""
+    study = parse(changed(with_ablation(RAYS), "seeds", list(range(seeds))))
+    job = claims.ablation(study, "mine")
+    lenses = {job.base: 0.5, "singlet-tasklens_mine_few": 0.8}
+    layout = results(tmp_path, study, lambda lens, *_: lenses[lens], lenses=lenses)
+    ablations.make(job, layout, "tiny")
+    rows = pandas.read_csv(layout.ablation("mine", "csv")).set_index("lens")
+    assert list(rows.index) == list(lenses)
+    base, variant = (rows.loc[lens] for lens in lenses)
+    assert pandas.isna(base["difference"]) and variant["verdict"] == judged
+    assert variant["difference"] == pytest.approx(30, abs=3)
+    assert variant["low"] < variant["difference"] < variant["high"]
+    assert variant["rms_spot_um"] == 9.0 and variant["worst_margin"] == 0.01
+    assert "singlet-tasklens_mine_few" in (tmp_path / "tables/ablation_mine.md").read_text()
