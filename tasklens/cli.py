@@ -102,15 +102,17 @@ def tail(study: Study, args: argparse.Namespace) -> None:
 def restore(study: Study, args: argparse.Namespace) -> None:
     """train the restoration network on the captures of a lens"""
     from restoration import training
-    from tasklens.files import read_tensors, write_tensors
+    from tasklens.files import read_tensors, write_rows, write_tensors
     from tasklens.imaging import Camera
     from tasklens.recognition import data
 
     layout, job = Layout.of(study), jobs.restore(study, args.lens, args.seed)
     grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
     camera = Camera(grid, job.capture.outside, job.capture.colour)
-    pictures = data.read(Path(layout.images("train")))
-    network = training.train(job.restoration, pictures, camera, job.seed)
+    train, minival = (data.read(Path(layout.images(split))) for split in ("train", "minival"))
+    history: list[dict] = []
+    network = training.train(job.restoration, train, minival, camera, job.seed, history)
+    write_rows(Path(layout.restoration_history(args.lens, args.seed)), history)
     write_tensors(Path(layout.restoration(args.lens, args.seed)), network.state_dict(), {})
 
 

@@ -59,6 +59,9 @@ class Layout:
     def restoration(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/restoration/{lens}/seed{seed}/nafnet.safetensors"
 
+    def restoration_history(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/restoration/{lens}/seed{seed}/history.csv"
+
     def table(self, table: str, suffix: str) -> str:
         return f"{self.root}/tables/{table}.{suffix}"
 

@@ -79,21 +79,58 @@ def test_gradient_reaches_every_parameter_after_one_step():
     assert not silent[1]
 
 
-def test_training_restores_and_is_deterministic():
-    """Sixty steps raise the PSNR of captures blurred by one pixel to each side; one seed, one result."""
-    torch.manual_seed(0)
+def blurred() -> Camera:
+    """Two fields, blurred by one pixel to each side."""
     grid = torch.zeros(2, 3, 5, 5)
     grid[..., 1:4, 1:4] = 1 / 9
-    camera, sharp = Camera(grid), random_pictures(16, 16, 2, seed=0)
-    settings = Restoration(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch=8, rate=5e-3)
-    network = training.train(settings, sharp, camera, 0)
+    return Camera(grid)
+
+
+TINY = Restoration(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch=8, rate=5e-3)
+
+
+def test_training_restores_and_is_deterministic():
+    """Sixty steps raise the PSNR of captures blurred by one pixel to each side; one seed, one result."""
+    sharp, minival = random_pictures(16, 16, 2, seed=0), random_pictures(8, 16, 2, seed=1)
+    network = training.train(TINY, sharp, minival, blurred(), 0, [])
     assert not network.training
     images, _ = sharp.batch(torch.arange(16))
-    captures = camera.single(images, torch.zeros(16, dtype=torch.long))
+    captures = blurred().single(images, torch.zeros(16, dtype=torch.long))
     with torch.no_grad():
         gain = (psnr(network(captures), images) - psnr(captures, images)).mean()
     assert gain > 0.5
-    short = settings.model_copy(update={"steps": 2})
-    first, again, other = (training.train(short, sharp, camera, seed).state_dict() for seed in (0, 0, 1))
+    short = TINY.model_copy(update={"steps": 2})
+    states = (training.train(short, sharp, minival, blurred(), seed, []).state_dict() for seed in (0, 0, 1))
+    first, again, other = states
     assert all(torch.equal(first[k], again[k]) for k in first)
     assert any(not torch.equal(first[k], other[k]) for k in first)
+
+
+def test_training_ends_when_five_checks_gained_nothing():
+    """The rate is halved after each; the network of the best check is returned, with the PSNR that was logged."""
+    sharp, minival = random_pictures(16, 16, 2, seed=0), random_pictures(8, 16, 2, seed=1)
+    history: list[dict] = []
+    network = training.train(
+        TINY.model_copy(update={"steps": 1000, "check": 10}), sharp, minival, blurred(), 0, history
+    )
+    assert history[-1]["converged"] and not any(row["converged"] for row in history[:-1])
+    assert history[-1]["step"] < 1000 and history[-1]["rate"] == TINY.rate / 16
+    quality, rate, best = [row["psnr_db"] for row in history], TINY.rate, -torch.inf
+    for row in history:
+        assert row["rate"] == rate
+        if row["psnr_db"] > best + 0.05:
+            best = row["psnr_db"]
+        else:
+            rate /= 2
+    images, _ = minival.batch(torch.arange(8))
+    with torch.no_grad():
+        again = torch.stack([psnr(network(captures), images).mean() for captures in blurred().grid(images)]).mean()
+    assert float(again) == pytest.approx(max(quality), abs=1e-5)
+
+
+def test_training_that_runs_out_of_steps_says_so(capsys):
+    history: list[dict] = []
+    sharp = random_pictures(16, 16, 2, seed=0)
+    training.train(TINY.model_copy(update={"steps": 3}), sharp, sharp, blurred(), 0, history)
+    assert [row["step"] for row in history] == [3] and not history[0]["converged"]
+    assert "not converged within 3 steps" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from tasklens.progress import Progress
 from tasklens.recognition.classifiers import Recogniser, parameters_m
 from tasklens.recognition.data import Pictures
 
+_WORST = 0.01  # share of the pictures, those with the lowest PSNR, that `worst_psnr_db` is about
 _BATCH = 64  # pictures rendered at once, and captures per forward pass of a network
 
 
@@ -72,8 +73,9 @@ def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -
     """How well a classifier recognises, as means and picture by picture.
 
     Returns:
-        Rows (field, metric, value): accuracy [%] on test and minival and PSNR [dB] per field, parameters [millions];
-        the PSNR is left out where the pictures themselves are seen, `chance` is the accuracy of guessing [%].
+        Rows (field, metric, value): accuracy [%] on test and minival and PSNR [dB] per field, of all pictures and of
+        the worst 1 %; parameters [millions]. The PSNR is left out where the pictures themselves are seen, `chance` is the
+        accuracy of guessing [%].
         And the rows of `by_picture` for the test pictures.
     """
     correct, quality = evaluate(recogniser, splits["test"], sight)
@@ -84,6 +86,7 @@ def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -
     }
     if sight.camera is not None:
         columns["psnr_db"] = quality.double().mean(-1)
+        columns["worst_psnr_db"] = quality.double().sort(-1).values[:, : math.ceil(_WORST * quality.shape[-1])].mean(-1)
     rows = [
         {"field": field, "metric": metric, "value": value}
         for metric, values in columns.items()

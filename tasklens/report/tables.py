@@ -19,7 +19,7 @@ _COLUMNS = {
     "table1": ["accuracy", "psnr_db", "rms_spot_um", "core_radius_um", "energy_in_window", "worst_margin"],
     "table2": ["parameters_m", "reference_accuracy", "accuracy"],
     "table3": ["accuracy", "energy_in_window", "worst_margin", "converged"],
-    "table4": ["psnr_db", "accuracy"],
+    "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",

@@ -1,9 +1,10 @@
 rule restore:
     input:
-        pictures=layout.images("train"),
+        pictures=[layout.images(split) for split in ("train", "minival")],
         psf=layout.psf("{lens}", "{seed}"),
     output:
         layout.restoration("{lens}", "{seed}"),
+        layout.restoration_history("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/restore/{{lens}}-seed{{seed}}.log",
     threads: 1
