@@ -44,6 +44,7 @@ localrules:
     end_to_end,
     restoration,
     figures,
+    certificates,
     ablations,
 
 
@@ -70,6 +71,11 @@ rule restoration:
 rule figures:
     input:
         [layout.figure(lens, seed) for lens in study.lenses for seed in study.seeds],
+
+
+rule certificates:
+    input:
+        [layout.certificate(lens, seed) for lens in study.lenses for seed in study.seeds],
 
 
 rule ablations:

@@ -1,6 +1,6 @@
 """A digest of the code that a stage executes: Snakemake reruns the jobs whose code changed, and no others.
 
-It covers the stage's function in `tasklens.cli` and every module of ours that the stage imports, directly or through
+It covers the stage's function in `tasklens.stages` and every module of ours that the stage imports, directly or through
 others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.settings`,
 `tasklens.study`, `tasklens.jobs` and `tasklens.claims` are left out, since what a stage reads of them is its job slice.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("tasklens", "restoration")
+STAGES = ("tasklens.stages.measure", "tasklens.stages.report")
 DATA_ONLY = ("tasklens.settings", "tasklens.study", "tasklens.jobs", "tasklens.claims")
 
 
@@ -61,8 +62,9 @@ def stage_modules(function: ast.AST) -> set[str]:
 
 @cache
 def code(stage: str) -> str:
-    """Digest of the code behind the function `stage` of `tasklens.cli`."""
-    functions = {node.name: node for node in parse("tasklens.cli").body if isinstance(node, ast.FunctionDef)}
+    """Digest of the code behind the stage of this name."""
+    nodes = [node for module in STAGES for node in parse(module).body]
+    functions = {node.name: node for node in nodes if isinstance(node, ast.FunctionDef)}
     if stage not in functions:
         raise ValueError(f"unknown stage {stage!r}; expected one of {', '.join(functions)}")
     trees = [functions[stage], *(parse(module) for module in sorted(stage_modules(functions[stage])))]

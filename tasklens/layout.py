@@ -35,6 +35,9 @@ class Layout:
     def history(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/lenses/{lens}/seed{seed}/history.csv"
 
+    def certificate(self, lens: str, seed: int | str) -> str:
+        return f"{self.root}/lenses/{lens}/seed{seed}/certificate.md"
+
     def psf(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/lenses/{lens}/seed{seed}/psf.safetensors"
 

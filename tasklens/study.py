@@ -36,6 +36,7 @@ STAGES = (
     "design",
     "psf",
     "tail",
+    "certificate",
     "fine_tune",
     "restore",
     "fine_tune_restored",

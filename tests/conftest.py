@@ -1,9 +1,24 @@
-"""One thread for every test: sums are then taken in the same order on every machine."""
+"""One thread for every test: sums are then taken in the same order on every machine. And the lens of many tests."""
 
 import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
+import numpy
+import pytest
 import torch
+from examples import materials
+
+from tasklens.design import least_squares
+from tasklens.design.start import flat, view
+from tasklens.settings import Constraints, Spec
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def start():
+    """A random doublet of the right focal length."""
+    spec, limits = Spec(kernel=11), Constraints()
+    flat_lens = flat(materials("COC", "OKP4"), spec, limits)
+    return least_squares.random_starts(flat_lens, view(spec), limits, 1, numpy.random.default_rng(0))[0]

@@ -4,7 +4,6 @@ import copy
 import math
 from dataclasses import replace
 
-import numpy
 import pytest
 import torch
 import torch.nn.functional as F
@@ -12,7 +11,7 @@ from examples import changed, f64, materials, random_lens, random_pictures, tiny
 from torch import nn
 
 from tasklens import jobs
-from tasklens.design import descent, least_squares, methods, task
+from tasklens.design import descent, methods
 from tasklens.design.constraints import (
     first_order_margins,
     manufacturing_margins,
@@ -20,10 +19,9 @@ from tasklens.design.constraints import (
     shortfall,
     worst_margin,
 )
-from tasklens.design.merit import Merit
 from tasklens.design.schedule import cosine
 from tasklens.design.start import Variables, flat, parameter_groups, view
-from tasklens.design_settings import EndToEnd, Rates, Task, Walk
+from tasklens.design_settings import EndToEnd, Rates
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import chief_points, trace_fields
 from tasklens.optics.paraxial import paraxial
@@ -33,18 +31,9 @@ from tasklens.settings import Capture, Constraints, Spec
 from tasklens.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
-NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
-NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})
 LOOKS = view(SPEC)
 NAMES = ("COC", "OKP4")
 PLASTICS = materials(*NAMES)
-
-
-@pytest.fixture(scope="module")
-def start():
-    """A random doublet of the right focal length."""
-    flat_lens = flat(PLASTICS, SPEC, LIMITS)
-    return least_squares.random_starts(flat_lens, LOOKS, LIMITS, 1, numpy.random.default_rng(0))[0]
 
 
 # ---- starts and variables
@@ -248,48 +237,6 @@ def descended(network, lens, **settings):
     return descent.descend(lens, network, problem(), settings, history, "test"), history
 
 
-def walked(network, lens, limits=LIMITS, **settings):
-    start, refine = Walk(steps=3, pixels=(20, 5)), Walk(steps=2, pixels=(5, 1))
-    settings = {"images": 4, "rays": 16, "starts": 2, "start": start, "refine": refine} | settings
-    history: list[dict] = []
-    return task.design(lens, network, problem(limits), Task(method="task", **settings), history), history
-
-
-def test_frozen_network_stays_frozen(start):
-    """Task-driven design moves the lens and nothing of the network: no weight, no batch statistic, no switch."""
-    network = small_network().train()
-    before = copy.deepcopy(network.state_dict())
-    lens, history = walked(network, start)
-    assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
-    assert network.training and all(p.requires_grad and p.grad is None for p in network.parameters())
-    assert not torch.equal(lens.curvature, start.curvature) and not torch.equal(lens.thickness, start.thickness)
-    assert torch.equal(lens.semi_diameter, start.semi_diameter)
-    assert len(history) == 2 * 4 + 2 and all(math.isfinite(row["loss"]) for row in history)
-
-
-def test_the_walk_with_the_least_loss_goes_on(start, monkeypatch):
-    """Of three walks, judged by a list, the second is refined, here by a step of next to nothing."""
-    judged, losses = [], iter([2.0, 1.0, 3.0])
-    monkeypatch.setattr(task, "_judge", lambda lens, *rest: (judged.append(lens), next(losses))[1])
-    coarse, nothing = Walk(steps=3, pixels=(20, 20)), Walk(steps=1, pixels=(20, 20), stride=1e-9)
-    lens, _ = walked(small_network(), start, NO_LIMITS, starts=3, start=coarse, refine=nothing)
-    moved = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
-    assert moved[1] < 0.01 * min(moved[0], moved[2])
-
-
-@pytest.mark.parametrize("stride", [0.5, 5.0])
-def test_a_step_moves_rays_by_the_stride(start, stride):
-    """In a random direction of descent: RMS displacement of the rays as asked for, and no way upward."""
-    merit, variables = Merit(LOOKS, NO_LIMITS), Variables.plain(start)
-    directions = variables.directions(variables.values())
-    gradient = torch.randn(len(directions["curvature"]), generator=torch.Generator().manual_seed(0)).double()
-    gentle = start.stopped(0.3)
-    change, _ = task._step(merit, gentle, directions, gradient, torch.full_like(gradient, 0.05), stride, 0.1)
-    rays = merit.linearise(gentle)[1](directions)[: merit.rays]
-    assert float((rays @ change).norm()) == pytest.approx(stride, rel=1e-2)
-    assert float(gradient @ change) < 0
-
-
 def test_end_to_end_design_moves_the_network_too(start):
     network = small_network()
     before = copy.deepcopy(network.state_dict())
@@ -299,9 +246,8 @@ def test_end_to_end_design_moves_the_network_too(start):
     assert not network.training
 
 
-@pytest.mark.parametrize("way", [descended, walked])
-def test_designs_are_deterministic(start, way):
-    first, again = (way(small_network(), start)[0] for _ in range(2))
+def test_descent_is_deterministic(start):
+    first, again = (descended(small_network(), start)[0] for _ in range(2))
     for name in ("curvature", "thickness", "alpha"):
         assert torch.equal(getattr(first, name), getattr(again, name))
 
@@ -321,25 +267,6 @@ def test_a_design_that_diverges_is_a_result(start):
     assert history[-1]["phase"] == "test, diverged" and history[-1]["step"] <= 6
     for name in ("curvature", "thickness", "alpha"):
         assert torch.isfinite(getattr(lens, name)).all()
-
-
-def test_walking_lowers_the_loss(start):
-    """Two dozen steps reduce the loss of a frozen network on its captures."""
-    network = small_network()
-    pictures = random_pictures(12, 16, 3, seed=0)
-    from tasklens.recognition.training import fit
-    from tasklens.settings import Training
-
-    fit(network, pictures, Training(epochs=60, rate=1e-2, batch=12), 0, "sharp")
-    images, labels = pictures.batch(torch.arange(12))
-
-    def loss(lens):
-        grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
-        return float(descent.loss_at_psf(network, images, labels, grid.float(), Capture(), 12)[0].mean())
-
-    walk = Walk(steps=12, pixels=(10, 10), stride=0.5)
-    lens, _ = walked(network, start, images=12, augment=False, starts=1, start=walk, refine=walk)
-    assert loss(lens) < loss(start)
 
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):

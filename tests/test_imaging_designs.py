@@ -22,13 +22,6 @@ LOOKS = view(SPEC)
 PLASTICS = materials("COC", "OKP4")
 
 
-@pytest.fixture(scope="module")
-def start():
-    """A random doublet of the right focal length."""
-    flat_lens = flat(PLASTICS, SPEC, LIMITS)
-    return least_squares.random_starts(flat_lens, LOOKS, LIMITS, 1, numpy.random.default_rng(0))[0]
-
-
 def mean_rms(lens) -> float:
     rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
     return float(rms_spot_radius(rays, centroid(rays)).mean())

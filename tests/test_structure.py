@@ -32,6 +32,7 @@ FLOORS = [
     ("tasklens.recognition",),
     ("tasklens.design",),
     ("tasklens.report", "restoration"),
+    ("tasklens.stages",),
     ("tasklens.cli",),
 ]
 
@@ -76,9 +77,9 @@ def test_modules_of_a_room_do_not_import_in_a_circle():
         done |= ready
 
 
-def test_only_the_command_line_imports_restoration():
+def test_only_the_stages_that_measure_import_restoration():
     users = {name_of(path) for path in MODULES if any(name.startswith("restoration") for name in imports_of(path))}
-    assert {user for user in users if not user.startswith("restoration")} == {"tasklens.cli"}
+    assert {user for user in users if not user.startswith("restoration")} == {"tasklens.stages.measure"}
 
 
 @pytest.mark.parametrize("module", ["cli", "study", "jobs", "claims", "layout", "digest", "files"])
@@ -90,7 +91,7 @@ def test_parsing_a_study_needs_no_torch(module):
     assert found.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("module", ["tables", "verdicts", "verification", "tails"])
+@pytest.mark.parametrize("module", ["tables", "verdicts", "verification", "tails", "ablations", "regimes"])
 def test_tables_need_no_torch(module):
     code = f"import sys, tasklens.report.{module}; print('torch' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -128,7 +129,7 @@ def copy(tmp_path, monkeypatch):
 
 
 READ_PICTURES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
-STAGES = (*READ_PICTURES, "psf", "tail", "table", "psf_tail", "verdicts", "figure")
+STAGES = (*READ_PICTURES, "psf", "tail", "table", "psf_tail", "verdicts", "ablation", "figure", "certificate")
 
 
 @pytest.mark.parametrize(
@@ -137,7 +138,7 @@ STAGES = (*READ_PICTURES, "psf", "tail", "table", "psf_tail", "verdicts", "figur
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# Far rays", "# Rays that are far"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/cli.py", '"""trace the PSF', '"""calculate the PSF'),
+        ("tasklens/stages/measure.py", '"""trace the PSF', '"""calculate the PSF'),
     ],
 )
 def test_words_do_not_change_a_digest(copy, path, old, new):
@@ -150,14 +151,14 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
 @pytest.mark.parametrize(
     "path, old, new, touched",
     [
-        ("tasklens/optics/psf.py", "kernel // 2", "kernel // 3", {"design", "psf", "tail", "figure"}),
+        ("tasklens/optics/psf.py", "kernel // 2", "kernel // 3", {"design", "psf", "tail", "figure", "certificate"}),
         ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune", "reproduce"}),
         ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_PICTURES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
-        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts"}),
+        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
-        ("tasklens/cli.py", "grid.float()", "grid", {"psf"}),
-        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", {"verdicts"}),
+        ("tasklens/stages/measure.py", "grid.float()", "grid", {"psf"}),
+        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", {"verdicts", "ablation"}),
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )

@@ -14,7 +14,7 @@ from tasklens.optics.pupil import bundles, gauss_quadrature
 from tasklens.optics.tracing import linearise
 from tasklens.settings import Constraints
 
-HEIGHTS = (0.0, 0.3, 0.5, 0.7, 0.87, 1.0)  # fields of the merit function, as parts of the largest
+HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as parts of the largest: near the nine
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
 _RIM = 1.02  # the outermost ring of the quadrature, at 0.990 of the pupil, to its rim and a little more
 _LOST = 300.0  # residual of a lost ray [um]

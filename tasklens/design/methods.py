@@ -8,6 +8,7 @@ import torch
 
 from tasklens.design import descent, least_squares, outside, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.ray_space import within_limits
 from tasklens.design.start import flat, view
 from tasklens.design_settings import EndToEnd, LeastSquares, Outside, Spot, Task
 from tasklens.jobs import DesignJob
@@ -63,6 +64,8 @@ def design(
                 start = open_apertures(rivals[origin["start"]][0])
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
             lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end")
+    if isinstance(settings, Task | EndToEnd):  # the limits were soft until here
+        lens = within_limits(lens, looks, job.constraints)
     return finished(lens, job, origin)
 
 

@@ -2,19 +2,12 @@
 
 Plain descent from flat plates ends in poor lenses, for two reasons. The parameters of a lens act on its rays in nearly
 the same few ways, so that equal steps in each are very unequal on the sensor; and descents from the same plates end far
-apart. So each step is measured in ray displacement: with the averaged gradient g of the loss, it solves
-
-    minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
-
-where d.M d is the mean squared displacement of rays by the change d of the variables, s the stride, `scale` a change
-that is small for a variable, and c + C d the linearised shortfall of the limits (a Gauss-Newton metric as in least
-squares, a trust region as in Levenberg-Marquardt). And several walks start from the plates; the one with the least loss
-goes on.
+apart. So each step is measured in ray displacement (see `ray_space`), and several walks start from the plates; the one
+with the least loss goes on.
 """
 
 import math
 import sys
-from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -22,10 +15,9 @@ from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.design.descent import Problem, loss_at_psf
-from tasklens.design.merit import Merit
+from tasklens.design.ray_space import RaySpace
 from tasklens.design.schedule import cosine, geometric
-from tasklens.design.start import Variables
-from tasklens.design_settings import Rates, Task, Walk
+from tasklens.design_settings import Task, Walk
 from tasklens.imaging import Camera
 from tasklens.optics.analysis import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
@@ -35,10 +27,8 @@ from tasklens.progress import Progress
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import shuffled
 
-# Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
-_SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
-_SCALED = 3.0  # ray displacement [um] that costs as much as such a change, or the stride where that is longer
-_LIMITS = 1000.0  # w [1/mm^2]
+_LEEWAY = 0.05  # by which a step may lengthen the shortfall of the limits [mm]; a longer one is halved
+_HALVINGS = 5
 _JUDGES = 64  # pictures that compare the walks
 
 
@@ -91,16 +81,13 @@ def _walk(
 ) -> Lens:
     """The lens after the steps of `walk`; if the loss or a step stops being finite, the last finite one."""
     view, pictures = problem.view, problem.pictures
-    variables = Variables.stepped(start, view, Rates())
-    values = variables.values()
-    names = list(values)
-    directions = variables.directions(names)
-    scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
-    merit = Merit(view, problem.limits)
+    space = RaySpace(start, view, problem.limits)
+    vector = space.start
+    mean = change = torch.zeros_like(vector)
+    broken = math.inf
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
     seed = int(torch.randint(2**31, (), generator=seeds))
     batches = shuffled(len(pictures), settings.images, walk.steps, torch.Generator().manual_seed(seed))
-    vector, mean = torch.cat(list(values.values())), torch.zeros_like(scale)
     progress = Progress(label, walk.steps)
     for step, indices in enumerate(batches, 1):
         done = (step - 1) / walk.steps
@@ -109,8 +96,16 @@ def _walk(
         stride = walk.stride * view.pixel_pitch * pixels
         if done > walk.duration:
             stride *= cosine((done - walk.duration) / (1 - walk.duration), walk.final)
+        local = space.about(vector)
+        for _ in range(_HALVINGS):
+            if local.broken <= broken + _LEEWAY:
+                break
+            change = change / 2
+            vector = vector - change
+            local = space.about(vector)
+        broken = local.broken
         leaf = vector.clone().requires_grad_()
-        lens = variables.assemble_vector(names, leaf)
+        lens = space.lens(leaf)
         rays = trace_fields(lens, view, sobol_disc(settings.rays, seed + step))
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
         images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
@@ -119,7 +114,7 @@ def _walk(
         grid.backward(upstream.to(grid.dtype))
         mean = walk.momentum * mean + (1 - walk.momentum) * leaf.grad
         gradient = mean / (1 - walk.momentum**step)
-        change, broken = _step(merit, lens.detached(), directions, gradient, scale, stride, walk.damping)
+        change = local.step(gradient, stride, walk.damping)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
             message = f"{label}: diverged at step {step}, loss per field {losses.tolist()}"
             print(message, file=sys.stderr, flush=True)
@@ -133,38 +128,4 @@ def _walk(
             row |= {"energy_in_window": inside, "rms_um": rms, "pixel_scale": pixels, "stride_um": stride}
             history.append(row | {"shortfall": broken})
         vector = vector + change
-    return variables.assemble_vector(names, vector)
-
-
-def _step(
-    merit: Merit, lens: Lens, directions: dict, gradient: Tensor, scale: Tensor, stride: float, damping: float
-) -> tuple[Tensor, float]:
-    """The change of the variables that moves rays by `stride` [um] RMS, and the length of the shortfall before it [mm].
-
-    Mending broken limits is part of the stride, never on top of it. Where they need less than the whole of it, the
-    gradient has the rest.
-    """
-    residuals, columns = merit.linearise(lens)
-    jacobian = columns(directions)
-    rays, limits = jacobian.split([merit.rays, len(jacobian) - merit.rays])
-    shortfall = residuals[merit.rays :]
-    broken = shortfall > 0
-    limits, shortfall = limits[broken] / merit.per_mm, shortfall[broken] / merit.per_mm
-    metric = rays.T @ rays
-    regular = metric + damping * torch.diag(metric.diagonal() + (max(stride, _SCALED) / scale).square())
-    curvature = _LIMITS * limits.T @ limits
-    slope = gradient + _LIMITS * limits.T @ shortfall
-
-    def change(log_mu: float) -> Tensor:
-        return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
-
-    log_mu = _bisect(lambda value: float(change(value) @ metric @ change(value)) <= stride**2)
-    return change(log_mu), float(shortfall.norm())
-
-
-def _bisect(holds: Callable[[float], bool], low: float = -12.0, high: float = 8.0) -> float:
-    """The least value within 1e-3, to the right of which `holds` is true."""
-    while high - low > 1e-3:
-        middle = (low + high) / 2
-        low, high = (low, middle) if holds(middle) else (middle, high)
-    return high
+    return space.lens(vector)

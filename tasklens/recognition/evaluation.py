@@ -73,9 +73,9 @@ def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -
     """How well a classifier recognises, as means and picture by picture.
 
     Returns:
-        Rows (field, metric, value): accuracy [%] on test and minival and PSNR [dB] per field, of all pictures and of
-        the worst 1 %; parameters [millions]. The PSNR is left out where the pictures themselves are seen, `chance` is the
-        accuracy of guessing [%].
+        Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all pictures and of the worst 1 %,
+        per field; parameters [millions], and `chance`, the accuracy of guessing [%]. The PSNR is left out where the
+        pictures themselves are seen.
         And the rows of `by_picture` for the test pictures.
     """
     correct, quality = evaluate(recogniser, splits["test"], sight)

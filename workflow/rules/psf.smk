@@ -29,3 +29,18 @@ rule tail:
         code=code("tail"),
     shell:
         "tasklens tail {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
+
+
+rule certificate:
+    input:
+        layout.lens("{lens}", "{seed}"),
+    output:
+        layout.certificate("{lens}", "{seed}"),
+    log:
+        f"{layout.root}/logs/certificate/{{lens}}-seed{{seed}}.log",
+    threads: 1
+    params:
+        study=layout.study,
+        code=code("certificate"),
+    shell:
+        "tasklens certificate {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"

@@ -1,0 +1,122 @@
+"""Steps of a design that are measured by how far they move rays on the sensor.
+
+The parameters of a lens act on its rays in nearly the same few ways, so that equal steps in each are very unequal on
+the sensor. With a gradient g, a step d of the variables solves
+
+    minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
+
+where d.M d is the mean squared displacement of rays, s the stride, `scale` a change that is small for a variable, and
+c + C d the linearised shortfall of the limits: a Gauss-Newton metric as in least squares, a trust region as in
+Levenberg-Marquardt.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tasklens.design.merit import Merit
+from tasklens.design.start import Variables
+from tasklens.design_settings import Rates
+from tasklens.optics.analysis import View
+from tasklens.optics.lens import Lens
+from tasklens.settings import Constraints
+
+# Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
+_SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
+_SCALED = 3.0  # ray displacement [um] that costs as much as a small change, or the stride where that is longer
+_LIMITS = 1000.0  # w [1/mm^2]
+_MENDING = 2.0  # stride of the steps that bring a lens back within its limits [um]
+_MENDS = 20  # of them at most
+
+
+@dataclass(frozen=True)
+class Local:
+    """Rays and limits about a lens, to first order in V variables.
+
+    Attributes:
+        metric: M, (V, V), mean squared displacement of the rays [um^2].
+        scale: (V,) small changes.
+        shortfall: c, (K,), of the broken limits [mm; fractions without unit].
+        limits: C, (K, V), their derivatives.
+    """
+
+    metric: Tensor
+    scale: Tensor
+    shortfall: Tensor
+    limits: Tensor
+
+    @property
+    def broken(self) -> float:
+        """Length of the shortfall."""
+        return float(self.shortfall.norm())
+
+    def step(self, gradient: Tensor, stride: float, damping: float) -> Tensor:
+        """The change (V,) of the variables that moves rays by `stride` [um] RMS.
+
+        Mending broken limits is part of the stride, never on top of it. Where they need less than the whole of it, the
+        gradient has the rest.
+        """
+        floor = (max(stride, _SCALED) / self.scale).square()
+        regular = self.metric + damping * torch.diag(self.metric.diagonal() + floor)
+        curvature = _LIMITS * self.limits.T @ self.limits
+        slope = gradient + _LIMITS * self.limits.T @ self.shortfall
+
+        def change(log_mu: float) -> Tensor:
+            return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
+
+        log_mu = _bisect(lambda value: float(change(value) @ self.metric @ change(value)) <= stride**2)
+        return change(log_mu)
+
+
+class RaySpace:
+    """The variables of a lens as one vector, with what they do to its rays and limits."""
+
+    def __init__(self, lens: Lens, view: View, limits: Constraints):
+        self.variables = Variables.stepped(lens, view, Rates())
+        self.merit = Merit(view, limits)
+        values = self.variables.values()
+        self.names = list(values)
+        self.start = torch.cat(list(values.values()))
+        self.directions = self.variables.directions(self.names)
+        self.scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
+
+    def lens(self, vector: Tensor) -> Lens:
+        """The lens with these values (V,), differentiable in them."""
+        return self.variables.assemble_vector(self.names, vector)
+
+    def about(self, vector: Tensor) -> Local:
+        """Rays and limits about the lens with these values."""
+        residuals, columns = self.merit.linearise(self.lens(vector))
+        jacobian = columns(self.directions)
+        rays, limits = jacobian.split([self.merit.rays, len(jacobian) - self.merit.rays])
+        shortfall = residuals[self.merit.rays :]
+        broken = shortfall > 0
+        per_mm = self.merit.per_mm
+        return Local(rays.T @ rays, self.scale, shortfall[broken] / per_mm, limits[broken] / per_mm)
+
+
+def within_limits(lens: Lens, view: View, limits: Constraints) -> Lens:
+    """The lens brought back within its limits by steps that move its rays as little as that takes.
+
+    If they end before it is, the one of least shortfall.
+    """
+    space = RaySpace(lens, view, limits)
+    vector = space.start
+    found = []
+    for k in range(_MENDS):
+        local = space.about(vector)
+        found.append((local.broken, k, vector))
+        if not local.broken:
+            break
+        vector = vector + local.step(torch.zeros_like(vector), _MENDING, damping=0.1)
+    return space.lens(min(found, key=lambda entry: entry[:2])[2])
+
+
+def _bisect(holds: Callable[[float], bool], low: float = -12.0, high: float = 8.0) -> float:
+    """The least value within 1e-3, to the right of which `holds` is true."""
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high

@@ -1,0 +1,77 @@
+"""Whether anyone would make a lens, and why not: its limits, its surfaces, and what moulding errors do to its spots."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import pandas
+
+from tasklens.optics.shapes import Shape
+from tasklens.optics.tolerances import RADIUS, THICKNESS
+
+ROBUST = 2.0  # a lens is robust whose spot grows to no more than this many times its design value
+_SHOWN = 3  # of the most sensitive parts
+_UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "")
+
+
+def markdown(
+    margins: Mapping[str, float], shapes: Sequence[Shape], nominal_um: float, errors_um: Mapping[str, float]
+) -> str:
+    """A section for the page of a lens: a verdict in words, and the tables that it rests on.
+
+    Args:
+        margins: distance from each limit [mm, slopes and fractions without unit], negative where it is broken.
+        shapes: of the surfaces.
+        nominal_um: RMS spot as designed [um].
+        errors_um: by how much each moulding error enlarges it, to be added as squares [um].
+    """
+    built_um = math.hypot(nominal_um, *errors_um.values())
+    worst = sorted(errors_um, key=errors_um.get, reverse=True)[:_SHOWN]
+    limits = pandas.DataFrame(
+        [(name.replace("_", " "), f"{value:.4f} {_UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
+        columns=["limit", "margin"],
+    )
+    surfaces = pandas.DataFrame(
+        [
+            (
+                shape.surface,
+                f"{shape.semi_diameter_mm:.3f}",
+                f"{shape.steepest_deg:.1f}",
+                f"{shape.departure_um:.1f}",
+                shape.inflections,
+            )
+            for shape in shapes
+        ],
+        columns=["surface", "semi-diameter [mm]", "steepest [deg]", "off its sphere [um]", "inflections"],
+    )
+    sensitive = ", ".join(f"{part} ({errors_um[part]:.1f} um)" for part in worst)
+    tolerances = (
+        f"Moulded to +- {100 * RADIUS:g} % in radius and +- {1e3 * THICKNESS:g} um in thickness and air (precision "
+        f"moulding, apollooptical.com/manufacturing-tolerances), and focused: the RMS spot grows from {nominal_um:.1f} "
+        f"to {built_um:.1f} um. Most sensitive: {sensitive}. Tilt and decentre come on top."
+    )
+    parts = [
+        "## Who would make it?",
+        verdict(margins, nominal_um, built_um),
+        tolerances,
+        _table(limits),
+        _table(surfaces),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) -> str:
+    """Who would make it, in a sentence or two."""
+    broken = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
+    if broken:
+        return f"Nobody as it stands: it breaks {', '.join(broken)}."
+    growth = built_um / nominal_um
+    if growth <= ROBUST:
+        return f"A moulder of phone lenses: all limits are kept, and its errors enlarge the spot {growth:.1f} times."
+    return (
+        f"A moulder who holds tighter tolerances than precision moulding states: all limits are kept, but those errors "
+        f"enlarge the spot {growth:.1f} times."
+    )
+
+
+def _table(frame: pandas.DataFrame) -> str:
+    return frame.to_markdown(index=False, disable_numparse=True, stralign="right")

@@ -1,0 +1,101 @@
+"""The page of a lens: shapes of its surfaces, what moulding errors do, and who would make it."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import f64, make_lens, materials
+
+from tasklens.optics.analysis import View, centroid, trace_fields
+from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.shapes import shapes
+from tasklens.optics.tolerances import RADIUS, THICKNESS, errors_by_part
+from tasklens.report import making
+
+COC, OKP4, AIR = materials("COC", "OKP4", "air")
+
+
+def asphere(curvature: float, alpha_4: float, semi_diameter: float = 1.0):
+    """One element behind a stop; its front is the asphere, its back plane."""
+    alpha = f64([[0.0, 0.0], [0.0, alpha_4], [0.0, 0.0]])
+    apertures = [0.5, semi_diameter, semi_diameter]
+    return make_lens([0.0, curvature, 0.0], [0.1, 0.5, 3.0], (AIR, COC, AIR), alpha=alpha, semi_diameter=apertures)
+
+
+def test_shape_of_a_sphere():
+    """sin(steepest) = c R; no departure from itself, no inflection; a plane has nothing."""
+    sphere, plane = shapes(asphere(0.4, 0.0))
+    assert (sphere.surface, plane.surface) == (1, 2) and sphere.semi_diameter_mm == 1.0
+    assert sphere.steepest_deg == pytest.approx(math.degrees(math.asin(0.4)), abs=1e-9)
+    assert sphere.departure_um == pytest.approx(0.0, abs=1e-9) and sphere.inflections == 0
+    assert plane.steepest_deg == plane.departure_um == plane.inflections == 0
+
+
+def test_shape_of_an_asphere():
+    """z = c r^2 / 2 + a r^4 with small c bends back where c + 12 a r^2 = 0; the departure is largest half-way in r^2.
+
+    Against the parabola through the rim: a (r^4 - R^2 r^2), at most a R^4 / 4; sphere and parabola differ by c^3.
+    """
+    shape = shapes(asphere(0.012, -0.004))[0]
+    assert shape.inflections == 1
+    assert shape.departure_um == pytest.approx(1e3 * 0.004 / 4, abs=2e-3)
+    assert shape.steepest_deg == pytest.approx(math.degrees(math.atan(0.016 - 0.012)), abs=2e-4)
+    assert shapes(asphere(0.012, 0.004))[0].inflections == 0
+
+
+def doublet():
+    """Two elements that form an image, and a view of its axis and of 5 degrees."""
+    lens = make_lens(
+        [0.0, 0.25, -0.2, -0.15, 0.1],
+        [0.2, 0.6, 0.3, 0.5, 4.0],
+        (AIR, COC, AIR, OKP4, AIR),
+        semi_diameter=[0.5, *[torch.inf] * 4],
+    )
+    return lens, View(f64([[0.0, 0.0], [0.0, 0.4]]), 4.6, (0.6563, 0.5893, 0.4861), 2.0, 31)
+
+
+def least_rms_um(lens, view) -> float:
+    """The refocused spot by search over the image plane, with other code than that which is tested."""
+    best, focus, width = math.inf, 0.0, 20.0
+    for _ in range(6):  # finer each time
+        for shift in torch.linspace(focus - width, focus + width, 41).tolist():
+            moved = replace(lens, thickness=lens.thickness + f64([0.0] * 4 + [shift]))
+            rays = trace_fields(moved, view, sobol_disc(256, seed=0))
+            middle = centroid(rays)[:, :, None, None]
+            squared = (rays.x - middle[:, 0]) ** 2 + (rays.y - middle[:, 1]) ** 2
+            best, focus = min((best, focus), (1e3 * float(squared.mean().sqrt()), shift))
+        width /= 10
+    return best
+
+
+def test_errors_are_those_of_lenses_that_are_off_and_refocused():
+    """A radius and a thickness, each against a search for the best image plane."""
+    lens, view = doublet()
+    nominal, errors = errors_by_part(lens, view, 256)
+    assert list(errors) == [*(f"radius {i}" for i in (1, 2, 3, 4)), *(f"thickness {i}" for i in (1, 2, 3))]
+    assert nominal == pytest.approx(least_rms_um(lens, view), rel=1e-4)
+
+    def worse(name: str, surface: int, error: float) -> float:
+        found = []
+        for by in (error, -error):
+            values = getattr(lens, name).clone()
+            values[surface] += by
+            found.append(least_rms_um(replace(lens, **{name: values}), view))
+        return max(0.0, max(found) ** 2 - nominal**2) ** 0.5
+
+    assert errors["radius 2"] == pytest.approx(worse("curvature", 2, -0.2 * RADIUS), abs=2e-3)
+    assert errors["thickness 2"] == pytest.approx(worse("thickness", 2, THICKNESS), abs=2e-3)
+    assert min(errors["radius 2"], errors["thickness 2"]) > 0.05
+
+
+def test_page_says_who_would_make_it():
+    """Limits first; then whether moulding errors leave the spot below twice its size; the tables hold the numbers."""
+    kept, broken = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
+    calm, lively = {"radius 1": 3.0, "thickness 1": 4.0}, {"radius 1": 30.0, "thickness 1": 40.0}
+    surfaces = shapes(asphere(0.4, 0.0))
+    page = making.markdown(kept, surfaces, 12.0, calm)
+    assert "A moulder of phone lenses" in page and "from 12.0 to 13.0 um" in page and "thickness 1 (4.0 um)" in page
+    assert "0.0200 mm" in page and "23.6" in page
+    assert "tighter tolerances" in making.markdown(kept, surfaces, 12.0, lively)
+    assert "Nobody as it stands: it breaks max slope by 0.03." in making.markdown(broken, surfaces, 12.0, calm)
