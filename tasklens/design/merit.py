@@ -16,7 +16,8 @@ from tasklens.settings import Constraints
 
 HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as parts of the largest: near the nine
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
-_RIM = 1.02  # the outermost ring of the quadrature, at 0.990 of the pupil, to its rim and a little more
+_MARGINAL = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0))  # of the pupil: they tell how much of a surface light uses
+_MORE = 1.01  # and a little more
 _LOST = 300.0  # residual of a lost ray [um]
 SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
 
@@ -41,7 +42,8 @@ class Merit:
         self.view, self.limits = replace(view, fields=fields), limits
         self.reference, self.max_chief_ray_angle_deg = reference, max_chief_ray_angle_deg
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
-        self.pupil = torch.cat([pupil, torch.zeros(1, 2, dtype=torch.float64)])  # the last of each bundle: a chief ray
+        marginal = torch.tensor(_MARGINAL, dtype=torch.float64)
+        self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last of each bundle: a chief ray
         self.middle = len(view.wavelengths) // 2
         field = corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`
         self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
@@ -60,12 +62,12 @@ class Merit:
         view, record = self.view, []
         start = bundles(lens, view.tangents, self.pupil, view.wavelengths)
         rays, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths), record)
-        valid = rays.valid[..., :-1]
+        valid = rays.valid[..., : len(self.weight)]
         errors = [
             torch.where(valid, 1e3 * self.share * error, _LOST * self.share)
             for error in self._errors(rays.x, rays.y, valid, change=False)
         ]
-        semi_diameter = _RIM * torch.stack([torch.hypot(r.x, r.y).max() for r in record])
+        semi_diameter = _MORE * torch.stack([torch.hypot(r.x, r.y).max() for r in record])
         leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
         leaves["chief"] = torch.stack(
             [v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)]
@@ -87,16 +89,17 @@ class Merit:
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
-        """Errors in x, and in y about the reference, of all rays but the chief ones; or a change of them."""
+        """Errors in x, and in y about the reference, of the rays of the quadrature; or a change of them."""
+        count = len(self.weight)
         match self.reference:
             case "centroid":
                 arrived = valid * self.weight
-                centre = (y[..., :-1] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
+                centre = (y[..., :count] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
             case "chief_ray":
                 centre = y[..., self.middle, -1]
             case "pinhole":
                 centre = torch.zeros_like(self.view.fields[:, 1]) if change else self.view.fields[:, 1]
-        return x[..., :-1], y[..., :-1] - centre[..., None, None]
+        return x[..., :count], y[..., :count] - centre[..., None, None]
 
     def _operands(self, leaves: Mapping[str, Tensor], lens: Lens, semi_diameter: Tensor) -> Tensor:
         """One-sided residuals of limits, zero where they hold."""
