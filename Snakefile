@@ -35,6 +35,7 @@ wildcard_constraints:
     classifier="|".join(study.classifiers),
     seed="|".join(map(str, study.seeds)),
     table="|".join(jobs.TABLES),
+    elements="|".join(study.elements),
     ablation="|".join(study.ablations),
 
 
@@ -44,6 +45,7 @@ localrules:
     end_to_end,
     restoration,
     figures,
+    figure3,
     certificates,
     ablations,
 
@@ -71,6 +73,15 @@ rule restoration:
 rule figures:
     input:
         [layout.figure(lens, seed) for lens in study.lenses for seed in study.seeds],
+
+
+rule figure3:
+    input:
+        [
+            layout.figure3(claim.lens.partition("-")[0], seed)
+            for claim in claims.regimes(study).claims
+            for seed in study.seeds
+        ],
 
 
 rule certificates:

@@ -13,6 +13,7 @@ _MEANING = {
     "classifier": {},
     "table": {"choices": jobs.TABLES},
     "ablation": {},
+    "elements": {},
     "--seed": {"type": int, "default": 0},
     "--restored": {"action": "store_true", "help": "on captures restored by NAFNet"},
     "--networks": {"action": "store_true", "help": "build every classifier once, without weights"},

@@ -83,6 +83,11 @@ def regimes(study: Study) -> VerdictsJob:
     return VerdictsJob(claims=tuple(claim for claim in found if claim.rivals), seeds=study.seeds)
 
 
+def over_imaging(study: Study, elements: str) -> Claim:
+    """The claim of `regimes` about the first task-driven lens of these elements."""
+    return next(claim for claim in regimes(study).claims if claim.lens.partition("-")[0] == elements)
+
+
 class AblationJob(Frozen):
     name: str
     base: str  # lens

@@ -63,6 +63,7 @@ STAGES = {
     report.ablation: ("ablation",),
     report.verify: (),
     report.figure: ("lens", "--seed"),
+    report.figure3: ("elements", "--seed"),
 }
 
 

@@ -1,8 +1,9 @@
 """A digest of the code that a stage executes: Snakemake reruns the jobs whose code changed, and no others.
 
-It covers the stage's function in `tasklens.stages` and every module of ours that the stage imports, directly or through
-others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.settings`,
-`tasklens.study`, `tasklens.jobs` and `tasklens.claims` are left out, since what a stage reads of them is its job slice.
+It covers the stage's function in `tasklens.stages`, the helpers there that it calls, and every module of ours that they
+import, directly or through others, as syntax trees without docstrings: an edited comment or docstring changes nothing.
+`tasklens.settings`, `tasklens.study`, `tasklens.jobs` and `tasklens.claims` are left out, since what a stage reads of
+them is its job slice.
 """
 
 import ast
@@ -60,12 +61,22 @@ def stage_modules(function: ast.AST) -> set[str]:
     return reached
 
 
+def _names(tree: ast.AST) -> set[str]:
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+
+
 @cache
 def code(stage: str) -> str:
     """Digest of the code behind the stage of this name."""
-    nodes = [node for module in STAGES for node in parse(module).body]
-    functions = {node.name: node for node in nodes if isinstance(node, ast.FunctionDef)}
+    functions, helpers = {}, []
+    for node in (node for module in STAGES for node in parse(module).body if isinstance(node, ast.FunctionDef)):
+        if node.name.startswith("_"):
+            helpers.append(node)
+        else:
+            functions[node.name] = node
     if stage not in functions:
         raise ValueError(f"unknown stage {stage!r}; expected one of {', '.join(functions)}")
-    trees = [functions[stage], *(parse(module) for module in sorted(stage_modules(functions[stage])))]
+    used = [node for node in helpers if node.name in _names(functions[stage])]
+    reached = stage_modules(ast.Module([functions[stage], *used], []))
+    trees = [functions[stage], *used, *(parse(module) for module in sorted(reached))]
     return hashlib.sha256("\n".join(ast.dump(tree) for tree in trees).encode()).hexdigest()[:16]

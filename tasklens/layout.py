@@ -74,6 +74,9 @@ class Layout:
     def figure(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/figures/{lens}-seed{seed}.png"
 
+    def figure3(self, elements: str, seed: int | str) -> str:
+        return f"{self.root}/figures/figure3-{elements}-seed{seed}.png"
+
 
 def restored(classifier: str) -> str:
     """Name of a classifier that sees restored captures."""

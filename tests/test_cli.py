@@ -132,6 +132,10 @@ def test_restoration_and_tables_and_figure(lenses):
     assert run("figure", "singlet-imaging1") == 0
     with open(LAYOUT.figure("singlet-imaging1", 0), "rb") as file:
         assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+    assert run("certificate", "singlet-imaging1") == 0
+    with open(LAYOUT.certificate("singlet-imaging1", 0)) as file:
+        page = file.read()
+    assert page.startswith("# singlet-imaging1, seed 0\n") and "## Who would make it?" in page
 
 
 def test_a_lens_from_outside_goes_the_same_way(lenses, capsys):

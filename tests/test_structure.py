@@ -129,7 +129,18 @@ def copy(tmp_path, monkeypatch):
 
 
 READ_PICTURES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
-STAGES = (*READ_PICTURES, "psf", "tail", "table", "psf_tail", "verdicts", "ablation", "figure", "certificate")
+STAGES = (
+    *READ_PICTURES,
+    "psf",
+    "tail",
+    "table",
+    "psf_tail",
+    "verdicts",
+    "ablation",
+    "figure",
+    "figure3",
+    "certificate",
+)
 
 
 @pytest.mark.parametrize(
@@ -151,14 +162,20 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
 @pytest.mark.parametrize(
     "path, old, new, touched",
     [
-        ("tasklens/optics/psf.py", "kernel // 2", "kernel // 3", {"design", "psf", "tail", "figure", "certificate"}),
+        (
+            "tasklens/optics/psf.py",
+            "kernel // 2",
+            "kernel // 3",
+            {"design", "psf", "tail", "figure", "figure3", "certificate"},
+        ),
         ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune", "reproduce"}),
         ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_PICTURES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
-        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation"}),
+        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation", "figure3"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
         ("tasklens/stages/measure.py", "grid.float()", "grid", {"psf"}),
-        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", {"verdicts", "ablation"}),
+        ("tasklens/stages/report.py", "Panel(lens,", "Panel(lens.upper(),", {"figure", "figure3"}),
+        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", {"verdicts", "ablation", "figure3"}),
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )

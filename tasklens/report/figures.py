@@ -1,5 +1,7 @@
-"""A picture of a lens: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
+"""Pictures of lenses: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -22,44 +24,62 @@ _COLOURS = ("tab:blue", "tab:green", "tab:red")
 _BY_WAVELENGTH = ("tab:red", "tab:green", "tab:blue")  # as in a specification: red, green, blue
 
 
-def draw(path: Path, title: str, lens: Lens, view: View, psf: Tensor, figures: dict) -> None:
-    """Write the picture of one lens.
+@dataclass(frozen=True)
+class Panel:
+    """What is shown of one lens.
 
-    Args:
+    Attributes:
+        title: above all else.
         lens: with finite clear apertures.
         view: fields, colours and pixels.
         psf: (F, 3, K, K) cached PSFs.
         figures: what the lens file says of it, for the captions.
     """
-    shape = plt.figure(figsize=(11, 9), layout="constrained")
-    grid = shape.add_gridspec(3, 6, height_ratios=(1.3, 1, 0.8))
-    _cross_section(shape.add_subplot(grid[0, :]), lens, view)
+
+    title: str
+    lens: Lens
+    view: View
+    psf: Tensor
+    figures: Mapping
+
+
+def draw(path: Path, panels: Sequence[Panel]) -> None:
+    """Write the picture of one lens, or of several side by side."""
+    whole = plt.figure(figsize=(11 * len(panels), 9), layout="constrained")
+    for part, panel in zip(whole.subfigures(1, len(panels), squeeze=False)[0], panels, strict=True):
+        _draw(part, panel)
+    with replacing(path) as temporary:
+        whole.savefig(temporary, dpi=110, format="png")
+    plt.close(whole)
+
+
+def _draw(part, panel: Panel) -> None:
+    lens, view, figures = panel.lens, panel.view, panel.figures
+    grid = part.add_gridspec(3, 6, height_ratios=(1.3, 1, 0.8))
+    _cross_section(part.add_subplot(grid[0, :]), lens, view)
     rays = trace_fields(lens, view, sobol_disc(1024, 0))
     spots = 1e3 * spot_diagram(rays, centroid(rays))[:, 1]
     fans = ray_fans(lens, view, 41)
+    half = view.kernel * view.pixel_pitch / 2
     for k, field in enumerate(_SHOWN):
-        axes = shape.add_subplot(grid[1, 2 * k])
+        axes = part.add_subplot(grid[1, 2 * k])
         axes.scatter(*spots[field].T, s=0.3, color=_COLOURS[k])
         axes.add_patch(Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.8))
-        half = view.kernel * view.pixel_pitch / 2
         axes.set(xlim=(-half, half), ylim=(half, -half), aspect="equal", xlabel="um")
         axes.set_title(f"RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9)
-        axes = shape.add_subplot(grid[1, 2 * k + 1])
-        shown = psf[field].permute(1, 2, 0)
+        axes = part.add_subplot(grid[1, 2 * k + 1])
+        shown = panel.psf[field].permute(1, 2, 0)
         axes.imshow((shown / shown.max()).sqrt().numpy())  # the square root shows the tail
         axes.set_title(f"inside {figures['energy_in_window'][field]:.2f}", fontsize=9)
         axes.set(xticks=[], yticks=[])
         for column, (errors, label) in enumerate(((fans.tangential[..., 1], "py"), (fans.sagittal[..., 0], "px"))):
-            axes = shape.add_subplot(grid[2, 2 * k + column])
+            axes = part.add_subplot(grid[2, 2 * k + column])
             for w, colour in enumerate(_BY_WAVELENGTH):
                 axes.plot(fans.pupil, 1e3 * errors[field, w], color=colour, lw=0.8)
             axes.set(xlim=(-1, 1), ylim=(-half, half), xlabel=label)
             axes.set_title(f"e{label[1]} [um]", fontsize=9)
             axes.grid(lw=0.3)
-    shape.suptitle(f"{title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}")
-    with replacing(path) as temporary:
-        shape.savefig(temporary, dpi=110, format="png")
-    plt.close(shape)
+    part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}")
 
 
 def _cross_section(axes, lens: Lens, view: View) -> None:

@@ -69,17 +69,32 @@ def certificate(study: Study, args: argparse.Namespace) -> None:
 
 def figure(study: Study, args: argparse.Namespace) -> None:
     """draw a lens: cross-section with rays, spot diagrams and PSFs"""
-    from tasklens.design.start import view
-    from tasklens.files import read_tensors
-    from tasklens.optics import prescription
     from tasklens.report import figures
 
     layout = Layout.of(study)
-    shown, content = prescription.read(Path(layout.lens(args.lens, args.seed)))
-    grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
-    spec = jobs.psf(study, args.lens).spec
-    path = Path(layout.figure(args.lens, args.seed))
-    figures.draw(path, args.lens, shown.lens, view(spec), grid, content["figures"])
+    figures.draw(Path(layout.figure(args.lens, args.seed)), [_panel(study, layout, args.lens, args.seed)])
+
+
+def figure3(study: Study, args: argparse.Namespace) -> None:
+    """draw the task-driven lens of some elements beside the best imaging lens of as many (the paper's figure 3)"""
+    from tasklens.report import figures, verdicts
+
+    layout = Layout.of(study)
+    claim = claims.over_imaging(study, args.elements)
+    lenses = (claim.lens, verdicts.opponent(claim, (args.seed,), layout))
+    panels = [_panel(study, layout, lens, args.seed) for lens in lenses]
+    figures.draw(Path(layout.figure3(args.elements, args.seed)), panels)
+
+
+def _panel(study: Study, layout: Layout, lens: str, seed: int):
+    from tasklens.design.start import view
+    from tasklens.files import read_tensors
+    from tasklens.optics import prescription
+    from tasklens.report.figures import Panel
+
+    shown, content = prescription.read(Path(layout.lens(lens, seed)))
+    grid = read_tensors(Path(layout.psf(lens, seed)))[0]["psf"]
+    return Panel(lens, shown.lens, view(jobs.psf(study, lens).spec), grid, content["figures"])
 
 
 def verify(study: Study, args: argparse.Namespace) -> int:

@@ -56,6 +56,17 @@ def varied(wildcards):
     return opposed(claims.ablation(study, wildcards.ablation).verdicts)
 
 
+def beside(wildcards):
+    """The task-driven lens of some elements and all its imaging rivals, with what the supervisor made of them."""
+    claim = claims.over_imaging(study, wildcards.elements)
+    lenses = (claim.lens, *claim.rivals)
+    return {
+        "lenses": [layout.lens(lens, wildcards.seed) for lens in lenses],
+        "psf": [layout.psf(lens, wildcards.seed) for lens in lenses],
+        "metrics": [layout.metrics(lens, wildcards.seed, claim.classifier) for lens in lenses],
+    }
+
+
 def measured(wildcards):
     """All lenses, and all that the tables show: metrics, and the pictures that were recognised."""
     pairs = [(lens, seed, classifier) for lens, classifier in VERIFIED.measured for seed in study.seeds]

@@ -100,3 +100,19 @@ rule figure:
         code=code("figure"),
     shell:
         "tasklens figure {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
+
+
+rule figure3_of:
+    input:
+        unpack(beside),
+    output:
+        layout.figure3("{elements}", "{seed}"),
+    log:
+        f"{layout.root}/logs/figure3/{{elements}}-seed{{seed}}.log",
+    threads: 1
+    params:
+        study=layout.study,
+        job=lambda wildcards: claims.over_imaging(study, wildcards.elements).model_dump_json(),
+        code=code("figure3"),
+    shell:
+        "tasklens figure3 {params.study} {wildcards.elements} --seed {wildcards.seed} 2> {log}"
