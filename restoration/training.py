@@ -14,8 +14,8 @@ from tasklens.recognition.training import shuffled
 from tasklens.settings import Restoration
 
 _JUDGED = 64  # minival pictures, each at every field
-_GAIN_DB = 0.05  # less than this over the best so far is a check without progress
-_HALVINGS = 4  # of the rate, each after a check without progress; one more and the training has converged
+_GAIN_DB = 0.1  # less than this over the best so far is a check without progress
+_QUARTERINGS = 2  # of the rate, each after a check without progress; the third such check says: converged
 
 
 def build(settings: Restoration) -> NAFNet:
@@ -30,7 +30,7 @@ def train(
 
     The loss is the negative PSNR of each image; AdamW with betas (0.9, 0.9) and gradients clipped at a norm of 0.01, as
     the authors of NAFNet train it. Every `settings.check` steps the mean PSNR over the minival at all fields is taken.
-    Where it has not gained 0.05 dB on the best before, the rate is halved; after the fifth such check the training has
+    Where it has not gained 0.1 dB on the best before, the rate is quartered; at the third such check the training has
     converged.
 
     Args:
@@ -50,7 +50,7 @@ def train(
     generator = torch.Generator().manual_seed(seed)
     network = build(settings)
     optimizer = torch.optim.AdamW(network.parameters(), lr=settings.rate, betas=(0.9, 0.9), weight_decay=0.0)
-    plateau = ReduceLROnPlateau(optimizer, "max", 0.5, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
+    plateau = ReduceLROnPlateau(optimizer, "max", 0.25, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
     progress = Progress("restoration", settings.steps)
     best, found = -torch.inf, {}
     for step, indices in enumerate(shuffled(len(pictures), settings.batch, settings.steps, generator), 1):
@@ -70,7 +70,7 @@ def train(
                 best, found = judged, copy.deepcopy(network.state_dict())
             rate = optimizer.param_groups[0]["lr"]
             plateau.step(judged)
-            converged = optimizer.param_groups[0]["lr"] < settings.rate / 2**_HALVINGS
+            converged = optimizer.param_groups[0]["lr"] < settings.rate / 4**_QUARTERINGS
             history.append({"step": step, "rate": rate, "psnr_db": judged, "converged": converged})
             if converged:
                 break

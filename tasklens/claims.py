@@ -62,6 +62,7 @@ def verdicts(study: Study) -> VerdictsJob:
             )
             for classifier in table.classifiers
             for text, lens, rivals in pairs
+            if {lens, *rivals} <= set(table.lenses)
         ]
     return VerdictsJob(claims=tuple(found), seeds=study.seeds)
 

@@ -137,12 +137,16 @@ def table(study: Study, name: str) -> TableJob:
     """Which lenses and classifiers stand in a table of the paper.
 
     Tables 1, 2 and 4 compare the task-driven with the imaging designs and the lenses from outside, table 3 with the
-    end-to-end designs. Table 2 is about all classifiers, the others about the supervisor.
+    end-to-end designs; table 4 those of the elements that are restored. Table 2 is about all classifiers, the others
+    about the supervisor.
     """
     methods = (Task, EndToEnd) if name == "table3" else (Task, Spot, LeastSquares, Outside)
+    shown = [lens for lens in study.lenses.values() if isinstance(lens.design, methods)]
+    if name == "table4" and study.restored is not None:
+        shown = [lens for lens in shown if lens.elements in study.restored]
     return TableJob(
         name=name,
-        lenses=tuple(key for key, lens in study.lenses.items() if isinstance(lens.design, methods)),
+        lenses=tuple(lens.name for lens in shown),
         classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
         seeds=study.seeds,
     )

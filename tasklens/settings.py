@@ -145,7 +145,7 @@ class Restoration(Frozen):
     middle: Count = 1
     decoder: tuple[Count, ...] = (1, 1, 1, 1)
     steps: Count  # at most: it ends where it has converged
-    check: Count = 100  # steps from one look at the minival to the next
+    check: Count = 200  # steps from one look at the minival to the next
     batch: Count = 32
     rate: Positive = 1e-3
 

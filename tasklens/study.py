@@ -80,6 +80,7 @@ class Study(Frozen):
     supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
     fine_tuning: Training
     restoration: Restoration
+    restored: tuple[Name, ...] | None = None  # elements whose captures are restored, table 4; null means all
     minutes: dict[Literal[STAGES], Annotated[float, Field(ge=0)]]  # measured per job of a stage: the forecast
 
     @field_validator("seeds")
@@ -138,6 +139,9 @@ class Study(Frozen):
         for name in self.specs:
             if name not in known:
                 raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
+        for name in self.restored or ():
+            if name not in known:
+                raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")
         for name, plastics in self.elements.items():
             materials = tuple(self.materials[plastic] for plastic in plastics)
             feasibility.check(name, materials, self.spec_of(name), self.constraints, self.images.size)

@@ -54,6 +54,7 @@ MISTAKES = [
     ("designs.end_to_end_from_flat.cold_start", {"stop_scale": 2}, ["stop_scale", "2"]),
     ("classifiers.small.training", None, ["pretrained", "weights", "training"]),
     ("classifiers.small.weights", 3, ["3"]),
+    ("restored", ["doublet"], ["doublet", "singlet"]),
     ("restoration.decoder", [1, 1], ["encoder", "decoder"]),
     ("constraints.distortion", -0.1, ["-0.1"]),
     ("minutes.design", -1, ["-1"]),
@@ -224,6 +225,7 @@ READERS = [
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "restored") or job[:2] == ("reproduce", "restored")),
+    ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",))),
     ("capture.outside", "renormalise",
      lambda job: job[0] in ("restore", "restored") or (job[0] == "fine_tune" and job[1] != SHARP)
      or (job[0] == "reproduce" and job[2] != SHARP) or (job[0] == "design" and job[1] in SUPERVISED)),

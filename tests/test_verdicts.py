@@ -8,13 +8,13 @@ import pytest
 import yaml
 from examples import changed, tiny_study
 
-from tasklens import claims
+from tasklens import claims, jobs
 from tasklens.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
 from tasklens.files import FileError
 from tasklens.layout import SHARP, Layout, restored
 from tasklens.report import regimes, verdicts
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
-from tasklens.study import parse
+from tasklens.study import dump, parse
 
 PICTURES, FIELDS = 200, 9
 DOUBLET = ["COC", "OKP4"]
@@ -91,6 +91,18 @@ def test_claims_of_each_table():
         (OVER_END_TO_END, "triplet-tasklens", "small"): ("triplet-end_to_end_from_imaging",),
         (FLAT_FAILS, "triplet-end_to_end_from_flat", "small"): (),
     }
+
+
+def test_claims_after_restoration_are_about_what_is_restored():
+    """Doublets alone, against doublets alone; the other tables keep theirs."""
+    study = study_of(1)
+    only = parse(yaml.safe_load(dump(study)) | {"restored": ["doublet"]})
+    assert {lens.partition("-")[0] for lens in jobs.table(only, "table4").lenses} == {"doublet"}
+    found, whole = claims.verdicts(only).claims, claims.verdicts(study).claims
+    assert [c for c in found if c.table != "table4"] == [c for c in whole if c.table != "table4"]
+    restored = [c for c in found if c.table == "table4"]
+    assert {c.text for c in restored} == {OVER_IMAGING1, OVER_STRONG}
+    assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.rivals)} == {"doublet"}
 
 
 def test_fewer_elements_are_judged_between_neighbours_in_the_study():
