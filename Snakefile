@@ -78,7 +78,7 @@ rule figures:
 rule figure3:
     input:
         [
-            layout.figure3(claim.lens.partition("-")[0], seed)
+            layout.comparison(claim.lens.partition("-")[0], seed)
             for claim in claims.regimes(study).claims
             for seed in study.seeds
         ],
@@ -134,7 +134,8 @@ onstart:
     networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
     if networks or study.outside:
         shell("tasklens check {layout.study} {networks} > /dev/null")
-    shown = [path for job in running for path in job.output if path.endswith(".md")]
+    shown = [path for job in running for path in job.output if path.startswith(f"{layout.root}/tables/")]
+    shown = [path for path in shown if path.endswith(".md")]
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
         shown = [path for path in shown if path != layout.table("verdicts", "md")]
     made.extend(sorted(shown))

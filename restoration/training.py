@@ -29,9 +29,9 @@ def train(
     """A NAFNet that restores captures of `camera`, each at a random field, to their sharp pictures.
 
     The loss is the negative PSNR of each image; AdamW with betas (0.9, 0.9) and gradients clipped at a norm of 0.01, as
-    the authors of NAFNet train it. Every `settings.check` steps the mean PSNR over the minival at all fields is taken.
-    Where it has not gained 0.1 dB on the best before, the rate is quartered; at the third such check the training has
-    converged.
+    the authors of NAFNet train it. Every `settings.check` steps the mean PSNR of 64 minival pictures at all fields is
+    taken. Where it is not 0.1 dB above the last check that was progress, the rate is quartered; at the third such check
+    the training has converged.
 
     Args:
         settings: network, rate, and the most steps.

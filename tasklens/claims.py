@@ -8,7 +8,7 @@ from itertools import pairwise
 from tasklens import jobs
 from tasklens.design_settings import EndToEnd, Task
 from tasklens.settings import Frozen
-from tasklens.study import Study
+from tasklens.study import Study, pick
 
 IMAGING1 = "imaging1"  # the paper's spot minimisation; the other imaging designs are its strong lenses
 
@@ -86,7 +86,8 @@ def regimes(study: Study) -> VerdictsJob:
 
 def over_imaging(study: Study, elements: str) -> Claim:
     """The claim of `regimes` about the first task-driven lens of these elements."""
-    return next(claim for claim in regimes(study).claims if claim.lens.partition("-")[0] == elements)
+    found = {claim.lens.partition("-")[0]: claim for claim in reversed(regimes(study).claims)}
+    return pick(found, elements, "name of elements with a task-driven and an imaging design:")
 
 
 class AblationJob(Frozen):
@@ -97,7 +98,7 @@ class AblationJob(Frozen):
 
 def ablation(study: Study, name: str) -> AblationJob:
     """Each variant of an ablation against the design that it varies, with the supervisor."""
-    chosen = study.ablations[name]
+    chosen = pick(study.ablations, name, "ablation")
     base, *variants = (f"{chosen.elements}-{design}" for design in chosen.names(name))
     found = tuple(
         Claim(

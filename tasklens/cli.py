@@ -63,7 +63,7 @@ STAGES = {
     report.ablation: ("ablation",),
     report.verify: (),
     report.figure: ("lens", "--seed"),
-    report.figure3: ("elements", "--seed"),
+    report.comparison: ("elements", "--seed"),
 }
 
 

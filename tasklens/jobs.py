@@ -100,7 +100,7 @@ def design(study: Study, lens: str, seed: int) -> DesignJob:
     chosen = study.lens(lens)
     supervised = isinstance(chosen.design, Task | EndToEnd)
     return DesignJob(
-        lens=chosen,
+        lens=chosen.model_copy(update={"capture": None}),  # what a design reads of it stands in `capture`
         spec=study.spec_of(chosen.elements),
         constraints=study.constraints,
         capture=(chosen.capture or study.capture) if supervised else None,

@@ -74,7 +74,7 @@ class Layout:
     def figure(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/figures/{lens}-seed{seed}.png"
 
-    def figure3(self, elements: str, seed: int | str) -> str:
+    def comparison(self, elements: str, seed: int | str) -> str:
         return f"{self.root}/figures/figure3-{elements}-seed{seed}.png"
 
 

@@ -48,6 +48,7 @@ STAGES = (
     "regimes",
     "ablation",
     "figure",
+    "comparison",
 )
 
 
@@ -129,9 +130,6 @@ class Study(Frozen):
     def _consistent(self):
         if self.supervisor not in self.classifiers:
             raise ValueError(f"supervisor: {self.supervisor!r} is not one of {', '.join(self.classifiers)}")
-        for name, design in self.designs.items():
-            if isinstance(design, EndToEnd) and design.start == "best_imaging" and not self.imaging_designs:
-                raise ValueError(f"designs.{name}.start: 'best_imaging' needs a design by spot or least_squares")
         for name in self.outside:
             if name in self.designs:
                 raise ValueError(f"outside.{name}: one of the designs is called {name} too; rename one")
@@ -147,6 +145,12 @@ class Study(Frozen):
             feasibility.check(name, materials, self.spec_of(name), self.constraints, self.images.size)
         for name in self.ablations:
             self._check_ablation(name)
+        for lens in (self.lenses | self.variants).values():
+            starts = lens.design.start if isinstance(lens.design, EndToEnd) else None
+            if starts == "best_imaging" and not self.imaging_designs:
+                raise ValueError(
+                    f"designs.{lens.design_name}.start: 'best_imaging' needs a design by spot or least_squares"
+                )
         if self.images.size % self.restoration.multiple:
             raise ValueError(
                 f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
@@ -164,13 +168,16 @@ class Study(Frozen):
                 lens = self._variant(name, variant)
             except ValidationError as error:
                 raise ValueError(f"ablations.{name}.variants.{variant}.{_problems(error)}") from None
-            if lens.design_name in self.designs:
-                raise ValueError(f"ablations.{name}: one of the designs is called {lens.design_name} too; rename one")
+            others = [*self.designs, *self.outside, *(n for key, a in self.ablations.items() for n in a.names(key)[1:])]
+            if others.count(lens.design_name) > 1:
+                raise ValueError(f"ablations.{name}: {lens.design_name} is the name of another design too; rename one")
 
     def _variant(self, name: str, variant: str) -> Lens:
         ablation = self.ablations[name]
         changes = dict(ablation.variants[variant])
         capture = changes.pop("capture", None)
+        if not isinstance(capture, dict | None):
+            raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {capture!r}")
         base = self._designed(ablation.elements, ablation.design)
         design_name = f"{ablation.design}_{name}_{variant}"
         return Lens(
@@ -223,18 +230,19 @@ class Study(Frozen):
 
     def lens(self, name: str) -> Lens:
         """The lens `name`; raises StudyError with the known names."""
-        return _pick(self.lenses | self.variants, name, "lens")
+        return pick(self.lenses | self.variants, name, "lens")
 
     def classifier(self, name: str) -> Classifier:
         """The classifier `name`; raises StudyError with the known names."""
-        return _pick(self.classifiers, name, "classifier")
+        return pick(self.classifiers, name, "classifier")
 
 
 def _problems(error: ValidationError) -> str:
     return "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
 
 
-def _pick(known: Mapping, name: str, kind: str):
+def pick(known: Mapping, name: str, kind: str):
+    """The entry `name` of `known`; raises StudyError with the known names."""
     if name not in known:
         raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(known)}")
     return known[name]

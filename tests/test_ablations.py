@@ -4,6 +4,7 @@ import pandas
 import pytest
 import yaml
 from examples import changed, tiny_study
+from test_study import slices
 from test_verdicts import results
 
 from tasklens import claims, jobs
@@ -43,6 +44,27 @@ def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
     assert jobs.design(study, "singlet-tasklens", 0).capture == study.capture != renormalised
 
 
+def test_an_ablation_changes_its_own_jobs_and_no_others():
+    """A new one adds jobs; another number of rays designs the variant anew."""
+    variant = "singlet-tasklens_mine_few"
+    before, after = slices(tiny_study()), slices(with_ablation(RAYS))
+    assert all(before[job] == after[job] for job in before)
+    assert all(variant in job or job == ("ablation", "mine") for job in after.keys() - before.keys())
+    rays = slices(with_ablation(RAYS | {"variants": {"few": {"rays": 9, "start": {"pixels": [1, 1]}}}}))
+    assert {job for job in after if after[job] != rays[job]} == {("design", variant)}
+
+
+def test_a_capture_that_a_design_does_not_see_redesigns_nothing():
+    spot = RAYS | {"design": "imaging1"}
+    veil, renormalised = (
+        slices(with_ablation(spot | {"variants": {"few": {"rays": 8, "capture": {"outside": outside}}}}))
+        for outside in ("veil", "renormalise")
+    )
+    changed = {job for job in veil if veil[job] != renormalised[job]}
+    assert ("fine_tune", "singlet-imaging1_mine_few", "small") in changed
+    assert not any(job[0] == "design" for job in changed)
+
+
 MISTAKES = [
     ("elements", "doublet", ["elements", "doublet", "singlet"]),
     ("design", "nothing", ["design", "nothing", "tasklens"]),
@@ -50,6 +72,7 @@ MISTAKES = [
     ("variants", {"few": {"rsys": 8}}, ["variants.few", "rsys", "not permitted"]),
     ("variants", {"few": {"rays": 0}}, ["variants.few", "rays", "greater than 0"]),
     ("variants", {"few": {"capture": {"outside": "ignore"}}}, ["variants.few", "outside", "veil"]),
+    ("variants", {"few": {"capture": "renormalise"}}, ["variants.few.capture", "renormalise", "keys and values"]),
 ]
 
 
@@ -64,6 +87,17 @@ def test_a_variant_that_is_called_like_a_design_is_refused():
     study = with_ablation(RAYS)
     with pytest.raises(StudyError, match=r"tasklens_mine_few.*rename"):
         parse(changed(study, "designs.tasklens_mine_few", study["designs"]["imaging1"]))
+
+
+def test_two_variants_of_one_name_are_refused():
+    twice = {"mine": RAYS | {"variants": {"a_b": {"rays": 8}}}, "mine_a": RAYS | {"variants": {"b": {"rays": 9}}}}
+    with pytest.raises(StudyError, match=r"tasklens_mine_a_b.*rename"):
+        parse(tiny_study() | {"ablations": twice})
+
+
+def test_an_unknown_ablation_is_named():
+    with pytest.raises(StudyError, match=r"ablation 'theirs'.*mine"):
+        claims.ablation(parse(with_ablation(RAYS)), "theirs")
 
 
 @pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, UNDECIDED)])

@@ -199,12 +199,12 @@ def slices(mapping: dict) -> dict[tuple, str]:
     study, found = parse(mapping), {("images",): jobs.images(parse(mapping))}
     for classifier in study.classifiers:
         found["reference", classifier] = jobs.reference(study, classifier)
-        for lens, seed in itertools.product([SHARP, *study.lenses], study.seeds):
+        for lens, seed in itertools.product([SHARP, *study.lenses, *study.variants], study.seeds):
             for restored in (False, True) if lens != SHARP else (False,):
                 key = "restored" if restored else "fine_tune", lens, classifier
                 found[key] = jobs.fine_tune(study, lens, classifier, seed, restored)
                 found["reproduce", *key] = jobs.reproduce(study, lens, classifier, restored)
-    for lens, seed in itertools.product(study.lenses, study.seeds):
+    for lens, seed in itertools.product([*study.lenses, *study.variants], study.seeds):
         found["design", lens] = jobs.design(study, lens, seed)
         found["psf", lens] = jobs.psf(study, lens)
         found["restore", lens] = jobs.restore(study, lens, seed)
@@ -212,6 +212,8 @@ def slices(mapping: dict) -> dict[tuple, str]:
         found["table", table] = jobs.table(study, table)
     found["psf_tail",] = jobs.psf_tail(study)
     found["verdicts",] = claims.verdicts(study)
+    for name in study.ablations:
+        found["ablation", name] = claims.ablation(study, name)
     return {key: job.model_dump_json() for key, job in found.items()}
 
 

@@ -80,7 +80,15 @@ def test_every_study_plans_its_jobs(tmp_path, path):
     verified = plan(tmp_path, path, "verify")
     assert verified["reproduce"] == verified["fine_tune"]
     assert verified["reproduce_restored"] == verified["fine_tune_restored"]
-    assert plan(tmp_path, path, "figures")["figure"] == len(study.lenses) * len(study.seeds)
+    every = len(study.lenses) * len(study.seeds)
+    assert plan(tmp_path, path, "figures")["figure"] == every
+    assert plan(tmp_path, path, "certificates")["certificate"] == every
+    assert plan(tmp_path, path, "figure3")["comparison"] == len(study.elements) * len(study.seeds)
+    if study.ablations:
+        compared = plan(tmp_path, path, "ablations")
+        bases = {(a.elements, a.design) for a in study.ablations.values()}
+        assert compared["ablation"] == len(study.ablations)
+        assert compared["psf"] == (len(study.variants) + len(bases)) * len(study.seeds)
 
 
 def test_single_values_change_the_default_study(tmp_path):

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.design.descent import Problem, loss_at_psf
-from tasklens.design.ray_space import RaySpace
+from tasklens.design.ray_space import Local, RaySpace
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design_settings import Task, Walk
 from tasklens.imaging import Camera
@@ -28,12 +28,12 @@ from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import shuffled
 
 _LEEWAY = 0.05  # by which a step may lengthen the shortfall of the limits [mm]; a longer one is halved
-_HALVINGS = 5
+_HALVINGS = 5  # at most
 _JUDGES = 64  # pictures that compare the walks
 
 
 def design(start: Lens, recogniser: nn.Module, problem: Problem, settings: Task, history: list[dict]) -> Lens:
-    """The lens at the end of the best walk from `start`; the classifier judges in `eval()` and is not changed.
+    """The lens at the end of the best walk from `start`; the classifier judges frozen and is not changed.
 
     Args:
         start: the lens to begin with.
@@ -65,7 +65,11 @@ def _judge(lens: Lens, recogniser: nn.Module, problem: Problem, settings: Task, 
     images, labels = problem.pictures.batch(judged)
     with torch.no_grad():
         captures = Camera(grid, problem.capture.outside, problem.capture.colour).grid(images)
-        loss = float(torch.stack([F.cross_entropy(recogniser(field), labels) for field in captures]).mean())
+        # Every batch holds all fields, as those of a walk do: it matters to batch norms by the batch.
+        seen, wanted = captures.transpose(0, 1).flatten(0, 1), labels.repeat_interleave(len(grid))
+        parts = zip(seen.split(settings.micro_batch), wanted.split(settings.micro_batch), strict=True)
+        loss = sum(float(F.cross_entropy(recogniser(part), label, reduction="sum")) for part, label in parts)
+        loss /= len(seen)
     return loss if math.isfinite(loss) else math.inf
 
 
@@ -83,8 +87,7 @@ def _walk(
     view, pictures = problem.view, problem.pictures
     space = RaySpace(start, view, problem.limits)
     vector = space.start
-    mean = change = torch.zeros_like(vector)
-    broken = math.inf
+    mean, finite, local = torch.zeros_like(vector), vector, space.about(vector)
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
     seed = int(torch.randint(2**31, (), generator=seeds))
     batches = shuffled(len(pictures), settings.images, walk.steps, torch.Generator().manual_seed(seed))
@@ -96,14 +99,6 @@ def _walk(
         stride = walk.stride * view.pixel_pitch * pixels
         if done > walk.duration:
             stride *= cosine((done - walk.duration) / (1 - walk.duration), walk.final)
-        local = space.about(vector)
-        for _ in range(_HALVINGS):
-            if local.broken <= broken + _LEEWAY:
-                break
-            change = change / 2
-            vector = vector - change
-            local = space.about(vector)
-        broken = local.broken
         leaf = vector.clone().requires_grad_()
         lens = space.lens(leaf)
         rays = trace_fields(lens, view, sobol_disc(settings.rays, seed + step))
@@ -119,6 +114,7 @@ def _walk(
             message = f"{label}: diverged at step {step}, loss per field {losses.tolist()}"
             print(message, file=sys.stderr, flush=True)
             history.append({"phase": f"{label}, diverged", "step": step})
+            vector = finite
             break
         inside = grid.detach().sum((-2, -1)).mean().item()
         progress(step, loss=losses.mean().item(), energy_in_window=inside)
@@ -126,6 +122,17 @@ def _walk(
             row = {"phase": label, "step": step, "loss": losses.mean().item(), "worst_field": losses.max().item()}
             rms = 1e3 * rms_spot_radius(rays, centroid(rays)).mean().item()
             row |= {"energy_in_window": inside, "rms_um": rms, "pixel_scale": pixels, "stride_um": stride}
-            history.append(row | {"shortfall": broken})
-        vector = vector + change
+            history.append(row | {"shortfall": local.broken})
+        finite = vector
+        vector, local = _advance(space, vector, change, local.broken)
     return space.lens(vector)
+
+
+def _advance(space: RaySpace, vector: Tensor, change: Tensor, broken: float) -> tuple[Tensor, Local]:
+    """The variables after `change`, and what is about them; after a part of it where it breaks limits far more."""
+    for halvings in range(_HALVINGS + 1):
+        moved = vector + change / 2**halvings
+        local = space.about(moved)
+        if local.broken <= broken + _LEEWAY:
+            break
+    return moved, local

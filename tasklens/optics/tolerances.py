@@ -17,7 +17,7 @@ from tasklens.optics.rays import Rays
 
 # Precision moulding of plastic lenses, apollooptical.com/manufacturing-tolerances: +- 0.5 % and +- 0.015 mm.
 RADIUS = 0.005  # of a radius of curvature, as a fraction
-THICKNESS = 0.015  # of a centre thickness or an air space [mm]
+THICKNESS = 0.015  # of a centre thickness [mm]; we take it for air spaces too
 
 
 def errors_by_part(lens: Lens, view: View, rays: int) -> tuple[float, dict[str, float]]:
@@ -56,10 +56,13 @@ def _changed(lens: Lens, name: str, surface: int, by: float) -> Lens:
 def _refocused(rays: Rays) -> Tensor:
     """sqrt of the least mean squared distance from the centroid of each field, over all planes across the axis [mm].
 
-    With points p + t q at the distance t from the image plane, the mean is a parabola in t.
+    Of the rays that arrive; infinite if none of a field does. With points p + t q at the distance t from the image
+    plane, the mean is a parabola in t.
     """
     weight = rays.valid.to(rays.x.dtype)
-    total = weight.sum((1, 2), keepdim=True).clamp(min=1)
+    total = weight.sum((1, 2), keepdim=True)
+    if not total.all():
+        return torch.tensor(torch.inf)
 
     def centred(v: Tensor) -> Tensor:
         v = torch.where(rays.valid, v, 0.0)

@@ -58,7 +58,8 @@ def frozen(recogniser: nn.Module, batch_norm: Literal["stored", "batch"] = "stor
 
     Args:
         batch_norm: by the stored statistics, batch norms are constant affine maps, which need not keep their inputs:
-            almost half of the memory of a ResNet. By those of the batch, they keep what they have stored, too.
+            almost half of the memory of a ResNet. By those of the batch, they are in `train()`, but keep what they have
+            stored, too.
     """
     copied = copy.deepcopy(recogniser).eval().requires_grad_(False)
     if batch_norm == "stored":

@@ -12,7 +12,8 @@ from tasklens.report.tables import lens_values, measured_values
 
 _NOTE = """\
 Study `{study}`. Difference: accuracy less that of `{base}` [points], with its 95 % interval over test pictures{seeds};
-with fewer than {least} seeds it is undecided, whatever its interval."""
+with fewer than {least} seeds it is undecided, whatever its interval. A variant of the capture is also measured with
+its capture."""
 
 
 def collect(job: AblationJob, layout: Layout) -> pandas.DataFrame:

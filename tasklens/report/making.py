@@ -21,7 +21,7 @@ def markdown(
     Args:
         margins: distance from each limit [mm, slopes and fractions without unit], negative where it is broken.
         shapes: of the surfaces.
-        nominal_um: RMS spot as designed [um].
+        nominal_um: RMS spot as designed and focused, root mean square over fields [um].
         errors_um: by how much each moulding error enlarges it, to be added as squares [um].
     """
     built_um = math.hypot(nominal_um, *errors_um.values())
@@ -45,9 +45,10 @@ def markdown(
     )
     sensitive = ", ".join(f"{part} ({errors_um[part]:.1f} um)" for part in worst)
     tolerances = (
-        f"Moulded to +- {100 * RADIUS:g} % in radius and +- {1e3 * THICKNESS:g} um in thickness and air (precision "
-        f"moulding, apollooptical.com/manufacturing-tolerances), and focused: the RMS spot grows from {nominal_um:.1f} "
-        f"to {built_um:.1f} um. Most sensitive: {sensitive}. Tilt and decentre come on top."
+        f"Moulded to +- {100 * RADIUS:g} % in radius and +- {1e3 * THICKNESS:g} um in thickness (precision moulding, "
+        "apollooptical.com/manufacturing-tolerances), and as much in air: the RMS spot, root mean square over fields "
+        f"and focused, grows from {nominal_um:.1f} to {built_um:.1f} um. Most sensitive: {sensitive}. Tilt and "
+        "decentre come on top."
     )
     parts = [
         "## Who would make it?",

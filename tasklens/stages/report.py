@@ -72,29 +72,30 @@ def figure(study: Study, args: argparse.Namespace) -> None:
     from tasklens.report import figures
 
     layout = Layout.of(study)
-    figures.draw(Path(layout.figure(args.lens, args.seed)), [_panel(study, layout, args.lens, args.seed)])
+    figures.draw(Path(layout.figure(args.lens, args.seed)), [_panel(layout, args.lens, args.seed)])
 
 
-def figure3(study: Study, args: argparse.Namespace) -> None:
+def comparison(study: Study, args: argparse.Namespace) -> None:
     """draw the task-driven lens of some elements beside the best imaging lens of as many (the paper's figure 3)"""
     from tasklens.report import figures, verdicts
 
     layout = Layout.of(study)
     claim = claims.over_imaging(study, args.elements)
     lenses = (claim.lens, verdicts.opponent(claim, (args.seed,), layout))
-    panels = [_panel(study, layout, lens, args.seed) for lens in lenses]
-    figures.draw(Path(layout.figure3(args.elements, args.seed)), panels)
+    panels = [_panel(layout, lens, args.seed) for lens in lenses]
+    figures.draw(Path(layout.comparison(args.elements, args.seed)), panels)
 
 
-def _panel(study: Study, layout: Layout, lens: str, seed: int):
-    from tasklens.design.start import view
+def _panel(layout: Layout, lens: str, seed: int):
     from tasklens.files import read_tensors
     from tasklens.optics import prescription
+    from tasklens.optics.datasheet import view_of
     from tasklens.report.figures import Panel
 
-    shown, content = prescription.read(Path(layout.lens(lens, seed)))
+    path = layout.lens(lens, seed)
+    shown, content = prescription.read(Path(path))
     grid = read_tensors(Path(layout.psf(lens, seed)))[0]["psf"]
-    return Panel(lens, shown.lens, view(jobs.psf(study, lens).spec), grid, content["figures"])
+    return Panel(lens, shown.lens, view_of(shown.lens, content, path), grid, content["figures"])
 
 
 def verify(study: Study, args: argparse.Namespace) -> int:

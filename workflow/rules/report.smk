@@ -96,23 +96,22 @@ rule figure:
     threads: 1
     params:
         study=layout.study,
-        job=lambda wildcards: jobs.psf(study, wildcards.lens).model_dump_json(),
         code=code("figure"),
     shell:
         "tasklens figure {params.study} {wildcards.lens} --seed {wildcards.seed} 2> {log}"
 
 
-rule figure3_of:
+rule comparison:
     input:
         unpack(beside),
     output:
-        layout.figure3("{elements}", "{seed}"),
+        layout.comparison("{elements}", "{seed}"),
     log:
-        f"{layout.root}/logs/figure3/{{elements}}-seed{{seed}}.log",
+        f"{layout.root}/logs/comparison/{{elements}}-seed{{seed}}.log",
     threads: 1
     params:
         study=layout.study,
         job=lambda wildcards: claims.over_imaging(study, wildcards.elements).model_dump_json(),
-        code=code("figure3"),
+        code=code("comparison"),
     shell:
-        "tasklens figure3 {params.study} {wildcards.elements} --seed {wildcards.seed} 2> {log}"
+        "tasklens comparison {params.study} {wildcards.elements} --seed {wildcards.seed} 2> {log}"
