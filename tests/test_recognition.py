@@ -418,6 +418,8 @@ def test_every_field_is_evaluated_on_every_picture():
         {"picture": 2, "label": "medium", "field0": 1, "field1": 0},
     ]
     assert [row["field"] for row in rows if row["metric"] == "psnr_db"] == [0, 1]
+    worst = [row["value"] for row in rows if row["metric"] == "worst_psnr_db"]  # the one brightest of 90
+    assert worst[1] == pytest.approx(float(expected[1]), abs=1e-3) and len(worst) == 2
 
 
 def test_restoration_stands_between_camera_and_classifier():
@@ -442,6 +444,34 @@ def test_training_sees_a_random_field_per_picture():
     assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
     counts = torch.bincount((10 * seen[0]).round().long(), minlength=5)[1:]
     assert counts.sum() == 400 and counts.min() > 60
+
+
+def test_the_worst_pictures_are_one_in_a_hundred():
+    """Of 250 pictures of as many greys, halved in brightness, the three brightest lose most."""
+    pictures = grey_pictures(list(range(1, 251)), [0] * 250)
+    rows, _ = evaluation.measure(
+        Brightness(), {"test": pictures, "minival": pictures}, evaluation.Sight(dimming([0.5]))
+    )
+    found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
+    lost = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
+    assert found == pytest.approx(float(lost.mean()), abs=1e-3)
+
+
+def test_batch_norms_of_a_frozen_network_by_the_batch():
+    """Captures of half the contrast give what the whole gives; nothing stored changes, and no weight has a gradient."""
+    recogniser = trained(0)
+    before = copy.deepcopy(recogniser.state_dict())
+    frozen = classifiers.frozen(recogniser, "batch")
+    images, _ = random_pictures(12, 16, 3, seed=1).batch(torch.arange(12))
+    images.requires_grad_()
+    whole, faint = frozen(images), frozen(0.5 * images + 0.25)
+    assert float((whole - faint).abs().max()) < 0.05 * float(whole.abs().max())
+    stored = classifiers.frozen(recogniser)
+    assert float((stored(images) - stored(0.5 * images + 0.25)).abs().max()) > 0.2 * float(whole.abs().max())
+    whole.sum().backward()
+    assert images.grad.abs().max() > 0 and all(p.grad is None for p in frozen.parameters())
+    state = frozen.state_dict()
+    assert all(torch.equal(v, before[k]) for k, v in state.items() if "num_batches" not in k)
 
 
 def test_evaluation_changes_nothing():

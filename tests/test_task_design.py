@@ -5,10 +5,11 @@ import math
 
 import pytest
 import torch
-from examples import random_pictures
+from examples import changed, random_pictures, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
 
-from tasklens.design import descent, spot, task
+from tasklens import jobs
+from tasklens.design import descent, least_squares, methods, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import RaySpace, within_limits
 from tasklens.design_settings import Rates, Spot, Task, Walk
@@ -17,6 +18,7 @@ from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.training import fit
 from tasklens.settings import Capture, Constraints, Training
+from tasklens.study import parse
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})
@@ -93,6 +95,22 @@ def test_a_lens_is_brought_back_within_its_limits(start):
     assert float((after - before).norm()) < 15
     kept = within_limits(mended, LOOKS, limits)
     assert torch.equal(kept.curvature, mended.curvature)
+
+
+@pytest.mark.parametrize("name", ["imaging1", "imaging2"])
+def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
+    """Whatever a method leaves a little broken, here an element 0.03 mm too thin."""
+    study = parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}))
+    job = jobs.design(study, f"doublet-{name}", 0)
+    lens = spot.design(start, LOOKS, LIMITS, Spot(method="spot", steps=200, rays=64, rates=FAST), 0, [])
+    margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
+    thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
+    job = job.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
+    monkeypatch.setattr(spot, "design", lambda *rest: lens)
+    monkeypatch.setattr(least_squares, "design", lambda *rest: lens)
+    _, notes = methods.design(job, None, None, {}, [])
+    assert notes["worst_margin"]["value"] > 0
+    assert methods.finished(lens, job, {})[1]["worst_margin"]["value"] < -0.02
 
 
 def test_a_step_far_outside_the_limits_is_taken_back(start, monkeypatch):
