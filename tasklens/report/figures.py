@@ -19,7 +19,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR
 from tasklens.optics.pupil import sobol_disc
 
-_SHOWN = (0, 4, 8)  # of the nine fields: axis, middle of the field, corner
+_SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
 _COLOURS = ("tab:blue", "tab:green", "tab:red")
 _BY_WAVELENGTH = ("tab:red", "tab:green", "tab:blue")  # as in a specification: red, green, blue
 
@@ -44,9 +44,9 @@ class Panel:
 
 
 def draw(path: Path, panels: Sequence[Panel]) -> None:
-    """Write the picture of one lens, or of several side by side."""
-    whole = plt.figure(figsize=(11 * len(panels), 9), layout="constrained")
-    for part, panel in zip(whole.subfigures(1, len(panels), squeeze=False)[0], panels, strict=True):
+    """Write the picture of one lens, or of several, one above the other."""
+    whole = plt.figure(figsize=(13, 6 * len(panels)), layout="constrained")
+    for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     with replacing(path) as temporary:
         whole.savefig(temporary, dpi=110, format="png")
@@ -55,25 +55,26 @@ def draw(path: Path, panels: Sequence[Panel]) -> None:
 
 def _draw(part, panel: Panel) -> None:
     lens, view, figures = panel.lens, panel.view, panel.figures
-    grid = part.add_gridspec(3, 6, height_ratios=(1.3, 1, 0.8))
-    _cross_section(part.add_subplot(grid[0, :]), lens, view)
+    grid = part.add_gridspec(3, 10)
+    _cross_section(part.add_subplot(grid[:, :4]), lens, view)
     rays = trace_fields(lens, view, sobol_disc(1024, 0))
     spots = 1e3 * spot_diagram(rays, centroid(rays))[:, 1]
     fans = ray_fans(lens, view, 41)
     half = view.kernel * view.pixel_pitch / 2
-    for k, field in enumerate(_SHOWN):
-        axes = part.add_subplot(grid[1, 2 * k])
+    for k, (field, name) in enumerate(_SHOWN.items()):
+        column = 4 + 2 * k
+        axes = part.add_subplot(grid[0, column : column + 2])
         axes.scatter(*spots[field].T, s=0.3, color=_COLOURS[k])
         axes.add_patch(Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.8))
         axes.set(xlim=(-half, half), ylim=(half, -half), aspect="equal", xlabel="um")
-        axes.set_title(f"RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9)
-        axes = part.add_subplot(grid[1, 2 * k + 1])
+        axes.set_title(f"{name}: RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9, color=_COLOURS[k])
+        axes = part.add_subplot(grid[1, column : column + 2])
         shown = panel.psf[field].permute(1, 2, 0)
         axes.imshow((shown / shown.max()).sqrt().numpy())  # the square root shows the tail
         axes.set_title(f"inside {figures['energy_in_window'][field]:.2f}", fontsize=9)
         axes.set(xticks=[], yticks=[])
-        for column, (errors, label) in enumerate(((fans.tangential[..., 1], "py"), (fans.sagittal[..., 0], "px"))):
-            axes = part.add_subplot(grid[2, 2 * k + column])
+        for i, (errors, label) in enumerate(((fans.tangential[..., 1], "py"), (fans.sagittal[..., 0], "px"))):
+            axes = part.add_subplot(grid[2, column + i])
             for w, colour in enumerate(_BY_WAVELENGTH):
                 axes.plot(fans.pupil, 1e3 * errors[field, w], color=colour, lw=0.8)
             axes.set(xlim=(-1, 1), ylim=(-half, half), xlabel=label)
