@@ -258,17 +258,23 @@ def test_recognised_pictures_are_kept(finished):
 
 
 def test_verify_fails_for_the_limits_that_short_designs_break_and_for_nothing_else(finished, capsys):
-    """Designs of 3 steps break limits: each broken one is named, exit status 1. All measurements come out again."""
+    """Designs of 3 steps break limits: each broken one is named, exit status 1; all measurements come out again.
+
+    End-to-end design from flat, which need not converge, has promised nothing.
+    """
     capsys.readouterr()
     assert verified("verify") == 1
     printed = capsys.readouterr().out
-    broken = set()
+    broken: dict[str, set] = {"failed": set(), "not promised": set()}
     for name in tiny_study()["designs"]:
         with open(VERIFIED.lens(f"singlet-{name}", 0)) as file:
             margins = yaml.safe_load(file)["margins"]
-        broken |= {f"failed: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6}
-    assert broken and {line.rpartition(": margin")[0] for line in failed(printed)} == broken
-    assert f"Checked 5 lenses and 9 measurements: {len(broken)} failures." in printed
+        said = "not promised" if name == "end_to_end_from_flat" else "failed"
+        broken[said] |= {f"{said}: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6}
+    lines = [line.rpartition(": margin")[0] for line in printed.splitlines()]
+    for said, expected in broken.items():
+        assert expected and {line for line in lines if line.startswith(f"{said}: ")} == expected
+    assert f"Checked 5 lenses and 9 measurements: {len(broken['failed'])} failures." in printed
     assert "Verdicts on the paper's claims" in printed and "fewer than five seeds" in printed
 
 
