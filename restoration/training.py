@@ -14,7 +14,7 @@ from tasklens.recognition.training import shuffled
 from tasklens.settings import Restoration
 
 _JUDGED = 64  # minival pictures, each at every field
-_GAIN_DB = 0.1  # less than this over the best so far is a check without progress
+_GAIN_DB = 0.1  # less than this above the last check with progress is none
 _QUARTERINGS = 2  # of the rate, each after a check without progress; the third such check says: converged
 
 

@@ -23,9 +23,9 @@ class Ablation(Frozen):
     design: Name
     variants: Annotated[dict[Name, dict[str, Any]], Field(min_length=1)]
 
-    def names(self, ablation: str) -> tuple[str, ...]:
-        """Names of the designs: the one that is varied, and its variants."""
-        return (self.design, *(f"{self.design}_{ablation}_{variant}" for variant in self.variants))
+    def name(self, ablation: str, variant: str) -> str:
+        """Name of the design that a variant is."""
+        return f"{self.design}_{ablation}_{variant}"
 
 
 def varied(design: Design, changes: Mapping[str, Any]) -> Design:

@@ -99,7 +99,8 @@ class AblationJob(Frozen):
 def ablation(study: Study, name: str) -> AblationJob:
     """Each variant of an ablation against the design that it varies, with the supervisor."""
     chosen = pick(study.ablations, name, "ablation")
-    base, *variants = (f"{chosen.elements}-{design}" for design in chosen.names(name))
+    base = f"{chosen.elements}-{chosen.design}"
+    variants = (f"{chosen.elements}-{chosen.name(name, variant)}" for variant in chosen.variants)
     found = tuple(
         Claim(
             table="ablation",

@@ -103,7 +103,7 @@ def design(study: Study, lens: str, seed: int) -> DesignJob:
         lens=chosen.model_copy(update={"capture": None}),  # what a design reads of it stands in `capture`
         spec=study.spec_of(chosen.elements),
         constraints=study.constraints,
-        capture=(chosen.capture or study.capture) if supervised else None,
+        capture=study.capture_of(lens) if supervised else None,
         classifier=study.classifier(study.supervisor) if supervised else None,
         rays=study.evaluation_rays,
         seed=seed,
@@ -122,15 +122,14 @@ def fine_tune(study: Study, lens: str, classifier: str, seed: int, restored: boo
         design="reference" if sharp else chosen.design_name,
         classifier=study.classifier(classifier),
         training=study.fine_tuning,
-        capture=None if sharp else chosen.capture or study.capture,
+        capture=None if sharp else study.capture_of(lens),
         restoration=study.restoration if restored else None,
         seed=seed,
     )
 
 
 def restore(study: Study, lens: str, seed: int) -> RestorationJob:
-    capture = study.lens(lens).capture or study.capture
-    return RestorationJob(restoration=study.restoration, capture=capture, seed=seed)
+    return RestorationJob(restoration=study.restoration, capture=study.capture_of(lens), seed=seed)
 
 
 def table(study: Study, name: str) -> TableJob:
@@ -155,7 +154,7 @@ def table(study: Study, name: str) -> TableJob:
 def reproduce(study: Study, lens: str, classifier: str, restored: bool) -> ReproductionJob:
     return ReproductionJob(
         classifier=study.classifier(classifier),
-        capture=None if lens == SHARP else study.lens(lens).capture or study.capture,
+        capture=None if lens == SHARP else study.capture_of(lens),
         restoration=study.restoration if restored else None,
     )
 

@@ -168,8 +168,9 @@ class Study(Frozen):
                 lens = self._variant(name, variant)
             except ValidationError as error:
                 raise ValueError(f"ablations.{name}.variants.{variant}.{_problems(error)}") from None
-            others = [*self.designs, *self.outside, *(n for key, a in self.ablations.items() for n in a.names(key)[1:])]
-            if others.count(lens.design_name) > 1:
+            named = [*self.designs, *self.outside]
+            named += [item.name(key, other) for key, item in self.ablations.items() for other in item.variants]
+            if named.count(lens.design_name) > 1:
                 raise ValueError(f"ablations.{name}: {lens.design_name} is the name of another design too; rename one")
 
     def _variant(self, name: str, variant: str) -> Lens:
@@ -179,7 +180,7 @@ class Study(Frozen):
         if not isinstance(capture, dict | None):
             raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {capture!r}")
         base = self._designed(ablation.elements, ablation.design)
-        design_name = f"{ablation.design}_{name}_{variant}"
+        design_name = ablation.name(name, variant)
         return Lens(
             name=f"{ablation.elements}-{design_name}",
             elements=ablation.elements,
@@ -196,6 +197,10 @@ class Study(Frozen):
             return Spec.model_validate(common | self.specs.get(elements, {}))
         except ValidationError as error:
             raise ValueError(f"specs.{elements}.{_problems(error)}") from None
+
+    def capture_of(self, lens: str) -> Capture:
+        """How pictures become captures of this lens: as in `capture`, unless an ablation changes it."""
+        return self.lens(lens).capture or self.capture
 
     @property
     def lenses(self) -> dict[str, Lens]:
