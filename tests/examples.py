@@ -1,10 +1,10 @@
-"""Lenses, rays and studies that several test files build on, and differences to check gradients against."""
+"""Lenses, rays, networks and studies that several test files build on, and differences to check gradients against."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from tasklens.design.start import view
 from tasklens.optics.analysis import View
@@ -13,7 +13,8 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR, Material, model_glass
 from tasklens.optics.rays import Rays, launch
 from tasklens.recognition.data import Pictures
-from tasklens.settings import Spec
+from tasklens.recognition.training import fit
+from tasklens.settings import Spec, Training
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -123,6 +124,21 @@ def random_pictures(count: int, size: int, classes: int, seed: int) -> Pictures:
     noise = torch.randint(0, 128, (count, 3, size, size), generator=generator)
     bright = labels[:, None, None, None] * (127 // max(1, classes - 1))
     return Pictures((noise + bright).byte(), labels, tuple(f"class{k}" for k in range(classes)))
+
+
+def small_network(seed: int) -> nn.Module:
+    """A network of one convolution for three classes, with a batch norm and dropout."""
+    torch.manual_seed(seed)
+    layers = nn.Conv2d(3, 8, 3, stride=2), nn.BatchNorm2d(8), nn.ReLU(), nn.AdaptiveAvgPool2d(1), nn.Flatten()
+    return nn.Sequential(*layers, nn.Dropout(0.1), nn.Linear(8, 3))
+
+
+def trained_network(seed: int, **settings) -> nn.Module:
+    """The small network after training on random pictures of three classes."""
+    network = small_network(0)
+    settings = Training(**({"epochs": 4, "rate": 1e-2, "batch": 10} | settings))
+    fit(network, random_pictures(60, 16, 3, seed=1), settings, seed, "test")
+    return network
 
 
 def tiny_study() -> dict:

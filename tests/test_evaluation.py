@@ -1,0 +1,114 @@
+"""What a classifier sees, and how well it recognises it."""
+
+import copy
+
+import pytest
+import torch
+from examples import random_pictures, trained_network
+from torch import nn
+
+from tasklens.imaging import Camera
+from tasklens.recognition import data, evaluation
+
+
+class Brightness(nn.Module):
+    """Sorts pictures into dark, medium and bright by their mean."""
+
+    def forward(self, images):
+        return -(images.mean((1, 2, 3))[:, None] - torch.tensor([0.1, 0.5, 0.9])).abs()
+
+
+def grey_pictures(values, labels) -> data.Pictures:
+    images = torch.tensor(values, dtype=torch.uint8)[:, None, None, None].expand(-1, 3, 16, 16).contiguous()
+    return data.Pictures(images, torch.tensor(labels), ("dark", "medium", "bright"))
+
+
+def test_evaluation_against_a_hand_count():
+    """Four of five grey pictures are sorted as labelled; without a camera there is one field and no error."""
+    pictures = grey_pictures([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
+    correct, quality = evaluation.evaluate(Brightness(), pictures, evaluation.Sight())
+    assert correct.tolist() == [[True, True, True, False, True]]
+    assert quality.shape == (1, 5)
+    rows, by_picture = evaluation.measure(
+        Brightness(), {"test": pictures, "minival": pictures.take(torch.tensor([3, 4]))}, evaluation.Sight()
+    )
+    assert [row["field0"] for row in by_picture] == [1, 1, 1, 0, 1]
+    found = {(row["field"], row["metric"]): row["value"] for row in rows}
+    assert found.pop((0, "accuracy")) == pytest.approx(80)
+    assert found.pop((0, "minival_accuracy")) == pytest.approx(50)
+    assert found.pop(("", "chance")) == pytest.approx(100 / 3)
+    assert found.pop(("", "parameters_m")) == 0
+    assert not found
+
+
+def dimming(factors) -> Camera:
+    """A camera whose fields scale the brightness: no lens does, but everything can be counted by hand."""
+    grid = torch.zeros(len(factors), 3, 3, 3)
+    grid[..., 1, 1] = torch.tensor(factors)[:, None]
+    camera = Camera(grid)
+    camera.veil.zero_()
+    return camera
+
+
+def test_every_field_is_evaluated_on_every_picture():
+    """Field 1 halves the light: 240 is taken for medium there, and 120 for dark."""
+    pictures = grey_pictures([10, 240, 120] * 30, [0, 2, 1] * 30)
+    correct, quality = evaluation.evaluate(Brightness(), pictures, evaluation.Sight(dimming([1.0, 0.5])))
+    assert correct.shape == quality.shape == (2, 90)
+    assert correct.double().mean(1).tolist() == pytest.approx([1, 1 / 3])
+    expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
+    torch.testing.assert_close(quality[1, :3], expected, rtol=0, atol=1e-3)
+    rows, by_picture = evaluation.measure(
+        Brightness(), {"test": pictures, "minival": pictures}, evaluation.Sight(dimming([1.0, 0.5]))
+    )
+    assert by_picture[:3] == [
+        {"picture": 0, "label": "dark", "field0": 1, "field1": 1},
+        {"picture": 1, "label": "bright", "field0": 1, "field1": 0},
+        {"picture": 2, "label": "medium", "field0": 1, "field1": 0},
+    ]
+    assert [row["field"] for row in rows if row["metric"] == "psnr_db"] == [0, 1]
+    worst = [row["value"] for row in rows if row["metric"] == "worst_psnr_db"]  # the one brightest of 90
+    assert worst[1] == pytest.approx(float(expected[1]), abs=1e-3) and len(worst) == 2
+
+
+def test_restoration_stands_between_camera_and_classifier():
+    """A restoration that doubles the light undoes a camera that halves it."""
+
+    class Double(nn.Module):
+        def forward(self, captures):
+            return 2 * captures
+
+    pictures = grey_pictures([10, 240, 120], [0, 2, 1])
+    sight = evaluation.Sight(dimming([0.5, 0.5]), Double())
+    correct, quality = evaluation.evaluate(Brightness(), pictures, sight)
+    assert correct.all() and (quality > 80).all()
+    seen = sight.one_field(pictures.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
+    torch.testing.assert_close(seen, pictures.images.float() / 255, rtol=0, atol=1e-6)
+
+
+def test_training_sees_a_random_field_per_picture():
+    """Over many pictures each field is seen about equally often, drawn by the generator alone."""
+    sight, images = evaluation.Sight(dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
+    seen = [sight.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
+    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
+    counts = torch.bincount((10 * seen[0]).round().long(), minlength=5)[1:]
+    assert counts.sum() == 400 and counts.min() > 60
+
+
+def test_the_worst_pictures_are_one_in_a_hundred():
+    """Of 250 pictures of as many greys, halved in brightness, the three brightest lose most."""
+    pictures = grey_pictures(list(range(1, 251)), [0] * 250)
+    rows, _ = evaluation.measure(
+        Brightness(), {"test": pictures, "minival": pictures}, evaluation.Sight(dimming([0.5]))
+    )
+    found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
+    lost = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
+    assert found == pytest.approx(float(lost.mean()), abs=1e-3)
+
+
+def test_evaluation_changes_nothing():
+    """Neither batch statistics nor weights move while a classifier is measured."""
+    network = trained_network(0)
+    before = copy.deepcopy(network.state_dict())
+    evaluation.evaluate(network, random_pictures(20, 16, 3, seed=2), evaluation.Sight())
+    assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())

@@ -1,0 +1,146 @@
+"""Splits of pictures, from the renderer and from folders of photographs."""
+
+import pytest
+import torch
+from examples import random_pictures
+from PIL import Image
+
+from tasklens.recognition import data
+from tasklens.settings import Images
+from tasklens.study import StudyError
+
+
+def as_set(pictures: data.Pictures) -> set[bytes]:
+    return {image.numpy().tobytes() for image in pictures.images}
+
+
+def test_splits_are_disjoint_and_deterministic():
+    """The minival is cut out of the training pictures; no picture stands in two splits."""
+    settings = Images(size=16, train=40, minival=15, test=55, seed=3)
+    splits, again = data.make(settings), data.make(settings)
+    assert {name: len(part) for name, part in splits.items()} == {"train": 40, "minival": 15, "test": 55}
+    seen = [as_set(part) for part in splits.values()]
+    assert len(set.union(*seen)) == sum(map(len, seen)) == 110
+    for name, part in splits.items():
+        assert torch.equal(part.images, again[name].images) and torch.equal(part.labels, again[name].labels)
+    other = data.make(settings.model_copy(update={"seed": 4}))
+    assert not as_set(splits["train"]) & as_set(other["train"])
+    assert not as_set(splits["test"]) & as_set(other["train"])
+
+
+def test_pictures_survive_their_file(tmp_path):
+    pictures = random_pictures(6, 16, 3, seed=0)
+    data.write(pictures, tmp_path / "train.safetensors")
+    found = data.read(tmp_path / "train.safetensors")
+    assert torch.equal(found.images, pictures.images) and torch.equal(found.labels, pictures.labels)
+    assert found.classes == pictures.classes
+
+
+def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
+    """Pictures of one grey per file: 10, 20, ... for cats, 110, 120, ... for dogs; tests are one brighter."""
+    for split, count in (("train", train), (test_name, test)):
+        for k, name in enumerate(classes):
+            (root / split / name).mkdir(parents=True)
+            for i in range(count):
+                value = 100 * k + 10 * (i + 1) + (split != "train")
+                Image.new("RGB", (20, 30), (value,) * 3).save(root / split / name / f"{i}.png")
+    return root
+
+
+def test_folder_of_photographs(tmp_path):
+    """train/ and val/ with a folder per class; every picture keeps its class, minival and train stay apart."""
+    splits = data.make(Images(size=16, minival=3, folder=make_folder(tmp_path)))
+    assert {name: len(part) for name, part in splits.items()} == {"train": 5, "minival": 3, "test": 4}
+    for name, part in splits.items():
+        assert part.classes == ("cat", "dog") and part.images.shape[1:] == (3, 16, 16)
+        greys = part.images[:, 0, 0, 0].long()
+        assert torch.equal((greys > 100).long(), part.labels), name
+        assert ((greys % 10 == 1) == (name == "test")).all()
+    assert not as_set(splits["train"]) & as_set(splits["minival"])
+
+
+def test_counts_limit_a_folder_evenly(tmp_path):
+    splits = data.make(Images(size=16, train=2, minival=2, test=2, folder=make_folder(tmp_path, test_name="test")))
+    assert torch.bincount(torch.cat([splits["train"].labels, splits["minival"].labels])).tolist() == [2, 2]
+    assert torch.bincount(splits["test"].labels).tolist() == [1, 1]
+
+
+@pytest.mark.parametrize(
+    "mode, colour", [("L", 77), ("RGBA", (77, 77, 77, 255)), ("P", 77), ("1", 1), ("CMYK", (0,) * 4)]
+)
+def test_any_kind_of_picture_becomes_rgb(tmp_path, mode, colour):
+    folder = make_folder(tmp_path)
+    picture = Image.new(mode, (24, 24), colour)
+    picture.save(folder / "train" / "cat" / ("more.jpg" if mode == "CMYK" else "more.png"))
+    expected = picture.convert("RGB").getpixel((0, 0))
+    splits = data.make(Images(size=16, minival=1, folder=folder))
+    images = torch.cat([splits["train"].images, splits["minival"].images])
+    assert images.shape == (9, 3, 16, 16)
+    assert (images == torch.tensor(expected)[:, None, None]).flatten(1).all(1).any()
+
+
+def test_sixteen_bits_are_scaled(tmp_path):
+    """Half of full scale stays half of full scale."""
+    folder = make_folder(tmp_path)
+    Image.new("I;16", (16, 16), 30000).save(folder / "val" / "cat" / "deep.png")
+    test = data.make(Images(size=16, minival=1, folder=folder))["test"]
+    assert (test.images.flatten(1).int() - 30000 * 255 // 65535).abs().max(1).values.min() <= 1
+
+
+def test_the_central_square_is_kept(tmp_path):
+    """A picture of 30 x 10 pixels with white ends becomes its black middle."""
+    folder = make_folder(tmp_path)
+    wide = Image.new("RGB", (60, 20), "white")
+    wide.paste((0, 0, 0), (15, 0, 45, 20))
+    wide.save(folder / "val" / "cat" / "wide.png")
+    test = data.make(Images(size=16, minival=1, folder=folder))["test"]
+    assert (test.images.flatten(1) == 0).all(1).sum() == 1
+
+
+def spoil_missing(folder):
+    for path in sorted((folder / "val").rglob("*"), reverse=True):
+        path.unlink() if path.is_file() else path.rmdir()
+    (folder / "val").rmdir()
+    return str(folder), "val"
+
+
+def spoil_empty(folder):
+    (folder / "train" / "axolotl").mkdir()
+    return (str(folder / "train" / "axolotl"),)
+
+
+def spoil_text(folder):
+    path = folder / "train" / "cat" / "text.png"
+    path.write_text("not a picture")
+    return (str(path),)
+
+
+def spoil_truncated(folder):
+    path = folder / "train" / "cat" / "cut.png"
+    noise = torch.randint(0, 256, (64, 64, 3), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    Image.fromarray(noise.numpy()).save(path)
+    path.write_bytes(path.read_bytes()[:3000])
+    return (str(path),)
+
+
+def spoil_classes(folder):
+    (folder / "val" / "dog").rename(folder / "val" / "wolf")
+    return str(folder), "dog", "wolf"
+
+
+@pytest.mark.parametrize("spoil", [spoil_missing, spoil_empty, spoil_text, spoil_truncated, spoil_classes])
+def test_a_bad_folder_is_named(tmp_path, spoil):
+    folder = make_folder(tmp_path)
+    words = spoil(folder)
+    with pytest.raises(StudyError) as error:
+        data.make(Images(size=16, minival=1, folder=folder))
+    assert all(word in str(error.value) for word in words)
+
+
+@pytest.mark.parametrize("folder, key", [("nowhere", "images.folder"), (None, "images.minival")])
+def test_a_folder_that_cannot_serve(tmp_path, folder, key):
+    """No such folder; or fewer pictures than the minival wants."""
+    path = tmp_path / folder if folder else make_folder(tmp_path)
+    with pytest.raises(StudyError) as error:
+        data.make(Images(size=16, minival=8, folder=path))
+    assert key in str(error.value)

@@ -1,0 +1,38 @@
+"""The rendered pictures of the built-in study."""
+
+import torch
+
+from tasklens.recognition import scenes
+
+
+def test_scenes_are_balanced_and_shuffled():
+    images, labels = scenes.render(53, 16, seed=1)
+    assert images.shape == (53, 3, 16, 16) and images.dtype == torch.uint8
+    counts = torch.bincount(labels, minlength=len(scenes.CLASSES))
+    assert counts.max() - counts.min() <= 1 and counts.sum() == 53
+    assert not torch.equal(labels, labels.sort().values)
+
+
+def test_scenes_depend_on_the_seed_only():
+    first, again, other = (scenes.render(20, 16, seed) for seed in (5, 5, 6))
+    assert torch.equal(first[0], again[0]) and torch.equal(first[1], again[1])
+    assert not torch.equal(first[0], other[0])
+
+
+def test_means_tell_nothing_about_the_class():
+    """Brightness and contrast have one distribution: class means differ by no more than chance, F(9, 590) < 3."""
+    images, labels = scenes.render(600, 32, seed=2)
+    values = images.float() / 255
+    for feature in (values.mean((1, 2, 3)), values.mean((2, 3))[:, 0], values.std((1, 2, 3))):
+        groups = [feature[labels == k] for k in range(len(scenes.CLASSES))]
+        between = sum(len(g) * (g.mean() - feature.mean()) ** 2 for g in groups) / (len(groups) - 1)
+        within = sum(((g - g.mean()) ** 2).sum() for g in groups) / (len(feature) - len(groups))
+        assert float(between / within) < 3
+
+
+def test_textures_cover_half_of_a_surface():
+    """Every class paints half of its surface light: the mean sign of its signed distance is near zero."""
+    u, v = 200 * torch.rand(2, 100_000, generator=torch.Generator().manual_seed(0))
+    for name, texture in scenes._TEXTURES.items():
+        if texture is not None:
+            assert abs(float((texture(u, v) > 0).float().mean()) - 0.5) < 0.01, name

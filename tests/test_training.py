@@ -1,0 +1,74 @@
+"""The training loop of classifiers."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+from examples import random_pictures, small_network, trained_network
+from torch import nn
+
+from tasklens.recognition import evaluation, training
+from tasklens.settings import Training
+
+
+def test_training_is_deterministic():
+    """One seed, one result to the last bit; another seed, another."""
+    first, again, other = (trained_network(seed).state_dict() for seed in (4, 4, 5))
+    assert all(torch.equal(first[k], again[k]) for k in first)
+    assert not torch.equal(first["0.weight"], other["0.weight"])
+
+
+def test_training_learns_and_ends_in_eval():
+    network = trained_network(0, epochs=20)
+    assert not network.training
+    correct, _ = evaluation.evaluate(network, random_pictures(60, 16, 3, seed=2), evaluation.Sight())
+    assert correct.double().mean() > 0.9
+
+
+def test_what_the_classifier_sees_is_what_it_learns_from():
+    """`see` gets the flipped pictures in [0, 1]; training on black pictures cannot learn."""
+    network, pictures = small_network(0), random_pictures(60, 16, 3, seed=1)
+    ranges = []
+
+    def see(images, generator):
+        ranges.append((float(images.min()), float(images.max())))
+        return 0 * images
+
+    training.fit(network, pictures, Training(epochs=20, rate=1e-2, batch=10), 0, "test", see)
+    assert len(ranges) == 120 and all(0 <= low < high <= 1 for low, high in ranges)
+    correct, _ = evaluation.evaluate(network, pictures, evaluation.Sight())
+    assert correct.double().mean() < 0.5
+
+
+def test_a_loss_that_is_not_finite_ends_the_training():
+    with pytest.raises(FloatingPointError, match="step 1 of"):
+        network = small_network(0)
+        nn.init.constant_(network[-1].bias, float("nan"))
+        training.fit(network, random_pictures(60, 16, 3, seed=1), Training(epochs=1, rate=1e-2), 0, "test")
+
+
+def test_weight_decay_spares_vectors():
+    groups = training.parameter_groups(small_network(0), 0.05)
+    decay = {p.ndim > 1: group["weight_decay"] for group in groups for p in group["params"]}
+    assert decay == {True: 0.05, False: 0.0}
+    assert sum(len(group["params"]) for group in groups) == len(list(small_network(0).parameters()))
+
+
+def test_rate_rises_linearly_and_falls_on_a_cosine():
+    optimizer = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=1.0)
+    schedule, rates = training.warmup_cosine(optimizer, 100, 0.1), []
+    for _ in range(100):
+        rates.append(optimizer.param_groups[0]["lr"])
+        optimizer.step()
+        schedule.step()
+    assert rates[:10] == pytest.approx([k / 11 for k in range(1, 11)])
+    assert rates[10] == max(rates) == pytest.approx(1)
+    assert rates[55] == pytest.approx(0.5) and 0 < rates[-1] < 1e-3
+    assert all(a > b for a, b in pairwise(rates[10:]))
+
+
+def test_every_picture_is_used_before_any_repeats():
+    batches = list(training.shuffled(10, 4, 5, torch.Generator().manual_seed(0)))
+    assert [len(b) for b in batches] == [4] * 5
+    assert torch.cat(batches)[:10].sort().values.tolist() == torch.cat(batches)[10:].sort().values.tolist()
+    assert torch.cat(batches)[:10].sort().values.tolist() == list(range(10))
