@@ -5,19 +5,20 @@ import math
 
 import pytest
 import torch
-from examples import changed, random_pictures, tiny_study
+from examples import changed, materials, random_pictures, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
 
 from tasklens import jobs
 from tasklens.design import descent, least_squares, methods, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import RaySpace, within_limits
+from tasklens.design.start import flat
 from tasklens.design_settings import Rates, Spot, Task, Walk
 from tasklens.optics.analysis import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.training import fit
-from tasklens.settings import Capture, Constraints, Training
+from tasklens.settings import Capture, Constraints, Spec, Training
 from tasklens.study import parse
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
@@ -113,13 +114,14 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
     assert methods.finished(lens, job, {})[1]["worst_margin"]["value"] < -0.02
 
 
-def test_a_step_far_outside_the_limits_is_taken_back(start, monkeypatch):
+def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
     """By halves: far steps then break limits a little, which else would leave the lens without a meaning."""
+    plates = flat(materials("COC", "OKP4"), Spec(kernel=11), LIMITS)
     far = Walk(steps=12, pixels=(20, 20), stride=5.0)
     still = Walk(steps=1, pixels=(20, 20), stride=1e-9)
 
     def longest() -> float:
-        _, history = walked(small_network(), start, starts=1, start=far, refine=still)
+        _, history = walked(small_network(), plates, starts=1, start=far, refine=still)
         return max(row["shortfall"] for row in history[1:] if row["phase"] == "start 1 of 1")
 
     with_halving = longest()

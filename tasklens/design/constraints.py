@@ -14,7 +14,7 @@ from tasklens.optics.materials import AIR
 from tasklens.optics.paraxial import paraxial
 from tasklens.settings import Constraints
 
-_HEIGHTS = torch.linspace(0, 1, 9, dtype=torch.float64)  # parts of the semi-diameter at which limits are checked
+_HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # parts of the semi-diameter at which limits are checked
 _BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty ends with the limit kept
 
 

@@ -16,7 +16,6 @@ from tasklens.settings import Constraints
 
 HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as parts of the largest: near the nine
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
-_MARGINAL = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0))  # of the pupil: they tell how much of a surface light uses
 _MORE = 1.01  # and a little more
 _LOST = 300.0  # residual of a lost ray [um]
 SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
@@ -26,6 +25,9 @@ class Merit:
     """Residuals [um] of a lens: two per ray, weighted so that their sum of squares is the mean squared spot radius.
 
     The stop of the lenses stands in front of them: rays then start alike, whatever the lens.
+
+    Args:
+        rim: marginal rays from the top of the pupil to its bottom: they tell how much of a surface light uses.
     """
 
     def __init__(
@@ -36,13 +38,15 @@ class Merit:
         corner_weight: float = 1.0,
         max_chief_ray_angle_deg: float | None = None,
         per_mm: float = SHORTFALL,
+        rim: int = 3,
     ):
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
         self.view, self.limits = replace(view, fields=fields), limits
         self.reference, self.max_chief_ray_angle_deg = reference, max_chief_ray_angle_deg
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
-        marginal = torch.tensor(_MARGINAL, dtype=torch.float64)
+        azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
+        marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
         self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last of each bundle: a chief ray
         self.middle = len(view.wavelengths) // 2
         field = corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`

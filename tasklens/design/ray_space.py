@@ -27,6 +27,7 @@ from tasklens.settings import Constraints
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
 _SCALED = 3.0  # ray displacement [um] that costs as much as a small change, or the stride where that is longer
 _LIMITS = 1000.0  # w [1/mm^2]
+_RIM = 17  # marginal rays: a classifier bends the rim, and with 3 lost limits where none of them went
 _MENDING = 2.0  # stride of the steps that bring a lens back within its limits [um]
 _MENDS = 20  # of them at most
 
@@ -75,7 +76,7 @@ class RaySpace:
 
     def __init__(self, lens: Lens, view: View, limits: Constraints):
         self.variables = Variables.stepped(lens, view, Rates())
-        self.merit = Merit(view, limits)
+        self.merit = Merit(view, limits, rim=_RIM)
         values = self.variables.values()
         self.names = list(values)
         self.start = torch.cat(list(values.values()))
