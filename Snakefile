@@ -9,7 +9,7 @@ from snakemake.utils import min_version
 
 from tasklens import claims, files, jobs
 from tasklens import study as studies
-from tasklens.digest import code
+from tasklens.digest import code, of_folder
 from tasklens.layout import PAPER, SHARP, Layout, restored
 from tasklens.design_settings import Outside
 

@@ -8,6 +8,14 @@ from tasklens import jobs
 from tasklens.layout import SHARP
 from tasklens.study import load
 
+
+def _count(text: str) -> int:
+    """A whole number above zero."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above zero, got {text!r}")
+    return int(text)
+
+
 _MEANING = {
     "lens": {"help": f"name of a lens; {SHARP} for the pictures themselves, where a classifier follows"},
     "classifier": {},
@@ -15,6 +23,7 @@ _MEANING = {
     "ablation": {},
     "elements": {},
     "--seed": {"type": int, "default": 0},
+    "--threads": {"type": _count, "default": 1, "help": "that decode photographs at once"},
     "--restored": {"action": "store_true", "help": "on captures restored by NAFNet"},
     "--networks": {"action": "store_true", "help": "build every classifier once, without weights"},
     "--partial": {"action": "store_true", "help": "of what has been measured, as <table>-partial"},
@@ -36,10 +45,3 @@ def parser(purpose: str, stages: Mapping[Callable, tuple[str, ...]], analyse: Ca
     command.add_argument("--rays", type=_count, default=4096, help="per field and colour")
     command.set_defaults(run=analyse)
     return top
-
-
-def _count(text: str) -> int:
-    """A whole number above zero."""
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a number of rays, got {text!r}")
-    return int(text)

@@ -47,7 +47,7 @@ def check(study: Study, args: argparse.Namespace) -> None:
 
 STAGES = {
     check: ("--networks",),
-    measure.images: (),
+    measure.images: ("--threads",),
     measure.reference: ("classifier",),
     measure.design: ("lens", "--seed"),
     measure.psf: ("lens", "--seed"),

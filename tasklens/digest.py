@@ -1,13 +1,14 @@
-"""A digest of the code that a stage executes: Snakemake reruns the jobs whose code changed, and no others.
+"""Digests of what a job depends on beside its files: the code of its stage, and a folder of photographs.
 
-It covers the stage's function in `tasklens.stages`, the helpers there that it calls, and every module of ours that they
-import, directly or through others, as syntax trees without docstrings: an edited comment or docstring changes nothing.
-`tasklens.settings`, `tasklens.study`, `tasklens.jobs` and `tasklens.claims` are left out, since what a stage reads of
-them is its job slice.
+Snakemake reruns the jobs whose digest changed, and no others. That of the code covers the stage's function in
+`tasklens.stages`, the helpers there that it calls, and every module of ours that they import, directly or through
+others, as syntax trees without docstrings: an edited comment or docstring changes nothing. `tasklens.settings`,
+`tasklens.study`, `tasklens.jobs` and `tasklens.claims` are left out, since what a stage reads of them is its job slice.
 """
 
 import ast
 import hashlib
+import os
 from functools import cache
 from pathlib import Path
 
@@ -80,3 +81,15 @@ def code(stage: str) -> str:
     reached = stage_modules(ast.Module([functions[stage], *used], []))
     trees = [functions[stage], *used, *(parse(module) for module in sorted(reached))]
     return hashlib.sha256("\n".join(ast.dump(tree) for tree in trees).encode()).hexdigest()[:16]
+
+
+def of_folder(folder: Path) -> str:
+    """Digest of the names, sizes and times of change of all files below a folder; of an absent one, too."""
+    entries = []
+    for root, folders, files in os.walk(folder):
+        folders.sort()
+        for name in sorted(files):
+            path = os.path.join(root, name)
+            status = os.stat(path)
+            entries.append(f"{os.path.relpath(path, folder)} {status.st_size} {status.st_mtime_ns}")
+    return hashlib.sha256("\n".join(entries).encode()).hexdigest()[:16]

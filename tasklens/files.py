@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -53,6 +54,52 @@ def write_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> None:
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
         save_file(contiguous, temporary, {"json": json.dumps(metadata)})
+
+
+_DTYPES = {"uint8": "U8", "int64": "I64"}  # as safetensors calls them
+
+
+@contextmanager
+def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator[dict]:
+    """The tensors of a safetensors file that is being written, mapped: for more than fits into memory.
+
+    Args:
+        tensors: (by name) int64 or uint8, the former first, so that all are aligned; those on the device `meta` have a
+            shape, and the block has to fill them in.
+
+    Raises:
+        FileError: the disk has no room for the file; before the block.
+
+    Source: the format, in the README of safetensors 0.4.
+    """
+    import numpy
+    import torch
+
+    header: dict = {"__metadata__": {"json": json.dumps(metadata)}}
+    end = 0
+    for name, tensor in tensors.items():
+        begin, end = end, end + tensor.nbytes
+        dtype = _DTYPES[str(tensor.dtype).removeprefix("torch.")]
+        header[name] = {"dtype": dtype, "shape": list(tensor.shape), "data_offsets": [begin, end]}
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    with replacing(path) as temporary:
+        with open(temporary, "wb") as file:
+            file.write(len(text).to_bytes(8, "little") + text)
+            free = shutil.disk_usage(temporary.parent).free  # a mapped file that finds no room kills the job instead
+            if free < end:
+                raise FileError(f"{path}: needs {end / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
+            file.truncate(file.tell() + end)
+        raw = numpy.memmap(temporary, numpy.uint8, "r+", offset=8 + len(text)) if end else numpy.empty(0, numpy.uint8)
+        mapped = {}
+        for name, tensor in tensors.items():
+            part = torch.from_numpy(raw[slice(*header[name]["data_offsets"])])
+            mapped[name] = part.view(tensor.dtype).view(tensor.shape)
+            if not tensor.is_meta:
+                mapped[name].copy_(tensor)
+        yield mapped
+        if end:
+            raw.flush()
 
 
 def read_tensors(path: Path) -> tuple[dict, dict]:

@@ -5,25 +5,34 @@ import torch
 from examples import random_pictures
 from PIL import Image
 
+from tasklens import files
+from tasklens.digest import of_folder
+from tasklens.files import FileError, read_tensors
 from tasklens.recognition import data
 from tasklens.settings import Images
-from tasklens.study import StudyError
+
+
+def made(folder, images: Images, threads: int = 1) -> dict[str, data.Pictures]:
+    """The splits, by way of their files in `folder`."""
+    paths = {split: folder / f"{split}.safetensors" for split in data.SPLITS}
+    data.make(images, paths, threads)
+    return {split: data.read(path) for split, path in paths.items()}
 
 
 def as_set(pictures: data.Pictures) -> set[bytes]:
     return {image.numpy().tobytes() for image in pictures.images}
 
 
-def test_splits_are_disjoint_and_deterministic():
+def test_splits_are_disjoint_and_deterministic(tmp_path):
     """The minival is cut out of the training pictures; no picture stands in two splits."""
     settings = Images(size=16, train=40, minival=15, test=55, seed=3)
-    splits, again = data.make(settings), data.make(settings)
+    splits, again = (made(tmp_path / name, settings) for name in ("first", "again"))
     assert {name: len(part) for name, part in splits.items()} == {"train": 40, "minival": 15, "test": 55}
     seen = [as_set(part) for part in splits.values()]
     assert len(set.union(*seen)) == sum(map(len, seen)) == 110
     for name, part in splits.items():
         assert torch.equal(part.images, again[name].images) and torch.equal(part.labels, again[name].labels)
-    other = data.make(settings.model_copy(update={"seed": 4}))
+    other = made(tmp_path / "other", settings.model_copy(update={"seed": 4}))
     assert not as_set(splits["train"]) & as_set(other["train"])
     assert not as_set(splits["test"]) & as_set(other["train"])
 
@@ -49,7 +58,7 @@ def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
 
 def test_folder_of_photographs(tmp_path):
     """train/ and val/ with a folder per class; every picture keeps its class, minival and train stay apart."""
-    splits = data.make(Images(size=16, minival=3, folder=make_folder(tmp_path)))
+    splits = made(tmp_path, Images(size=16, minival=3, folder=make_folder(tmp_path)))
     assert {name: len(part) for name, part in splits.items()} == {"train": 5, "minival": 3, "test": 4}
     for name, part in splits.items():
         assert part.classes == ("cat", "dog") and part.images.shape[1:] == (3, 16, 16)
@@ -60,7 +69,7 @@ def test_folder_of_photographs(tmp_path):
 
 
 def test_counts_limit_a_folder_evenly(tmp_path):
-    splits = data.make(Images(size=16, train=2, minival=2, test=2, folder=make_folder(tmp_path, test_name="test")))
+    splits = made(tmp_path, Images(size=16, train=2, minival=2, test=2, folder=make_folder(tmp_path, test_name="test")))
     assert torch.bincount(torch.cat([splits["train"].labels, splits["minival"].labels])).tolist() == [2, 2]
     assert torch.bincount(splits["test"].labels).tolist() == [1, 1]
 
@@ -73,7 +82,7 @@ def test_any_kind_of_picture_becomes_rgb(tmp_path, mode, colour):
     picture = Image.new(mode, (24, 24), colour)
     picture.save(folder / "train" / "cat" / ("more.jpg" if mode == "CMYK" else "more.png"))
     expected = picture.convert("RGB").getpixel((0, 0))
-    splits = data.make(Images(size=16, minival=1, folder=folder))
+    splits = made(tmp_path, Images(size=16, minival=1, folder=folder))
     images = torch.cat([splits["train"].images, splits["minival"].images])
     assert images.shape == (9, 3, 16, 16)
     assert (images == torch.tensor(expected)[:, None, None]).flatten(1).all(1).any()
@@ -83,7 +92,7 @@ def test_sixteen_bits_are_scaled(tmp_path):
     """Half of full scale stays half of full scale."""
     folder = make_folder(tmp_path)
     Image.new("I;16", (16, 16), 30000).save(folder / "val" / "cat" / "deep.png")
-    test = data.make(Images(size=16, minival=1, folder=folder))["test"]
+    test = made(tmp_path, Images(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1).int() - 30000 * 255 // 65535).abs().max(1).values.min() <= 1
 
 
@@ -93,8 +102,54 @@ def test_the_central_square_is_kept(tmp_path):
     wide = Image.new("RGB", (60, 20), "white")
     wide.paste((0, 0, 0), (15, 0, 45, 20))
     wide.save(folder / "val" / "cat" / "wide.png")
-    test = data.make(Images(size=16, minival=1, folder=folder))["test"]
+    test = made(tmp_path, Images(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1) == 0).all(1).sum() == 1
+
+
+def test_a_turned_camera_is_turned_back(tmp_path):
+    """EXIF orientation 6: stored lying on its side, white part left; shown with the white part on top."""
+    folder = make_folder(tmp_path)
+    lying = Image.new("RGB", (32, 32))
+    lying.paste((255, 255, 255), (0, 0, 16, 32))
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    lying.save(folder / "val" / "cat" / "turned.png", exif=exif)
+    test = made(tmp_path, Images(size=32, minival=1, folder=folder))["test"]
+    bright = test.images[test.images.flatten(1).float().std(1).argmax()]
+    assert (bright[:, :15] == 255).all() and (bright[:, 17:] == 0).all()
+
+
+def test_threads_change_nothing(tmp_path):
+    settings = Images(size=16, minival=3, folder=make_folder(tmp_path, train=150))
+    one, four = (made(tmp_path / str(threads), settings, threads) for threads in (1, 4))
+    for split, pictures in one.items():
+        assert torch.equal(pictures.images, four[split].images) and torch.equal(pictures.labels, four[split].labels)
+
+
+def test_a_folder_is_known_by_its_digest(tmp_path):
+    """It stands in the files; a picture renamed, removed or changed makes another."""
+    folder = make_folder(tmp_path / "pictures")
+    made(tmp_path, Images(size=16, minival=1, folder=folder))
+    first = of_folder(folder)
+    assert read_tensors(tmp_path / "test.safetensors")[1]["source"] == first == of_folder(folder)
+    found = {first}
+    picture = folder / "val" / "cat" / "1.png"
+    picture.rename(folder / "val" / "cat" / "2.png")
+    found.add(of_folder(folder))
+    (folder / "val" / "cat" / "2.png").unlink()
+    found.add(of_folder(folder))
+    Image.new("RGB", (64, 64)).save(folder / "val" / "dog" / "0.png")
+    found.add(of_folder(folder))
+    assert len(found) == 4 and of_folder(tmp_path / "nowhere") not in found
+
+
+def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
+    folder = make_folder(tmp_path)
+    monkeypatch.setattr(files.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000}))
+    monkeypatch.setattr(data.folders, "read", lambda *rest: pytest.fail("a picture was decoded"))
+    with pytest.raises(FileError, match=r"train\.safetensors: needs 0\.0 MB"):
+        made(tmp_path / "out", Images(size=16, minival=1, folder=folder))
+    assert not list((tmp_path / "out").iterdir())
 
 
 def spoil_missing(folder):
@@ -132,8 +187,9 @@ def spoil_classes(folder):
 def test_a_bad_folder_is_named(tmp_path, spoil):
     folder = make_folder(tmp_path)
     words = spoil(folder)
-    with pytest.raises(StudyError) as error:
-        data.make(Images(size=16, minival=1, folder=folder))
+    with pytest.raises(FileError) as error:
+        made(tmp_path / "out", Images(size=16, minival=1, folder=folder))
+    assert not list(tmp_path.glob("out/*"))
     assert all(word in str(error.value) for word in words)
 
 
@@ -141,6 +197,6 @@ def test_a_bad_folder_is_named(tmp_path, spoil):
 def test_a_folder_that_cannot_serve(tmp_path, folder, key):
     """No such folder; or fewer pictures than the minival wants."""
     path = tmp_path / folder if folder else make_folder(tmp_path)
-    with pytest.raises(StudyError) as error:
-        data.make(Images(size=16, minival=8, folder=path))
+    with pytest.raises(FileError) as error:
+        made(tmp_path, Images(size=16, minival=8, folder=path))
     assert key in str(error.value)

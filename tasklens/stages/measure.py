@@ -16,9 +16,10 @@ def images(study: Study, args: argparse.Namespace) -> None:
     """render or read the pictures and cut them into train, minival and test"""
     from tasklens.recognition import data
 
-    layout = Layout.of(study)
-    for split, pictures in data.make(jobs.images(study)).items():
-        data.write(pictures, Path(layout.images(split)))
+    paths = {split: Path(Layout.of(study).images(split)) for split in data.SPLITS}
+    data.make(jobs.images(study), paths, args.threads)
+    for split, path in paths.items():
+        pictures = data.read(path)
         print(f"{split}: {len(pictures)} pictures of {len(pictures.classes)} classes", file=sys.stderr)
 
 

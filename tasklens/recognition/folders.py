@@ -1,0 +1,106 @@
+"""Photographs in folders: which ones a split takes, decoded once and written as uint8 without being held in memory."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy
+import torch
+from PIL import Image, ImageOps
+from torch import Tensor
+
+from tasklens.files import FileError, writing_tensors
+from tasklens.progress import Progress
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+_BLOCK = 64  # photographs that a thread reads at once
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Files, the labels (N,) int64 of what they show, and the names of the classes."""
+
+    files: tuple[Path, ...]
+    labels: Tensor
+    classes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def take(self, indices: Tensor) -> "Listing":
+        return Listing(tuple(self.files[i] for i in indices.tolist()), self.labels[indices], self.classes)
+
+
+def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Listing:
+    """At most `limit` photographs of folder/<name>/<class>/*, evenly over the classes and drawn by `seed`.
+
+    Args:
+        names: of the folder of the split; the first that exists is taken.
+
+    Raises:
+        FileError: no such folder, or no photograph of a class in it.
+    """
+    split = next((folder / name for name in names if (folder / name).is_dir()), None)
+    if split is None:
+        raise FileError(f"images.folder = {folder}: expected a folder {' or '.join(names)} in it, a folder per class")
+    classes = sorted(entry.name for entry in split.iterdir() if entry.is_dir())
+    if not classes:
+        raise FileError(f"{split}: expected a folder per class in it, found none")
+    generator = torch.Generator().manual_seed(seed)
+    per_class = []
+    for name in classes:
+        files = sorted(f for f in (split / name).rglob("*") if f.suffix.lower() in SUFFIXES)
+        if not files:
+            raise FileError(f"{split / name}: this class has no picture ({', '.join(SUFFIXES)})")
+        per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
+    rounds = max(map(len, per_class))
+    chosen = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
+    return Listing(tuple(file for file, _ in chosen), torch.tensor([k for _, k in chosen]), tuple(classes))
+
+
+def convert(listing: Listing, size: int, path: Path, threads: int, source: str) -> None:
+    """Decode the photographs and write them like `data.write`, (N, 3, size, size), straight into the file.
+
+    Args:
+        threads: that decode at once.
+        source: digest of where they are from, for the file.
+
+    Raises:
+        FileError: a file that is no picture, or a full disk, before anything is decoded.
+    """
+    tensors = {
+        "labels": listing.labels,
+        "images": torch.empty(len(listing), 3, size, size, dtype=torch.uint8, device="meta"),
+    }
+    metadata = {"classes": list(listing.classes), "source": source}
+    progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
+    with writing_tensors(path, tensors, metadata) as mapped, ThreadPoolExecutor(threads) as pool:
+
+        def block(first: int) -> int:
+            files = listing.files[first : first + _BLOCK]
+            for i, file in enumerate(files, first):
+                mapped["images"][i] = read(file, size)
+            return first + len(files)
+
+        waiting = [pool.submit(block, first) for first in range(0, len(listing), _BLOCK)]
+        try:
+            for done in waiting:
+                progress(done.result())
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def read(path: Path, size: int) -> Tensor:
+    """The central square of a picture as RGB, resized to (3, size, size) uint8."""
+    try:
+        with Image.open(path) as file:
+            picture = ImageOps.exif_transpose(file)
+            if picture.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
+                picture = picture.convert("I").point(lambda value: value * (1 / 256)).convert("L")
+            picture = ImageOps.fit(picture.convert("RGB"), (size, size), Image.Resampling.BICUBIC)
+    except (
+        Exception
+    ) as error:  # OSError, SyntaxError, ValueError, DecompressionBombError, ..., whichever decoder notices
+        raise FileError(f"{path}: cannot be read as a picture ({error})") from error
+    return torch.from_numpy(numpy.array(picture)).permute(2, 0, 1)
