@@ -118,14 +118,19 @@ class Training(Frozen):
 class Classifier(Frozen):
     """A timm network: its name and tag, keywords for `timm.create_model`, and where its weights come from.
 
-    `training` trains it on the sharp images, from `pretrained` (timm's hub), from `weights` (safetensors) or from
-    scratch; null takes it as loaded.
+    `training` trains it on the sharp images, from `pretrained` (timm's hub), from `weights` (.safetensors; .pth, of
+    which only tensors are read; .npz, where timm's model reads it) or from scratch; null takes it as loaded.
+
+    Attributes:
+        outputs: one per class of the pictures, or the 1000 of ImageNet, among which folders named by WordNet ids are
+            found; the others then take no part but in the zero-shot accuracy.
     """
 
     model: str
     arguments: dict[str, Any] = {}
     pretrained: bool = False
     weights: Path | None = None
+    outputs: Literal["classes", "imagenet"] = "classes"
     training: Training | None = None
 
     @model_validator(mode="after")

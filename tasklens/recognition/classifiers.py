@@ -1,56 +1,97 @@
 """timm networks that take pictures or captures in [0, 1]."""
 
 import copy
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import timm
 import torch
-from safetensors.torch import load_file
+from timm.data import ImageNetInfo
 from timm.layers import freeze_batch_norm_2d
+from timm.models import load_checkpoint
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from tasklens.files import FileError
 from tasklens.settings import Classifier
 from tasklens.study import StudyError
 
+_IMAGENET = ImageNetInfo("imagenet-1k")
+
 
 class Recogniser(nn.Module):
-    """A timm network behind its own normalisation, which belongs to the network and comes after the optics."""
+    """A timm network behind its own normalisation, which belongs to the network and comes after the optics.
 
-    def __init__(self, network: nn.Module):
+    Args:
+        outputs: (C,) which of its outputs the classes of the pictures are; None where they are all.
+    """
+
+    def __init__(self, network: nn.Module, outputs: Tensor | None = None):
         super().__init__()
         config = timm.data.resolve_model_data_config(network)
         # Channels last: convolutions train 1.4 to 2 times faster on a CPU, transformers as before.
         self.network = network.to(memory_format=torch.channels_last)
         self.register_buffer("mean", torch.tensor(config["mean"])[:, None, None], persistent=False)
         self.register_buffer("std", torch.tensor(config["std"])[:, None, None], persistent=False)
+        self.register_buffer("outputs", outputs, persistent=False)
 
-    def forward(self, images: Tensor) -> Tensor:
-        """Logits (B, classes) of images (B, 3, H, W) in [0, 1]."""
+    def all_outputs(self, images: Tensor) -> Tensor:
+        """Logits (B, outputs) of images (B, 3, H, W) in [0, 1], also those of classes that no picture has."""
         normalised = (images - self.mean) / self.std
         return self.network(normalised.contiguous(memory_format=torch.channels_last))
 
+    def forward(self, images: Tensor) -> Tensor:
+        """Logits (B, classes) of images (B, 3, H, W) in [0, 1]."""
+        logits = self.all_outputs(images)
+        return logits if self.outputs is None else logits[:, self.outputs]
 
-def build(classifier: Classifier, classes: int, weights: Path | None = None) -> Recogniser:
-    """The network that `classifier` names, with `classes` outputs.
+
+def build(classifier: Classifier, classes: Sequence[str], weights: Path | None = None) -> Recogniser:
+    """The network that `classifier` names, for pictures of these classes.
 
     Weights come from the file `weights` where it is given, else from where the classifier says; a head whose number
     of classes differs is initialised anew by timm (`pretrained`) or refused (a file).
+
+    Raises:
+        FileError: weights that are not the network's, or classes that ImageNet does not have.
+        StudyError: a published head for other classes that nothing is to train.
     """
+    outputs = imagenet_outputs(classes) if classifier.outputs == "imagenet" else None
+    count = len(classes) if outputs is None else _IMAGENET.num_classes()
     pretrained = classifier.pretrained and weights is None
     if pretrained and classifier.training is None:
         published = timm.get_pretrained_cfg(classifier.model)
-        if published is not None and published.num_classes != classes:
+        if published is not None and published.num_classes != count:
             raise StudyError(
-                f"{classifier.model}: published with {published.num_classes} classes, the pictures have {classes}: "
-                "its new head needs `training`"
+                f"{classifier.model}: published with {published.num_classes} classes, the pictures have {count}: "
+                "its new head needs `training`, or its own outputs `outputs: imagenet`"
             )
-    network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=classes, **classifier.arguments)
+    network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=count, **classifier.arguments)
     path = weights or classifier.weights
     if path is not None:
-        network.load_state_dict(load_file(path))
-    return Recogniser(network)
+        try:
+            load_checkpoint(network, str(path), weights_only=True)
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # of torch, safetensors, pickle or numpy, whichever reads the file
+            raise FileError(f"{path}: no weights for {classifier.model} with {count} outputs: {error}") from error
+    return Recogniser(network, outputs)
+
+
+def imagenet_outputs(classes: Sequence[str]) -> Tensor:
+    """(C,) indices among ImageNet's 1000 classes of those with these WordNet ids, such as n01440764.
+
+    Raises:
+        FileError: an id that is none of them.
+    """
+    indices = {name: index for index, name in enumerate(_IMAGENET.label_names())}
+    unknown = [name for name in classes if name not in indices]
+    if unknown:
+        raise FileError(
+            f"outputs: imagenet: expected folders named by WordNet ids of ImageNet's classes, got {', '.join(unknown)}"
+        )
+    return torch.tensor([indices[name] for name in classes])
 
 
 def frozen(recogniser: nn.Module, batch_norm: Literal["stored", "batch"] = "stored") -> nn.Module:

@@ -1,7 +1,8 @@
 """What a classifier sees of a picture through a lens, and how well it recognises it, field by field."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -42,7 +43,7 @@ class Sight:
 
 
 @torch.no_grad()
-def evaluate(recogniser: nn.Module, pictures: Pictures, sight: Sight) -> tuple[Tensor, Tensor]:
+def evaluate(recogniser: Callable[[Tensor], Tensor], pictures: Pictures, sight: Sight) -> tuple[Tensor, Tensor]:
     """Whether each of N pictures is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N)."""
     correct, quality = [], []
     progress = Progress("evaluation", math.ceil(len(pictures) / _BATCH))
@@ -53,6 +54,20 @@ def evaluate(recogniser: nn.Module, pictures: Pictures, sight: Sight) -> tuple[T
         quality.append(psnr(captures, images))
         progress(step)
     return torch.cat(correct, -1), torch.cat(quality, -1)
+
+
+def zero_shot(recogniser: Recogniser, pictures: Pictures, sight: Sight) -> list[dict]:
+    """How well a network with more outputs than the pictures have classes recognises them among all its outputs.
+
+    Returns:
+        Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
+    """
+    if recogniser.outputs is None:
+        return []
+    among_all = replace(pictures, labels=recogniser.outputs[pictures.labels])
+    correct, _ = evaluate(recogniser.all_outputs, among_all, sight)
+    values = (100 * correct.double().mean(-1)).tolist()
+    return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
 
 
 def by_picture(correct: Tensor, pictures: Pictures) -> list[dict]:

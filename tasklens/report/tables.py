@@ -21,6 +21,9 @@ _COLUMNS = {
     "table3": ["accuracy", "energy_in_window", "worst_margin", "converged"],
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
+_ZERO_SHOT = (
+    "zero_shot_accuracy"  # follows the accuracy in tables 1 and 2, where a network has more outputs than classes
+)
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",
     "table2": "Accuracy with other classifiers",
@@ -85,7 +88,8 @@ def collect(job: TableJob, layout: Layout, partial: bool) -> pandas.DataFrame:
             sharp = measured_values(sharp_path)
             reference = sharp["accuracy"]
             if job.name == "table1":
-                rows.append({"elements": "", "design": "reference", "seed": seed, "accuracy": reference})
+                shown = {key: sharp[key] for key in ("accuracy", _ZERO_SHOT) if key in sharp}
+                rows.append({"elements": "", "design": "reference", "seed": seed} | shown)
             for lens in job.lenses:
                 elements, _, design = lens.partition("-")
                 paths = [Path(layout.metrics(lens, seed, job.seen(classifier))), Path(layout.lens(lens, seed))]
@@ -102,7 +106,9 @@ def collect(job: TableJob, layout: Layout, partial: bool) -> pandas.DataFrame:
 
 def summarise(job: TableJob, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
     """Means over seeds, with `_std` where several ran, beside the paper's values."""
-    columns = _COLUMNS[job.name]
+    columns = list(_COLUMNS[job.name])
+    if job.name in ("table1", "table2") and _ZERO_SHOT in rows:
+        columns.insert(columns.index("accuracy") + 1, _ZERO_SHOT)
     keys = ["elements", "design", *(["classifier"] if job.name == "table2" else [])]
     groups = rows.groupby(keys, sort=False)
     table = groups[[c for c in columns if c != "converged"]].mean()

@@ -31,7 +31,7 @@ def reference(study: Study, args: argparse.Namespace) -> None:
     layout, job = Layout.of(study), jobs.reference(study, args.classifier)
     pictures = data.read(Path(layout.images("train")))
     training.reseed(0)
-    recogniser = classifiers.build(job.classifier, len(pictures.classes))
+    recogniser = classifiers.build(job.classifier, pictures.classes)
     if job.classifier.training is not None:
         training.fit(recogniser, pictures, job.classifier.training, 0, f"reference {args.classifier}")
     weights = recogniser.network.state_dict()
@@ -49,7 +49,7 @@ def design(study: Study, args: argparse.Namespace) -> None:
     recogniser = pictures = None
     if job.classifier is not None:
         pictures = data.read(Path(layout.images("train")))
-        recogniser = classifiers.build(job.classifier, len(pictures.classes), Path(layout.reference(study.supervisor)))
+        recogniser = classifiers.build(job.classifier, pictures.classes, Path(layout.reference(study.supervisor)))
     rivals = {}
     for name in jobs.imaging_rivals(study, args.lens):
         metrics = Path(layout.metrics(name, args.seed, study.supervisor))
@@ -122,13 +122,13 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     job = jobs.fine_tune(study, args.lens, args.classifier, args.seed, args.restored)
     name = restored(args.classifier) if args.restored else args.classifier
     splits = {split: data.read(Path(layout.images(split))) for split in ("train", "minival", "test")}
-    recogniser = classifiers.build(
-        job.classifier, len(splits["train"].classes), Path(layout.reference(args.classifier))
-    )
+    recogniser = classifiers.build(job.classifier, splits["train"].classes, Path(layout.reference(args.classifier)))
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
     seen = sight(job.capture, job.restoration, *paths)
+    found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen)
     training.fit(recogniser, splits["train"], job.training, job.seed, f"fine-tune {name}", seen.one_field)
     rows, by_picture = evaluation.measure(recogniser, splits, seen)
+    rows = found + rows
     common = {
         "elements": job.elements,
         "design": job.design,
@@ -153,7 +153,7 @@ def reproduce(study: Study, args: argparse.Namespace) -> None:
     name = restored(args.classifier) if args.restored else args.classifier
     pictures = data.read(Path(layout.images("test")))
     weights = Path(layout.classifier(args.lens, args.seed, name))
-    recogniser = classifiers.build(job.classifier, len(pictures.classes), weights).eval()
+    recogniser = classifiers.build(job.classifier, pictures.classes, weights).eval()
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
     correct, _ = evaluation.evaluate(recogniser, pictures, sight(job.capture, job.restoration, *paths))
     rows = evaluation.by_picture(correct, pictures)
