@@ -74,7 +74,7 @@ def test_a_step_moves_rays_by_the_stride(start, stride):
 
 
 def test_a_lens_is_brought_back_within_its_limits(start):
-    """Spots stay where they are within a few um, while elements get thick enough and steep flanks flat enough."""
+    """Spots stay where they are within 20 um, while elements get thick enough and steep flanks flat enough."""
     lens = spot.design(start, LOOKS, LIMITS, Spot(method="spot", steps=200, rays=64, rates=FAST), 0, [])
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     limits = LIMITS.model_copy(
@@ -93,7 +93,7 @@ def test_a_lens_is_brought_back_within_its_limits(start):
     assert worst(lens) < -0.019 and worst(mended) > 0
     moved = RaySpace(lens, LOOKS, NO_LIMITS).merit
     before, after = (moved.residuals(each)[: moved.rays] for each in (lens, mended))
-    assert float((after - before).norm()) < 15
+    assert float((after - before).norm()) < 20
     kept = within_limits(mended, LOOKS, limits)
     assert torch.equal(kept.curvature, mended.curvature)
 

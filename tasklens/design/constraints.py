@@ -21,6 +21,9 @@ _BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty en
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
     """Distance of the lens from each limit of `limits` [mm; slopes without unit], negative where it is broken.
 
+    An element reaches as far out as light does on either of its surfaces. Beyond its own light, a surface is a flat
+    flange: its polynomial means nothing there.
+
     Args:
         semi_diameter: (S,) radius that light uses on each surface [mm]; taken as given, without gradient.
     """
@@ -29,9 +32,8 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
 
     def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:
-        return sag(heights**2, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None])[
-            0
-        ]
+        squares = torch.minimum(heights, semi[surfaces, None]) ** 2
+        return sag(squares, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None])[0]
 
     gap = lens.thickness[:-1, None] + surface_sag(slice(1, None), shared) - surface_sag(slice(None, -1), shared)
     centre, edge = lens.thickness[:-1][element], gap[element]
