@@ -7,10 +7,11 @@ import torch
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from restoration.nafnet import NAFNet
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.imaging import Camera, psnr
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
-from tasklens.recognition.training import shuffled
+from tasklens.recognition.training import Shuffled
 from tasklens.settings import Restoration
 
 _JUDGED = 64  # minival pictures, each at every field
@@ -24,7 +25,13 @@ def build(settings: Restoration) -> NAFNet:
 
 
 def train(
-    settings: Restoration, pictures: Pictures, minival: Pictures, camera: Camera, seed: int, history: list[dict]
+    settings: Restoration,
+    pictures: Pictures,
+    minival: Pictures,
+    camera: Camera,
+    seed: int,
+    history: list[dict],
+    checkpoint: Checkpoint = NOTHING_KEPT,
 ) -> NAFNet:
     """A NAFNet that restores captures of `camera`, each at a random field, to their sharp pictures.
 
@@ -39,6 +46,7 @@ def train(
         camera: the lens.
         seed: of the network, of the order of the pictures and of their fields.
         history: receives a row per check: step, rate, PSNR [dB], and whether the training has converged by then.
+        checkpoint: of the job, for its part `restoration`.
 
     Returns:
         The network of the best check.
@@ -52,9 +60,13 @@ def train(
     optimizer = torch.optim.AdamW(network.parameters(), lr=settings.rate, betas=(0.9, 0.9), weight_decay=0.0)
     plateau = ReduceLROnPlateau(optimizer, "max", 0.25, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
     progress = Progress("restoration", settings.steps)
+    order = Shuffled(len(pictures), settings.batch, generator)
     best, found = -torch.inf, {}
-    for step, indices in enumerate(shuffled(len(pictures), settings.batch, settings.steps, generator), 1):
-        images, _ = pictures.batch(indices)
+    part = checkpoint.part("restoration", history, network=network, optimizer=optimizer, plateau=plateau, order=order)
+    if part.state is not None:
+        best, found = part.state["best"], part.state["found"]
+    for step in range(part.step + 1, settings.steps + 1):
+        images, _ = pictures.batch(order.next())
         fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
         quality = psnr(network(camera.single(images, fields)), images).mean()
         if not torch.isfinite(quality):
@@ -74,6 +86,7 @@ def train(
             history.append({"step": step, "rate": rate, "psnr_db": judged, "converged": converged})
             if converged:
                 break
+        part.keep(step, best=best, found=found)
     if not history[-1]["converged"]:
         print(f"restoration: not converged within {settings.steps} steps", file=sys.stderr, flush=True)
     network.load_state_dict(found)

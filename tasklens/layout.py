@@ -65,6 +65,9 @@ class Layout:
     def restoration_history(self, lens: str, seed: int | str) -> str:
         return f"{self.root}/restoration/{lens}/seed{seed}/history.csv"
 
+    def checkpoint(self, stage: str, name: str, key: str) -> str:
+        return f"{self.root}/checkpoints/{stage}-{name}-{key}.pt"
+
     def table(self, table: str, suffix: str) -> str:
         return f"{self.root}/tables/{table}.{suffix}"
 

@@ -68,7 +68,8 @@ def test_rate_rises_linearly_and_falls_on_a_cosine():
 
 
 def test_every_picture_is_used_before_any_repeats():
-    batches = list(training.shuffled(10, 4, 5, torch.Generator().manual_seed(0)))
+    order = training.Shuffled(10, 4, torch.Generator().manual_seed(0))
+    batches = [order.next() for _ in range(5)]
     assert [len(b) for b in batches] == [4] * 5
     assert torch.cat(batches)[:10].sort().values.tolist() == torch.cat(batches)[10:].sort().values.tolist()
     assert torch.cat(batches)[:10].sort().values.tolist() == list(range(10))

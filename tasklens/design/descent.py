@@ -15,6 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.constraints import penalty
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
@@ -26,8 +27,8 @@ from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
+from tasklens.recognition.training import Shuffled
 from tasklens.recognition.training import parameter_groups as network_groups
-from tasklens.recognition.training import shuffled
 from tasklens.settings import Capture, Constraints
 
 
@@ -87,6 +88,7 @@ def descend(
     settings: Descent,
     history: list[dict],
     label: str,
+    checkpoint: Checkpoint = NOTHING_KEPT,
 ) -> Lens:
     """Minimise the classifier's loss over the lens and the network at once, with AdamW.
 
@@ -99,6 +101,7 @@ def descend(
         settings: steps, rates, cold start.
         history: receives a row per logged step.
         label: for progress lines and the history.
+        checkpoint: of the job, for its part `label`.
 
     Returns:
         The lens after the last step; if the loss stops being finite, the last lens with a finite one, and the history
@@ -119,7 +122,13 @@ def descend(
     captures = settings.images * len(view.fields)
     progress = Progress(label, steps)
     last = variables.values()
-    for step, indices in enumerate(shuffled(len(pictures), settings.images, steps, generator), 1):
+    order = Shuffled(len(pictures), settings.images, generator)
+    part = checkpoint.part(label, history, network=recogniser, optimizer=optimizer, rates=rates, order=order)
+    if part.state is not None:
+        for name, value in values.items():
+            value.data.copy_(part.state["values"][name])
+    for step in range(part.step + 1, steps + 1):
+        indices = order.next()
         pixels = stop = 1.0
         if cold is not None:
             pixels = geometric(cold.pixel_scale, (step - 1) / (cold.pixel_duration * steps))
@@ -164,5 +173,6 @@ def descend(
                     "rate": rates.get_last_lr()[0],
                 }
             )
+        part.keep(step, values=values)
     recogniser.eval().requires_grad_(False)
     return variables.assemble(values).detached()

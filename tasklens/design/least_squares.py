@@ -8,11 +8,13 @@ and again only the best go on. Budgets count evaluations, so that the result doe
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy
 import torch
 from scipy.optimize import least_squares
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.merit import SHORTFALL, Merit
 from tasklens.design.start import ORDERS, Variables
 from tasklens.design_settings import LeastSquares
@@ -27,6 +29,7 @@ _SPACES = 0.35  # a random start draws its element and air thicknesses below thi
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget
 _KICKS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # part of the starts, at least one lens; part of the budget
 _KICK_EVALUATIONS = 12
+_SHAPE = ("curvature", "thickness", "alpha")  # of a lens: what a design changes
 _STRICT = 20.0  # times the weight of limits at the end: from the start it would hem in the search
 
 
@@ -98,8 +101,16 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
     return found
 
 
-def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, seed: int, history: list[dict]) -> Lens:
-    """The best lens found within the budget of `settings`; arguments as for `spot.design`."""
+def design(
+    flat: Lens,
+    view: View,
+    limits: Constraints,
+    settings: LeastSquares,
+    seed: int,
+    history: list[dict],
+    checkpoint: Checkpoint = NOTHING_KEPT,
+) -> Lens:
+    """The best lens found within the budget of `settings`; arguments as for `spot.design`, a part per candidate."""
     rng = numpy.random.default_rng(seed)
     habits = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
     merit = Merit(view, limits, *habits)
@@ -118,25 +129,44 @@ def design(flat: Lens, view: View, limits: Constraints, settings: LeastSquares, 
         kept = sorted(candidates)[: max(1, round(part * settings.starts))]
         return kept, round(share * settings.evaluations / len(kept))
 
+    def remembered(name: str, search: Callable[[], tuple[float, Lens]]) -> tuple[float, Lens]:
+        """Error and lens that `search` finds, or found before the job was killed."""
+        part = checkpoint.part(name, history)
+        if part.result is None:
+            error, lens = search()
+            shape = {key: getattr(lens, key) for key in _SHAPE}
+            part.end(error=error, shape=shape, rng=rng.bit_generator.state)
+            return error, lens
+        rng.bit_generator.state = part.result["rng"]
+        return part.result["error"], replace(flat, **part.result["shape"])
+
+    def staged(lens: Lens, count: int, budget: int) -> tuple[float, Lens]:
+        lens, error = improve(lens, merit, ("curvature", "thickness", *orders[:count]), max(2, budget), watch)
+        log(f"{count} orders", error)
+        return error, lens
+
+    def kicked(lens: Lens, best: float, rivals: int, budget: int) -> tuple[float, Lens]:
+        for _ in range(max(1, budget // _KICK_EVALUATIONS)):
+            other, error = improve(_kick(lens, rng), merit, names, _KICK_EVALUATIONS, watch)
+            if error < best:
+                best, lens = error, other
+            log(f"kicks of {rivals}", best)
+        return best, lens
+
     candidates = [(0.0, i, lens) for i, lens in enumerate(random_starts(flat, view, limits, settings.starts, rng))]
-    for part, count, share in _STAGES:
-        kept, budget = onward(candidates, part, share)
-        names = ("curvature", "thickness", *orders[:count])
+    for stage, (share_kept, count, share) in enumerate(_STAGES):
+        kept, budget = onward(candidates, share_kept, share)
         candidates = []
         for _, i, lens in kept:
-            lens, error = improve(lens, merit, names, max(2, budget), watch)
+            error, lens = remembered(f"stage {stage}, start {i}", partial(staged, lens, count, budget))
             candidates.append((error, i, lens))
-            log(f"{count} orders", error)
-    for part, share in _KICKS:
-        kept, budget = onward(candidates, part, share)
+    names = ("curvature", "thickness", *orders[: _STAGES[-1][1]])
+    for stage, (share_kept, share) in enumerate(_KICKS):
+        kept, budget = onward(candidates, share_kept, share)
         candidates = []
-        for best, i, lens in kept:
-            for _ in range(max(1, budget // _KICK_EVALUATIONS)):
-                kicked, error = improve(_kick(lens, rng), merit, names, _KICK_EVALUATIONS, watch)
-                if error < best:
-                    best, lens = error, kicked
-                log(f"kicks of {len(kept)}", best)
-            candidates.append((best, i, lens))
+        for error, i, lens in kept:
+            error, lens = remembered(f"kicks {stage}, start {i}", partial(kicked, lens, error, len(kept), budget))
+            candidates.append((error, i, lens))
     strict = Merit(view, limits, *habits, per_mm=_STRICT * SHORTFALL)
     lens, error = improve(min(candidates)[2], strict, names, 2 * _KICK_EVALUATIONS, watch)
     log("strict limits", error)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import torch
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design import descent, least_squares, outside, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import within_limits
@@ -28,6 +29,7 @@ def design(
     pictures: Pictures | None,
     rivals: Mapping[str, tuple[Lens, Path]],
     history: list[dict],
+    checkpoint: Checkpoint = NOTHING_KEPT,
 ) -> tuple[Lens, dict]:
     """Design a lens by the method of its job, or take it from its file.
 
@@ -36,6 +38,7 @@ def design(
         recogniser, pictures: the well-trained classifier and the training pictures, for designs that a task supervises.
         rivals: imaging lenses by name with the metrics files that judge them, for a design that starts from the best.
         history: receives a row per logged step.
+        checkpoint: of the job.
 
     Returns:
         The lens with its clear apertures, and the notes for its file: spec, origin, figures, margins.
@@ -48,22 +51,22 @@ def design(
     origin: dict = {"design": job.lens.design_name, "method": settings.method, "seed": job.seed, "start": "flat"}
     match settings:
         case Spot():
-            lens = spot.design(start, looks, job.constraints, settings, job.seed, history)
+            lens = spot.design(start, looks, job.constraints, settings, job.seed, history, checkpoint)
         case LeastSquares():
             origin["start"] = "random paraxial lenses"
-            lens = least_squares.design(start, looks, job.constraints, settings, job.seed, history)
+            lens = least_squares.design(start, looks, job.constraints, settings, job.seed, history, checkpoint)
         case Task():
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
-            lens = task.design(start, recogniser, problem, settings, history)
+            lens = task.design(start, recogniser, problem, settings, history, checkpoint)
             if settings.polish is not None:
                 fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
-                lens = descent.descend(lens, recogniser, fresh, settings.polish, history, "polish")
+                lens = descent.descend(lens, recogniser, fresh, settings.polish, history, "polish", checkpoint)
         case EndToEnd():
             if rivals:
                 origin["start"] = best(rivals)
                 start = open_apertures(rivals[origin["start"]][0])
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
-            lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end")
+            lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", checkpoint)
     # Limits were soft until here: a little broken, they are mended.
     return finished(within_limits(lens, looks, job.constraints), job, origin)
 

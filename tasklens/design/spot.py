@@ -5,6 +5,7 @@ import sys
 
 import torch
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.constraints import penalty
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
@@ -16,7 +17,15 @@ from tasklens.progress import Progress
 from tasklens.settings import Constraints
 
 
-def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: int, history: list[dict]) -> Lens:
+def design(
+    start: Lens,
+    view: View,
+    limits: Constraints,
+    settings: Spot,
+    seed: int,
+    history: list[dict],
+    checkpoint: Checkpoint = NOTHING_KEPT,
+) -> Lens:
     """Minimise the mean over fields of sqrt(mean(r^2)) about the polychromatic centroid, with AdamW.
 
     Args:
@@ -26,6 +35,7 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         settings: steps, rates and the opening of the stop.
         seed: of the pupil points, which are redrawn at every step.
         history: receives a row per logged step.
+        checkpoint: of the job, for its part `spot`.
 
     Returns:
         The lens with the least loss of all steps with the full stop: descents from plates jump into bad lenses now and
@@ -39,7 +49,12 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
     )
     progress = Progress("spot", settings.steps)
     least, best = math.inf, variables.values()
-    for step in range(1, settings.steps + 1):
+    part = checkpoint.part("spot", history, optimizer=optimizer, rates=rates)
+    if part.state is not None:
+        least, best = part.state["least"], part.state["best"]
+        for name, value in values.items():
+            value.data.copy_(part.state["values"][name])
+    for step in range(part.step + 1, settings.steps + 1):
         lens = variables.assemble(values)
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
         rays = trace_fields(lens.stopped(scale), view, sobol_disc(settings.rays, seed * settings.steps + step))
@@ -63,4 +78,5 @@ def design(start: Lens, view: View, limits: Constraints, settings: Spot, seed: i
         progress(step, rms_um=rms_um, penalty=bounds.item())
         if step % max(1, settings.steps // 100) == 0:
             history.append({"step": step, "rms_um": rms_um, "penalty": bounds.item(), "rate": rates.get_last_lr()[0]})
+        part.keep(step, least=least, best=best, values=values)
     return variables.assemble(best).detached()

@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.descent import Problem, loss_at_psf
 from tasklens.design.ray_space import Local, RaySpace
 from tasklens.design.schedule import cosine, geometric
@@ -25,14 +26,21 @@ from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
 from tasklens.progress import Progress
 from tasklens.recognition.classifiers import frozen
-from tasklens.recognition.training import shuffled
+from tasklens.recognition.training import Shuffled
 
 _LEEWAY = 0.05  # by which a step may lengthen the shortfall of the limits [mm]; a longer one is halved
 _HALVINGS = 5  # at most
 _JUDGES = 64  # pictures that compare the walks
 
 
-def design(start: Lens, recogniser: nn.Module, problem: Problem, settings: Task, history: list[dict]) -> Lens:
+def design(
+    start: Lens,
+    recogniser: nn.Module,
+    problem: Problem,
+    settings: Task,
+    history: list[dict],
+    checkpoint: Checkpoint = NOTHING_KEPT,
+) -> Lens:
     """The lens at the end of the best walk from `start`; the classifier judges frozen and is not changed.
 
     Args:
@@ -41,6 +49,7 @@ def design(start: Lens, recogniser: nn.Module, problem: Problem, settings: Task,
         problem: pictures, fields, limits, seed.
         settings: how many walks, how they go, and how the best one goes on.
         history: receives a row per logged step and per judgement.
+        checkpoint: of the job, for a part per walk.
     """
     recogniser = frozen(recogniser, settings.batch_norm)
     torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
@@ -49,12 +58,12 @@ def design(start: Lens, recogniser: nn.Module, problem: Problem, settings: Task,
     found = []
     for walk in range(settings.starts):
         label = f"start {walk + 1} of {settings.starts}"
-        lens = _walk(start, recogniser, problem, settings, settings.start, seeds, history, label)
+        lens = _walk(start, recogniser, problem, settings, settings.start, seeds, history, label, checkpoint)
         loss = _judge(lens, recogniser, problem, settings, judged)
         history.append({"phase": f"{label}, judged", "step": settings.start.steps, "loss": loss})
         found.append((loss, walk, lens))
     best = min(found, key=lambda entry: entry[:2])[2]
-    return _walk(best, recogniser, problem, settings, settings.refine, seeds, history, "refinement")
+    return _walk(best, recogniser, problem, settings, settings.refine, seeds, history, "refinement", checkpoint)
 
 
 def _judge(lens: Lens, recogniser: nn.Module, problem: Problem, settings: Task, judged: Tensor) -> float:
@@ -82,6 +91,7 @@ def _walk(
     seeds: torch.Generator,
     history: list[dict],
     label: str,
+    checkpoint: Checkpoint,
 ) -> Lens:
     """The lens after the steps of `walk`; if the loss or a step stops being finite, the last finite one."""
     view, pictures = problem.view, problem.pictures
@@ -90,9 +100,16 @@ def _walk(
     mean, finite, local = torch.zeros_like(vector), vector, space.about(vector)
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
     seed = int(torch.randint(2**31, (), generator=seeds))
-    batches = shuffled(len(pictures), settings.images, walk.steps, torch.Generator().manual_seed(seed))
+    order = Shuffled(len(pictures), settings.images, torch.Generator().manual_seed(seed))
     progress = Progress(label, walk.steps)
-    for step, indices in enumerate(batches, 1):
+    part = checkpoint.part(label, history, order=order)
+    if part.result is not None:
+        return space.lens(part.result["vector"])
+    if part.state is not None:
+        vector, mean, finite = (part.state[name] for name in ("vector", "mean", "finite"))
+        local = space.about(vector)
+    for step in range(part.step + 1, walk.steps + 1):
+        indices = order.next()
         done = (step - 1) / walk.steps
         first, last = walk.pixels
         pixels = last * geometric(first / last, done / walk.duration)
@@ -125,6 +142,8 @@ def _walk(
             history.append(row | {"shortfall": local.broken})
         finite = vector
         vector, local = _advance(space, vector, change, local.broken)
+        part.keep(step, vector=vector, mean=mean, finite=finite)
+    part.end(vector=vector)
     return space.lens(vector)
 
 

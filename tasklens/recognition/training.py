@@ -7,6 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, SequentialLR
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
 from tasklens.settings import Training
@@ -27,14 +28,28 @@ def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -
     return SequentialLR(optimizer, [up, down], [rising])
 
 
-def shuffled(count: int, batch: int, steps: int, generator: torch.Generator):
-    """Indices of `steps` batches: permutations of all `count` pictures, one after the other, none left out."""
-    queue = torch.empty(0, dtype=torch.long)
-    for _ in range(steps):
-        while len(queue) < batch:
-            queue = torch.cat([queue, torch.randperm(count, generator=generator)])
-        yield queue[:batch]
-        queue = queue[batch:]
+class Shuffled:
+    """Indices of batches without end: permutations of all `count` pictures, one after the other, none left out."""
+
+    def __init__(self, count: int, batch: int, generator: torch.Generator):
+        self.count, self.batch, self.generator = count, batch, generator
+        self.queue = torch.empty(0, dtype=torch.long)
+
+    def next(self) -> Tensor:
+        """(batch,) indices."""
+        while len(self.queue) < self.batch:
+            self.queue = torch.cat([self.queue, torch.randperm(self.count, generator=self.generator)])
+        indices, self.queue = self.queue[: self.batch], self.queue[self.batch :]
+        return indices
+
+    def state_dict(self) -> dict:
+        """Where the order stands, and with it the generator."""
+        return {"queue": self.queue.clone(), "generator": self.generator.get_state()}
+
+    def load_state_dict(self, state: dict) -> None:
+        """Go on from `state`."""
+        self.queue = state["queue"]
+        self.generator.set_state(state["generator"])
 
 
 def reseed(seed: int) -> None:
@@ -49,6 +64,7 @@ def fit(
     seed: int,
     label: str,
     see: Callable[[Tensor, torch.Generator], Tensor] = lambda images, generator: images,
+    checkpoint: Checkpoint = NOTHING_KEPT,
 ) -> None:
     """Train a classifier in place with cross-entropy; it is left in `eval()`.
 
@@ -59,16 +75,19 @@ def fit(
         seed: of the order of the pictures, the flips and the network's own randomness.
         label: for the progress lines.
         see: what the classifier sees instead of the sharp images (B, 3, H, W), given a random generator.
+        checkpoint: of the job, for its part `label`.
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(pictures) / training.batch))
     optimizer = torch.optim.AdamW(parameter_groups(recogniser, training.weight_decay), lr=training.rate)
     schedule = warmup_cosine(optimizer, steps, training.warmup)
+    order = Shuffled(len(pictures), training.batch, generator)
     progress = Progress(label, steps)
+    part = checkpoint.part(label, network=recogniser, optimizer=optimizer, schedule=schedule, order=order)
     recogniser.train()
-    for step, indices in enumerate(shuffled(len(pictures), training.batch, steps, generator), 1):
-        images, labels = pictures.batch(indices)
+    for step in range(part.step + 1, steps + 1):
+        images, labels = pictures.batch(order.next())
         flip = torch.rand(len(images), generator=generator) < 0.5
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(recogniser(see(images, generator)), labels)
@@ -79,4 +98,5 @@ def fit(
         optimizer.step()
         schedule.step()
         progress(step, loss=loss.item())
+        part.keep(step)
     recogniser.eval()

@@ -8,7 +8,9 @@ import sys
 from pathlib import Path
 
 from tasklens import jobs
+from tasklens.digest import code
 from tasklens.layout import Layout, restored
+from tasklens.settings import Frozen
 from tasklens.study import Study
 
 
@@ -32,10 +34,13 @@ def reference(study: Study, args: argparse.Namespace) -> None:
     pictures = data.read(Path(layout.images("train")))
     training.reseed(0)
     recogniser = classifiers.build(job.classifier, pictures.classes)
+    checkpoint = _checkpoint(layout, "reference", args.classifier, job, [Path(layout.images("train"))])
     if job.classifier.training is not None:
-        training.fit(recogniser, pictures, job.classifier.training, 0, f"reference {args.classifier}")
+        label = f"reference {args.classifier}"
+        training.fit(recogniser, pictures, job.classifier.training, 0, label, checkpoint=checkpoint)
     weights = recogniser.network.state_dict()
     write_tensors(Path(layout.reference(args.classifier)), weights, {"model": job.classifier.model})
+    checkpoint.remove()
 
 
 def design(study: Study, args: argparse.Namespace) -> None:
@@ -47,18 +52,24 @@ def design(study: Study, args: argparse.Namespace) -> None:
 
     layout, job = Layout.of(study), jobs.design(study, args.lens, args.seed)
     recogniser = pictures = None
+    inputs = []
     if job.classifier is not None:
-        pictures = data.read(Path(layout.images("train")))
-        recogniser = classifiers.build(job.classifier, pictures.classes, Path(layout.reference(study.supervisor)))
+        inputs = [Path(layout.images("train")), Path(layout.reference(study.supervisor))]
+        pictures = data.read(inputs[0])
+        recogniser = classifiers.build(job.classifier, pictures.classes, inputs[1])
     rivals = {}
     for name in jobs.imaging_rivals(study, args.lens):
         metrics = Path(layout.metrics(name, args.seed, study.supervisor))
-        rivals[name] = (prescription.read(Path(layout.lens(name, args.seed)))[0].lens, metrics)
+        path = Path(layout.lens(name, args.seed))
+        rivals[name] = (prescription.read(path)[0].lens, metrics)
+        inputs += [path, metrics]
     history: list[dict] = []
-    lens, notes = methods.design(job, recogniser, pictures, rivals, history)
+    checkpoint = _checkpoint(layout, "design", f"{args.lens}-seed{args.seed}", job, inputs)
+    lens, notes = methods.design(job, recogniser, pictures, rivals, history, checkpoint)
     write_rows(Path(layout.history(args.lens, args.seed)), history)
     path = Path(layout.lens(args.lens, args.seed))
     prescription.write(path, prescription.Prescription(lens), notes)
+    checkpoint.remove()
 
 
 def psf(study: Study, args: argparse.Namespace) -> None:
@@ -103,13 +114,15 @@ def restore(study: Study, args: argparse.Namespace) -> None:
     from tasklens.recognition import data
 
     layout, job = Layout.of(study), jobs.restore(study, args.lens, args.seed)
-    grid = read_tensors(Path(layout.psf(args.lens, args.seed)))[0]["psf"]
-    camera = Camera(grid, job.capture.outside, job.capture.colour)
-    train, minival = (data.read(Path(layout.images(split))) for split in ("train", "minival"))
+    inputs = [Path(layout.images("train")), Path(layout.images("minival")), Path(layout.psf(args.lens, args.seed))]
+    camera = Camera(read_tensors(inputs[2])[0]["psf"], job.capture.outside, job.capture.colour)
+    train, minival = (data.read(path) for path in inputs[:2])
     history: list[dict] = []
-    network = training.train(job.restoration, train, minival, camera, job.seed, history)
+    checkpoint = _checkpoint(layout, "restore", f"{args.lens}-seed{args.seed}", job, inputs)
+    network = training.train(job.restoration, train, minival, camera, job.seed, history, checkpoint)
     write_rows(Path(layout.restoration_history(args.lens, args.seed)), history)
     write_tensors(Path(layout.restoration(args.lens, args.seed)), network.state_dict(), {})
+    checkpoint.remove()
 
 
 def fine_tune(study: Study, args: argparse.Namespace) -> None:
@@ -121,14 +134,17 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     layout = Layout.of(study)
     job = jobs.fine_tune(study, args.lens, args.classifier, args.seed, args.restored)
     name = restored(args.classifier) if args.restored else args.classifier
-    splits = {split: data.read(Path(layout.images(split))) for split in ("train", "minival", "test")}
-    recogniser = classifiers.build(job.classifier, splits["train"].classes, Path(layout.reference(args.classifier)))
+    splits = {split: data.read(Path(layout.images(split))) for split in data.SPLITS}
+    sharp = Path(layout.reference(args.classifier))
+    recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
     seen = sight(job.capture, job.restoration, *paths)
     found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen)
-    training.fit(recogniser, splits["train"], job.training, job.seed, f"fine-tune {name}", seen.one_field)
+    inputs = [Path(layout.images("train")), sharp, *(path for path in paths if path.exists())]
+    checkpoint = _checkpoint(layout, "fine_tune", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
+    label = f"fine-tune {name}"
+    training.fit(recogniser, splits["train"], job.training, job.seed, label, seen.one_field, checkpoint)
     rows, by_picture = evaluation.measure(recogniser, splits, seen)
-    rows = found + rows
     common = {
         "elements": job.elements,
         "design": job.design,
@@ -138,8 +154,9 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     }
     weights = recogniser.network.state_dict()
     write_tensors(Path(layout.classifier(args.lens, args.seed, name)), weights, {"model": job.classifier.model})
-    write_rows(Path(layout.metrics(args.lens, args.seed, name)), [common | row for row in rows])
+    write_rows(Path(layout.metrics(args.lens, args.seed, name)), [common | row for row in found + rows])
     write_rows(Path(layout.pictures(args.lens, args.seed, name)), by_picture)
+    checkpoint.remove()
 
 
 def reproduce(study: Study, args: argparse.Namespace) -> None:
@@ -158,3 +175,14 @@ def reproduce(study: Study, args: argparse.Namespace) -> None:
     correct, _ = evaluation.evaluate(recogniser, pictures, sight(job.capture, job.restoration, *paths))
     rows = evaluation.by_picture(correct, pictures)
     write_rows(Path(layout.reproduced(args.lens, args.seed, name)), rows)
+
+
+def _checkpoint(layout: Layout, stage: str, name: str, job: Frozen, inputs: list[Path]):
+    """That of the job `name` of a stage; what a job of that name has left that computed something else, is removed."""
+    from tasklens.checkpoints import Checkpoint, key
+
+    path = Path(layout.checkpoint(stage, name, key(job.model_dump_json(), code(stage), inputs=inputs)))
+    for other in path.parent.glob(f"{stage}-{name}-{16 * '[0-9a-f]'}.pt"):
+        if other != path:
+            other.unlink()
+    return Checkpoint(path)

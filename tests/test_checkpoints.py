@@ -1,0 +1,156 @@
+"""Jobs that are killed and run again end as if they had not been."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from examples import changed, tiny_study
+
+from tasklens import checkpoints, cli
+from tasklens.checkpoints import Checkpoint, key
+from tasklens.files import FileError
+
+STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
+JOBS = {
+    "reference": ["reference", "small"],
+    "least_squares": ["design", "singlet-imaging2"],
+    "spot": ["design", "singlet-imaging1"],
+    "task": ["design", "singlet-tasklens"],
+    "end_to_end": ["design", "singlet-end_to_end_from_flat"],
+    "restoration": ["restore", "singlet-imaging1"],
+    "fine_tuning": ["fine-tune", "singlet-imaging1", "small"],
+}
+
+
+class Killed(BaseException):
+    """Stands for a signal: no stage catches it."""
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    """The tiny study with what the jobs read."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "study.yaml").write_text(yaml.safe_dump(STUDY))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for job in (["images"], JOBS["reference"], JOBS["spot"], ["psf", "singlet-imaging1"]):
+            assert run(*job) == 0
+        yield folder
+
+
+def run(stage: str, *arguments: str) -> int:
+    return cli.main([stage, "study.yaml", *arguments])
+
+
+def outputs(before: float) -> dict[str, bytes]:
+    """All files that were written since, by their paths."""
+    found = [path for path in Path("results/tiny").rglob("*") if path.is_file() and path.stat().st_mtime >= before]
+    return {str(path): path.read_bytes() for path in found}
+
+
+@pytest.mark.parametrize("killed_at", [1, 2])
+@pytest.mark.parametrize("job", JOBS)
+def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job, killed_at):
+    """To the last bit, in every file; the checkpoint is gone then."""
+    start = time.time()
+    assert run(*JOBS[job]) == 0
+    expected = outputs(start)
+    assert len(expected) > 1 or job == "reference"
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    writes = 0
+
+    def write(self, write=Checkpoint.write):
+        nonlocal writes
+        write(self)
+        writes += 1
+        if writes == killed_at:
+            raise Killed
+
+    for path in expected:
+        if job != "reference" or "reference" in path:
+            Path(path).unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "write", write)
+        with pytest.raises(Killed):
+            run(*JOBS[job])
+    assert not any(Path(path).exists() for path in expected)
+    left = list(Path("results/tiny/checkpoints").iterdir())
+    assert len(left) == 1
+    torch.manual_seed(99)  # what a new process has drawn is nothing to it
+    assert run(*JOBS[job]) == 0
+    assert {path: Path(path).read_bytes() for path in expected} == expected
+    assert not list(Path("results/tiny/checkpoints").iterdir())
+
+
+def test_a_changed_job_begins_anew(workplace, monkeypatch):
+    """Another step count, and no trace of the old checkpoint is left."""
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+
+    def killed(self, write=Checkpoint.write):
+        write(self)
+        raise Killed
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Checkpoint, "write", killed)
+        run(*JOBS["spot"])
+    (old,) = Path("results/tiny/checkpoints").iterdir()
+    Path("study.yaml").write_text(yaml.safe_dump(changed(STUDY, "designs.imaging1.steps", 4)))
+    found = []
+    monkeypatch.setattr(Checkpoint, "write", lambda self: found.append((self.path, next(iter(self.records.values())))))
+    assert run(*JOBS["spot"]) == 0
+    assert [record["step"] for _, record in found] == [1, 2, 3, 4]
+    assert not old.exists() and found[0][0] != old
+    Path("study.yaml").write_text(yaml.safe_dump(STUDY))
+    assert run(*JOBS["spot"]) == 0
+
+
+def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
+    """SIGKILL, which nothing can catch, in the middle of a design; the next process ends it."""
+    command = "from tasklens import checkpoints, cli; checkpoints.INTERVAL = 0.0; cli.main()"
+    call = [sys.executable, "-c", command, "design", "study.yaml", "singlet-tasklens"]
+    assert run(*JOBS["task"]) == 0
+    lens = Path("results/tiny/lenses/singlet-tasklens/seed0/lens.yaml")
+    expected = lens.read_bytes()
+    lens.unlink()
+    process = subprocess.Popen(call, stderr=subprocess.DEVNULL)
+    while not list(Path("results/tiny").glob("checkpoints/*.pt")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert not lens.exists()
+    assert run(*JOBS["task"]) == 0
+    assert lens.read_bytes() == expected
+
+
+def test_a_state_that_is_not_finite_is_not_kept(tmp_path, monkeypatch):
+    """The last good one stays."""
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    path = tmp_path / "job.pt"
+    part = Checkpoint(path).part("walk", [{"step": 1}])
+    part.keep(1, vector=torch.tensor([1.0, 2.0]))
+    part.keep(2, vector=torch.tensor([1.0, torch.nan]))
+    history: list[dict] = []
+    again = Checkpoint(path).part("walk", history)
+    assert again.step == 1 and again.state["vector"].tolist() == [1.0, 2.0] and history == [{"step": 1}]
+
+
+def test_a_file_that_is_no_checkpoint_is_named(tmp_path):
+    (tmp_path / "job.pt").write_bytes(b"something else")
+    with pytest.raises(FileError, match=r"job\.pt: no checkpoint"):
+        Checkpoint(tmp_path / "job.pt")
+
+
+def test_keys_follow_what_is_computed(tmp_path):
+    (tmp_path / "input").write_text("1")
+    first = key("slice", "code", inputs=[tmp_path / "input"])
+    assert first == key("slice", "code", inputs=[tmp_path / "input"])
+    found = {first, key("slice", "other code", inputs=[tmp_path / "input"]), key("slice", "code")}
+    (tmp_path / "input").write_text("12")
+    assert len(found | {key("slice", "code", inputs=[tmp_path / "input"])}) == 4
