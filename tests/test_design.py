@@ -23,7 +23,7 @@ from tasklens.design.schedule import cosine
 from tasklens.design.start import Variables, flat, parameter_groups, view
 from tasklens.design_settings import EndToEnd, Rates
 from tasklens.imaging import Camera
-from tasklens.optics.analysis import chief_points, trace_fields
+from tasklens.optics.analysis import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.paraxial import paraxial
 from tasklens.optics.psf import psf
 from tasklens.optics.pupil import sobol_disc
@@ -273,7 +273,7 @@ def test_a_design_that_diverges_is_a_result(start):
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
     job = jobs.design(study, "doublet-imaging1", 0)
-    lens, notes = methods.finished(start, job, {"method": "spot"})
+    lens, notes = methods.finished(start, 1.5 * clear_semi_diameters(start, LOOKS), job, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()
     assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
     valid = trace_fields(start, LOOKS, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
@@ -284,6 +284,19 @@ def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     assert chief_points(lens, LOOKS).isfinite().all()
     reopened = methods.open_apertures(lens)
     assert torch.equal(reopened.semi_diameter, start.semi_diameter)
+
+
+def test_rays_that_go_astray_are_stopped(start):
+    """A clear aperture that light would use a little more of cuts what is outside, and limits are asked within it."""
+    job = jobs.design(parse(changed(tiny_study(), "elements", {"doublet": NAMES})), "doublet-imaging1", 0)
+    used = clear_semi_diameters(start, LOOKS)
+    clear = used.clone()
+    clear[-1] *= 0.97
+    whole, cut = (methods.finished(start, each, job, {}) for each in (1.01 * used, clear))
+    fractions = [sum(notes["figures"]["valid_fraction"]) for _, notes in (whole, cut)]
+    assert 0.8 * fractions[0] < fractions[1] < fractions[0]
+    assert torch.equal(cut[0].semi_diameter[1:], clear[1:])
+    assert cut[1]["margins"]["max_slope"] >= whole[1]["margins"]["max_slope"]
 
 
 def test_best_rival_is_chosen_by_the_minival(tmp_path):

@@ -11,6 +11,7 @@ from tasklens.design.constraints import first_order_margins, manufacturing_margi
 from tasklens.optics.analysis import View
 from tasklens.optics.lens import Lens
 from tasklens.optics.pupil import bundles, gauss_quadrature
+from tasklens.optics.rays import Rays
 from tasklens.optics.tracing import linearise
 from tasklens.settings import Constraints
 
@@ -58,6 +59,17 @@ class Merit:
         """(R,) residuals [um]."""
         return self.linearise(lens)[0]
 
+    def clear_semi_diameters(self, lens: Lens) -> Tensor:
+        """(S,) apertures at which limits are held [mm]: 1 % more than the rays of the merit function use."""
+        record: list[Rays] = []
+        start = bundles(lens, self.view.tangents, self.pupil, self.view.wavelengths)
+        linearise(lens, start, lens.refractive_indices(self.view.wavelengths), record)
+        return self._clear(record)
+
+    @staticmethod
+    def _clear(record: list[Rays]) -> Tensor:
+        return _MORE * torch.stack([torch.hypot(rays.x, rays.y).max() for rays in record])
+
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """(R,) residuals [um], and the function from V changes of the lens (see `tracing.linearise`) to (R, V) columns.
 
@@ -71,7 +83,7 @@ class Merit:
             torch.where(valid, 1e3 * self.share * error, _LOST * self.share)
             for error in self._errors(rays.x, rays.y, valid, change=False)
         ]
-        semi_diameter = _MORE * torch.stack([torch.hypot(r.x, r.y).max() for r in record])
+        semi_diameter = self._clear(record)
         leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
         leaves["chief"] = torch.stack(
             [v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)]

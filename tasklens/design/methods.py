@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design import descent, least_squares, outside, spot, task
@@ -20,7 +21,7 @@ from tasklens.optics.pupil import sobol_disc
 from tasklens.recognition.data import Pictures
 
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first pictures again
-_APERTURE = 1.02  # semi-diameter of a finished surface over what light uses of it
+_APERTURE = 1.02  # clear aperture of a lens from a file that gives none, over what light uses of it
 
 
 def design(
@@ -46,7 +47,8 @@ def design(
     settings, looks = job.lens.design, view(job.spec)
     if isinstance(settings, Outside):
         lens, fitted = outside.fit(settings, looks, job.spec.f_number, job.rays)
-        return finished(lens, job, {"design": job.lens.design_name, "method": "file"} | fitted)
+        used = clear_semi_diameters(lens, looks, torch.cat([OUTLINE, sobol_disc(job.rays, seed=0)]))
+        return finished(lens, _APERTURE * used, job, {"design": job.lens.design_name, "method": "file"} | fitted)
     start = flat(job.lens.plastics, job.spec, job.constraints)
     origin: dict = {"design": job.lens.design_name, "method": settings.method, "seed": job.seed, "start": "flat"}
     match settings:
@@ -68,7 +70,7 @@ def design(
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
             lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", checkpoint)
     # Limits were soft until here: a little broken, they are mended.
-    return finished(within_limits(lens, looks, job.constraints), job, origin)
+    return finished(*within_limits(lens, looks, job.constraints), job, origin)
 
 
 def best(rivals: Mapping[str, tuple[Lens, Path]]) -> str:
@@ -89,14 +91,16 @@ def open_apertures(lens: Lens) -> Lens:
     return replace(lens, semi_diameter=semi_diameter)
 
 
-def finished(lens: Lens, job: DesignJob, origin: dict) -> tuple[Lens, dict]:
-    """The lens and the notes for its file; where it has no clear aperture: what light uses, and a little more."""
+def finished(lens: Lens, clear: Tensor, job: DesignJob, origin: dict) -> tuple[Lens, dict]:
+    """The lens with clear apertures (S,) [mm], where it has none yet, and the notes for its file.
+
+    A ray beyond them is lost: classifiers bend the rims of lenses, and a few rays of the pupil's outline go far astray.
+    """
     looks = view(job.spec)
-    used = clear_semi_diameters(lens, looks, torch.cat([OUTLINE, sobol_disc(job.rays, seed=0)]))
-    margins = manufacturing_margins(lens, job.constraints, used)
+    margins = manufacturing_margins(lens, job.constraints, clear)
     margins |= first_order_margins(lens, job.constraints, looks, chief_points(lens, looks))
     name, value = worst_margin(margins)
-    lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), used * _APERTURE, lens.semi_diameter))
+    lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))
     notes = {
         "spec": job.spec.model_dump(mode="json"),
         "origin": origin,

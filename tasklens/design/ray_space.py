@@ -98,10 +98,13 @@ class RaySpace:
         return Local(rays.T @ rays, self.scale, shortfall[broken] / per_mm, limits[broken] / per_mm)
 
 
-def within_limits(lens: Lens, view: View, limits: Constraints) -> Lens:
+def within_limits(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     """The lens brought back within its limits by steps that move its rays as little as that takes.
 
     If they end before it is, the one of least shortfall.
+
+    Returns:
+        The lens, and the apertures (S,) within which it keeps its limits [mm].
     """
     space = RaySpace(lens, view, limits)
     vector = space.start
@@ -112,7 +115,8 @@ def within_limits(lens: Lens, view: View, limits: Constraints) -> Lens:
         if not local.broken:
             break
         vector = vector + local.step(torch.zeros_like(vector), _MENDING, damping=0.1)
-    return space.lens(min(found, key=lambda entry: entry[:2])[2])
+    lens = space.lens(min(found, key=lambda entry: entry[:2])[2])
+    return lens, space.merit.clear_semi_diameters(lens)
 
 
 def _bisect(holds: Callable[[float], bool], low: float = -12.0, high: float = 8.0) -> float:
