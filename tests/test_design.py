@@ -19,6 +19,7 @@ from tasklens.design.constraints import (
     shortfall,
     worst_margin,
 )
+from tasklens.design.divergence import cause
 from tasklens.design.schedule import cosine
 from tasklens.design.start import Variables, flat, parameter_groups, view
 from tasklens.design_settings import EndToEnd, Rates
@@ -266,8 +267,23 @@ def test_a_design_that_diverges_is_a_result(start):
     rates = Rates(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0)
     lens, history = descended(small_network(), start, steps=6, rates=rates)
     assert history[-1]["phase"] == "test, diverged" and history[-1]["step"] <= 6
+    assert history[-1]["cause"].startswith("no field;")  # the penalty overflowed
     for name in ("curvature", "thickness", "alpha"):
         assert torch.isfinite(getattr(lens, name)).all()
+
+
+def test_the_cause_of_a_divergence_has_a_name(start):
+    """The field whose loss broke, and the surface whose numbers did; or the network, where neither did."""
+    pupil, losses = sobol_disc(16, 0), torch.zeros(9)
+    losses[[2, 5]] = torch.nan
+    x, y = LOOKS.fields[2].tolist()
+    assert cause(start, LOOKS, pupil, losses) == (
+        f"field 2 at ({x:.3f}, {y:.3f}) mm; all surfaces and rays are finite, the network or a limit is not"
+    )
+    alpha = start.alpha.clone()
+    alpha[3, 1] = torch.inf
+    broken = replace(start, alpha=alpha)
+    assert cause(broken, LOOKS, pupil, torch.zeros(9)) == "no field; surface 3 has a shape that is not finite"
 
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):

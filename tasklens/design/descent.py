@@ -17,6 +17,7 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.constraints import penalty
+from tasklens.design.divergence import cause
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
 from tasklens.design_settings import Descent
@@ -147,9 +148,9 @@ def descend(
         loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
-            message = f"{label}: diverged at step {step}, loss per field {losses.tolist()}, penalty {bounds.item()}"
-            print(message, file=sys.stderr, flush=True)
-            history.append({"phase": f"{label}, diverged", "step": step})
+            where = cause(lens, view, pupil, losses)
+            print(f"{label}: diverged at step {step}: {where}", file=sys.stderr, flush=True)
+            history.append({"phase": f"{label}, diverged", "step": step, "cause": where})
             values = last
             break
         last = {name: value.detach().clone() for name, value in values.items()}

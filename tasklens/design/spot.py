@@ -7,6 +7,7 @@ import torch
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.constraints import penalty
+from tasklens.design.divergence import cause
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
 from tasklens.design_settings import Spot
@@ -57,15 +58,18 @@ def design(
     for step in range(part.step + 1, settings.steps + 1):
         lens = variables.assemble(values)
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
-        rays = trace_fields(lens.stopped(scale), view, sobol_disc(settings.rays, seed * settings.steps + step))
+        pupil = sobol_disc(settings.rays, seed * settings.steps + step)
+        rays = trace_fields(lens.stopped(scale), view, pupil)
         middle = centroid(rays)
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
-        spot = torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt().mean()  # a lost ray counts as 1 mm away
+        spots = torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()  # a lost ray counts as 1 mm away
+        spot = spots.mean()
         bounds = penalty(lens, limits, view)
         loss = spot / scale + settings.penalty * bounds
         if not torch.isfinite(loss):
-            print(f"spot: diverged at step {step}, loss {loss.item()}", file=sys.stderr, flush=True)
-            history.append({"step": step, "rms_um": math.inf})
+            where = cause(lens, view, pupil, spots)
+            print(f"spot: diverged at step {step}: {where}", file=sys.stderr, flush=True)
+            history.append({"step": step, "rms_um": math.inf, "cause": where})
             break
         if scale < 1 or loss.item() < least:
             best = {name: value.detach().clone() for name, value in values.items()}

@@ -16,6 +16,7 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.descent import Problem, loss_at_psf
+from tasklens.design.divergence import cause
 from tasklens.design.ray_space import Local, RaySpace
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design_settings import Task, Walk
@@ -118,7 +119,8 @@ def _walk(
             stride *= cosine((done - walk.duration) / (1 - walk.duration), walk.final)
         leaf = vector.clone().requires_grad_()
         lens = space.lens(leaf)
-        rays = trace_fields(lens, view, sobol_disc(settings.rays, seed + step))
+        pupil = sobol_disc(settings.rays, seed + step)
+        rays = trace_fields(lens, view, pupil)
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
         images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
         labels = pictures.labels[indices]
@@ -128,9 +130,9 @@ def _walk(
         gradient = mean / (1 - walk.momentum**step)
         change = local.step(gradient, stride, walk.damping)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
-            message = f"{label}: diverged at step {step}, loss per field {losses.tolist()}"
-            print(message, file=sys.stderr, flush=True)
-            history.append({"phase": f"{label}, diverged", "step": step})
+            where = cause(lens, view, pupil, losses)
+            print(f"{label}: diverged at step {step}: {where}", file=sys.stderr, flush=True)
+            history.append({"phase": f"{label}, diverged", "step": step, "cause": where})
             vector = finite
             break
         inside = grid.detach().sum((-2, -1)).mean().item()
