@@ -42,6 +42,9 @@ def check(study: Study, args: argparse.Namespace) -> None:
 
         for name, classifier in study.classifiers.items():
             classifiers.check(name, classifier, study.images.size)
+        for name, design in study.designs.items():
+            if size := getattr(design, "size", None):
+                classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)
     print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
 
 

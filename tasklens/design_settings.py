@@ -1,9 +1,9 @@
 """What the ways to design a lens are told: frozen typed classes with units, limits and defaults; no torch here."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, FilePath, field_validator
+from pydantic import Field, FilePath, field_validator, model_validator
 
 from tasklens.optics.materials import Material
 from tasklens.settings import Capture, Count, Fraction, Frozen, Name, Positive
@@ -11,11 +11,23 @@ from tasklens.settings import Capture, Count, Fraction, Frozen, Name, Positive
 Magnification = Annotated[float, Field(ge=1)]
 
 
+PRESETS = {
+    "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},  # section 3.3
+    "ours": {
+        "curvature": 4e-3,
+        "thickness": 2e-3,
+        "alpha_4": 4e-3,
+        "decay": 0.5,
+        "final": 0.05,
+    },  # from plates
+}
+
+
 class Rates(Frozen):
     """AdamW step sizes of the lens; each asphere order above alpha_4 takes `decay` times the one before (paper 3.3).
 
     `normalised`: the step sizes of alpha_k are those of alpha_k R^(k - 1), R the radius that light uses on the surface
-    of the starting lens in mm; else of alpha_k itself, as in the paper.
+    of the starting lens in mm; else of alpha_k itself, as in the paper. A study may also name one of `PRESETS`.
     """
 
     curvature: Positive = 1e-4
@@ -24,6 +36,15 @@ class Rates(Frozen):
     decay: Fraction = 0.02
     normalised: bool = True
     final: Fraction = 1.0  # the rates at the last step, as a fraction; reached on a cosine
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, given: Any) -> Any:
+        if not isinstance(given, str):
+            return given
+        if given not in PRESETS:
+            raise ValueError(f"expected rates, or one of {', '.join(PRESETS)}")
+        return PRESETS[given]
 
 
 class ColdStart(Frozen):
@@ -40,6 +61,7 @@ class Descent(Frozen):
 
     steps: Count
     images: Count = 64
+    size: Count | None = None  # pixels to which the side of the pictures is reduced for the design; null: none
     rays: Count = 256
     rates: Rates = Rates()
     network_rate: Positive = 1e-5
@@ -65,6 +87,7 @@ class Task(Frozen):
 
     method: Literal["task"]
     images: Count = 64  # per step, each at all nine fields
+    size: Count | None = None  # pixels to which the side of the pictures is reduced for the design; null: none
     rays: Count = 256
     starts: Count = 1  # walks from the plates, in pictures of another order; the best goes on
     start: Walk

@@ -50,6 +50,9 @@ MISTAKES = [
     ("designs.imaging1.steps", -1, ["-1", "greater than 0"]),
     ("designs.imaging1.images", 8, ["8", "not permitted"]),
     ("designs.imaging2.highest_order", 5, ["5", "4, 6, 8 or 10"]),
+    ("designs.tasklens.size", 4, ["4", "spec.kernel = 11", "16"]),
+    ("designs.tasklens.size", 17, ["17", "images.size = 16"]),
+    ("designs.imaging1.rates", "theirs", ["theirs", "paper", "ours"]),
     ("designs.tasklens.start.pixels", [20, 0.5], ["start.pixels", "0.5"]),
     ("designs.end_to_end_from_flat.cold_start", {"stop_scale": 2}, ["stop_scale", "2"]),
     ("classifiers.small.training", None, ["pretrained", "weights", "training"]),
@@ -125,6 +128,15 @@ def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
     assert isinstance(yaml.safe_load(text)["fine_tuning"]["rate"], str)
     (tmp_path / "study.yaml").write_text(text)
     assert load(tmp_path / "study.yaml").fine_tuning.rate == 1e-4
+
+
+def test_rates_have_presets():
+    """The paper's (section 3.3) and ours, under their names; a study file may also spell them out."""
+    named = parse(changed(tiny_study(), "designs.imaging1.rates", "paper")).designs["imaging1"].rates
+    assert (named.curvature, named.thickness, named.alpha_4, named.decay) == (1e-4, 1e-4, 1e-4, 0.02)
+    assert not named.normalised and named.final == 1
+    spelt = parse(changed(tiny_study(), "designs.imaging1.rates", named.model_dump())).designs["imaging1"].rates
+    assert spelt == named != parse(changed(tiny_study(), "designs.imaging1.rates", "ours")).designs["imaging1"].rates
 
 
 @pytest.mark.parametrize("text", ["", "[]", "- 1", "just words", "a: [1", "3"])

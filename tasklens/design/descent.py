@@ -14,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
+from torchvision.transforms.v2.functional import resize
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.constraints import penalty
@@ -50,6 +51,12 @@ class Problem:
     capture: Capture
     pictures: Pictures
     seed: int
+
+
+def sharp(pictures: Pictures, indices: Tensor, size: int | None) -> Tensor:
+    """Pictures (B, 3, size, size) uint8 as a design sees them; of their own size without one."""
+    images = pictures.images[indices]
+    return images if size is None else resize(images, [size, size])
 
 
 def loss_at_psf(
@@ -140,7 +147,7 @@ def descend(
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
         bounds = penalty(lens, problem.limits, view)
 
-        images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
+        images = torch.stack([augment(image) for image in sharp(pictures, indices, settings.size)]).float() / 255
         optimizer.zero_grad()
         losses, gradient = loss_at_psf(
             recogniser, images, pictures.labels[indices], grid.float(), problem.capture, captures

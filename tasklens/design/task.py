@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.design.descent import Problem, loss_at_psf
+from tasklens.design.descent import Problem, loss_at_psf, sharp
 from tasklens.design.divergence import cause
 from tasklens.design.ray_space import Local, RaySpace
 from tasklens.design.schedule import cosine, geometric
@@ -72,7 +72,7 @@ def _judge(lens: Lens, recogniser: nn.Module, problem: Problem, settings: Task, 
     view = problem.view
     rays = trace_fields(lens, view, sobol_disc(settings.rays, problem.seed))
     grid = psf(rays, view.fields, view.pixel_pitch * settings.start.pixels[1], view.kernel).float()
-    images, labels = problem.pictures.batch(judged)
+    images, labels = sharp(problem.pictures, judged, settings.size).float() / 255, problem.pictures.labels[judged]
     with torch.no_grad():
         captures = Camera(grid, problem.capture.outside, problem.capture.colour).grid(images)
         # Every batch holds all fields, as those of a walk do: it matters to batch norms by the batch.
@@ -122,7 +122,7 @@ def _walk(
         pupil = sobol_disc(settings.rays, seed + step)
         rays = trace_fields(lens, view, pupil)
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
-        images = torch.stack([augment(image) for image in pictures.images[indices]]).float() / 255
+        images = torch.stack([augment(image) for image in sharp(pictures, indices, settings.size)]).float() / 255
         labels = pictures.labels[indices]
         losses, upstream = loss_at_psf(recogniser, images, labels, grid.float(), problem.capture, settings.micro_batch)
         grid.backward(upstream.to(grid.dtype))
