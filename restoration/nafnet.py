@@ -7,6 +7,8 @@ import torch
 from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
+from tasklens.devices import half_precision
+
 
 class SimpleGate(nn.Module):
     """The product of the two halves of the channels."""
@@ -72,7 +74,11 @@ class NAFNet(nn.Module):
             raise ValueError(
                 f"captures of {captures.shape[-2]} x {captures.shape[-1]} pixels: expected multiples of {self.multiple}"
             )
-        x = self.intro(captures.contiguous(memory_format=torch.channels_last))
+        with half_precision(captures.device):
+            return captures + self._correction(captures.contiguous(memory_format=torch.channels_last)).float()
+
+    def _correction(self, x: Tensor) -> Tensor:
+        x = self.intro(x)
         skips = []
         for blocks, down in zip(self.encoders, self.downs, strict=True):
             x = blocks(x)
@@ -81,4 +87,4 @@ class NAFNet(nn.Module):
         x = self.middle_blks(x)
         for blocks, up, skip in zip(self.decoders, self.ups, reversed(skips), strict=True):
             x = blocks(up(x) + skip)
-        return captures + self.ending(x)
+        return self.ending(x)

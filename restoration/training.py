@@ -56,7 +56,7 @@ def train(
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    network = build(settings)
+    network = build(settings).to(pictures.device)
     optimizer = torch.optim.AdamW(network.parameters(), lr=settings.rate, betas=(0.9, 0.9), weight_decay=0.0)
     plateau = ReduceLROnPlateau(optimizer, "max", 0.25, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
     progress = Progress("restoration", settings.steps)

@@ -17,7 +17,7 @@ MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglo
 
 # From the ground up: a module imports only from its own floor (its own package) and from the floors below.
 FLOORS = [
-    ("tasklens.files", "tasklens.progress", "tasklens.digest"),
+    ("tasklens.files", "tasklens.progress", "tasklens.digest", "tasklens.devices"),
     ("tasklens.checkpoints", "tasklens.optics.materials", "tasklens.optics.zemax_text"),
     ("tasklens.optics.catalogues",),
     ("tasklens.settings",),

@@ -53,10 +53,10 @@ class Problem:
     seed: int
 
 
-def sharp(pictures: Pictures, indices: Tensor, size: int | None) -> Tensor:
-    """Pictures (B, 3, size, size) uint8 as a design sees them; of their own size without one."""
-    images = pictures.images[indices]
-    return images if size is None else resize(images, [size, size])
+def sharp(pictures: Pictures, indices: Tensor, size: int | None) -> tuple[Tensor, Tensor]:
+    """Pictures (B, 3, size, size) uint8 as a design sees them, of their own size without one, and their labels."""
+    images = pictures.images[indices].to(pictures.device)
+    return images if size is None else resize(images, [size, size]), pictures.labels[indices].to(pictures.device)
 
 
 def loss_at_psf(
@@ -72,9 +72,9 @@ def loss_at_psf(
         micro_batch: the most of the F B captures that pass through the network at once.
 
     Returns:
-        loss of each field (F,), whose mean is the loss, and its gradient dL/dPSF like `grid`.
+        loss of each field (F,), whose mean is the loss, and its gradient dL/dPSF, on the device of `grid` and like it.
     """
-    leaf = grid.detach().requires_grad_()
+    leaf = grid.detach().to(images).requires_grad_()
     captures = Camera(leaf, capture.outside, capture.colour).grid(images)
     seen, wanted = captures.detach().flatten(0, 1), labels.repeat(len(grid))
     parts = math.ceil(len(seen) / micro_batch)
@@ -86,7 +86,7 @@ def loss_at_psf(
         losses.append(loss.detach())
         gradients.append(part.grad)
     captures.backward(torch.cat(gradients).reshape(captures.shape))
-    return torch.cat(losses).reshape(len(grid), -1).mean(-1), leaf.grad
+    return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), leaf.grad.to(grid)
 
 
 def descend(
@@ -147,11 +147,10 @@ def descend(
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
         bounds = penalty(lens, problem.limits, view)
 
-        images = torch.stack([augment(image) for image in sharp(pictures, indices, settings.size)]).float() / 255
+        images, labels = sharp(pictures, indices, settings.size)
+        images = torch.stack([augment(image) for image in images]).float() / 255
         optimizer.zero_grad()
-        losses, gradient = loss_at_psf(
-            recogniser, images, pictures.labels[indices], grid.float(), problem.capture, captures
-        )
+        losses, gradient = loss_at_psf(recogniser, images, labels, grid, problem.capture, captures)
         loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
@@ -161,7 +160,7 @@ def descend(
             values = last
             break
         last = {name: value.detach().clone() for name, value in values.items()}
-        torch.autograd.backward([grid, settings.penalty * bounds], [gradient.to(grid.dtype), None])
+        torch.autograd.backward([grid, settings.penalty * bounds], [gradient, None])
         optimizer.step()
         rates.step()
         inside = grid.detach().sum((-2, -1)).mean().item()

@@ -71,10 +71,11 @@ def _judge(lens: Lens, recogniser: nn.Module, problem: Problem, settings: Task, 
     """Mean loss of the judging pictures at the pixels with which a walk ends; infinite if it is not finite."""
     view = problem.view
     rays = trace_fields(lens, view, sobol_disc(settings.rays, problem.seed))
-    grid = psf(rays, view.fields, view.pixel_pitch * settings.start.pixels[1], view.kernel).float()
-    images, labels = sharp(problem.pictures, judged, settings.size).float() / 255, problem.pictures.labels[judged]
+    grid = psf(rays, view.fields, view.pixel_pitch * settings.start.pixels[1], view.kernel)
+    images, labels = sharp(problem.pictures, judged, settings.size)
+    images = images.float() / 255
     with torch.no_grad():
-        captures = Camera(grid, problem.capture.outside, problem.capture.colour).grid(images)
+        captures = Camera(grid.to(images), problem.capture.outside, problem.capture.colour).grid(images)
         # Every batch holds all fields, as those of a walk do: it matters to batch norms by the batch.
         seen, wanted = captures.transpose(0, 1).flatten(0, 1), labels.repeat_interleave(len(grid))
         parts = zip(seen.split(settings.micro_batch), wanted.split(settings.micro_batch), strict=True)
@@ -122,10 +123,10 @@ def _walk(
         pupil = sobol_disc(settings.rays, seed + step)
         rays = trace_fields(lens, view, pupil)
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
-        images = torch.stack([augment(image) for image in sharp(pictures, indices, settings.size)]).float() / 255
-        labels = pictures.labels[indices]
-        losses, upstream = loss_at_psf(recogniser, images, labels, grid.float(), problem.capture, settings.micro_batch)
-        grid.backward(upstream.to(grid.dtype))
+        images, labels = sharp(pictures, indices, settings.size)
+        images = torch.stack([augment(image) for image in images]).float() / 255
+        losses, upstream = loss_at_psf(recogniser, images, labels, grid, problem.capture, settings.micro_batch)
+        grid.backward(upstream)
         mean = walk.momentum * mean + (1 - walk.momentum) * leaf.grad
         gradient = mean / (1 - walk.momentum**step)
         change = local.step(gradient, stride, walk.damping)

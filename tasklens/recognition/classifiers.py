@@ -13,6 +13,7 @@ from timm.models import load_checkpoint
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from tasklens.devices import half_precision
 from tasklens.files import FileError
 from tasklens.settings import Classifier
 from tasklens.study import StudyError
@@ -39,7 +40,8 @@ class Recogniser(nn.Module):
     def all_outputs(self, images: Tensor) -> Tensor:
         """Logits (B, outputs) of images (B, 3, H, W) in [0, 1], also those of classes that no picture has."""
         normalised = (images - self.mean) / self.std
-        return self.network(normalised.contiguous(memory_format=torch.channels_last))
+        with half_precision(images.device):
+            return self.network(normalised.contiguous(memory_format=torch.channels_last)).float()
 
     def forward(self, images: Tensor) -> Tensor:
         """Logits (B, classes) of images (B, 3, H, W) in [0, 1]."""

@@ -1,12 +1,13 @@
 """Labelled pictures as uint8 tensors: rendered, or converted from folders of photographs, and read back."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from tasklens.devices import CPU
 from tasklens.digest import of_folder
 from tasklens.files import FileError, read_tensors, write_tensors
 from tasklens.recognition import folders
@@ -17,18 +18,19 @@ SPLITS = ("train", "minival", "test")
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures (N, 3, H, W) uint8, their labels (N,) int64 and the names of the classes."""
+    """Pictures (N, 3, H, W) uint8, their labels (N,) int64, the names of the classes, and where batches are wanted."""
 
     images: Tensor
     labels: Tensor
     classes: tuple[str, ...]
+    device: torch.device = CPU
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def batch(self, indices: Tensor) -> tuple[Tensor, Tensor]:
         """Pictures in [0, 1], float32, and their labels."""
-        return self.images[indices].float() / 255, self.labels[indices]
+        return self.images[indices].to(self.device).float() / 255, self.labels[indices].to(self.device)
 
     def batches(self, size: int):
         """All pictures in order, as batches."""
@@ -36,7 +38,7 @@ class Pictures:
             yield self.batch(indices)
 
     def take(self, indices: Tensor) -> "Pictures":
-        return Pictures(self.images[indices], self.labels[indices], self.classes)
+        return replace(self, images=self.images[indices], labels=self.labels[indices])
 
 
 def make(images: Images, paths: Mapping[str, Path], threads: int = 1) -> None:
@@ -83,7 +85,7 @@ def write(pictures: Pictures, path: Path) -> None:
     write_tensors(path, {"images": pictures.images, "labels": pictures.labels}, {"classes": list(pictures.classes)})
 
 
-def read(path: Path) -> Pictures:
+def read(path: Path, device: torch.device = CPU) -> Pictures:
     """Read a split written by `make`; its pictures are mapped from the file, not copied."""
     tensors, metadata = read_tensors(path)
-    return Pictures(tensors["images"], tensors["labels"], tuple(metadata["classes"]))
+    return Pictures(tensors["images"], tensors["labels"], tuple(metadata["classes"]), device)

@@ -50,8 +50,8 @@ def evaluate(recogniser: Callable[[Tensor], Tensor], pictures: Pictures, sight: 
     for step, (images, labels) in enumerate(pictures.batches(_BATCH), 1):
         captures = sight.all_fields(images)
         predicted = torch.stack([recogniser(field).argmax(-1) for field in captures])
-        correct.append(predicted == labels)
-        quality.append(psnr(captures, images))
+        correct.append((predicted == labels).cpu())
+        quality.append(psnr(captures, images).cpu())
         progress(step)
     return torch.cat(correct, -1), torch.cat(quality, -1)
 
@@ -64,7 +64,7 @@ def zero_shot(recogniser: Recogniser, pictures: Pictures, sight: Sight) -> list[
     """
     if recogniser.outputs is None:
         return []
-    among_all = replace(pictures, labels=recogniser.outputs[pictures.labels])
+    among_all = replace(pictures, labels=recogniser.outputs.cpu()[pictures.labels])
     correct, _ = evaluate(recogniser.all_outputs, among_all, sight)
     values = (100 * correct.double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]

@@ -88,7 +88,7 @@ def fit(
     recogniser.train()
     for step in range(part.step + 1, steps + 1):
         images, labels = pictures.batch(order.next())
-        flip = torch.rand(len(images), generator=generator) < 0.5
+        flip = (torch.rand(len(images), generator=generator) < 0.5).to(images.device)
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(recogniser(see(images, generator)), labels)
         if not torch.isfinite(loss):

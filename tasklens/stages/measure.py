@@ -27,13 +27,15 @@ def images(study: Study, args: argparse.Namespace) -> None:
 
 def reference(study: Study, args: argparse.Namespace) -> None:
     """train a classifier on the sharp pictures, or take its published weights"""
+    from tasklens.devices import claim
     from tasklens.files import write_tensors
     from tasklens.recognition import classifiers, data, training
 
     layout, job = Layout.of(study), jobs.reference(study, args.classifier)
-    pictures = data.read(Path(layout.images("train")))
+    device = claim()
+    pictures = data.read(Path(layout.images("train")), device)
     training.reseed(0)
-    recogniser = classifiers.build(job.classifier, pictures.classes)
+    recogniser = classifiers.build(job.classifier, pictures.classes).to(device)
     checkpoint = _checkpoint(layout, "reference", args.classifier, job, [Path(layout.images("train"))])
     if job.classifier.training is not None:
         label = f"reference {args.classifier}"
@@ -46,6 +48,7 @@ def reference(study: Study, args: argparse.Namespace) -> None:
 def design(study: Study, args: argparse.Namespace) -> None:
     """design a lens and write its prescription, figures and history"""
     from tasklens.design import methods
+    from tasklens.devices import claim
     from tasklens.files import write_rows
     from tasklens.optics import prescription
     from tasklens.recognition import classifiers, data
@@ -55,8 +58,9 @@ def design(study: Study, args: argparse.Namespace) -> None:
     inputs = []
     if job.classifier is not None:
         inputs = [Path(layout.images("train")), Path(layout.reference(study.supervisor))]
-        pictures = data.read(inputs[0])
-        recogniser = classifiers.build(job.classifier, pictures.classes, inputs[1])
+        device = claim()
+        pictures = data.read(inputs[0], device)
+        recogniser = classifiers.build(job.classifier, pictures.classes, inputs[1]).to(device)
     rivals = {}
     for name in jobs.imaging_rivals(study, args.lens):
         metrics = Path(layout.metrics(name, args.seed, study.supervisor))
@@ -109,14 +113,16 @@ def tail(study: Study, args: argparse.Namespace) -> None:
 def restore(study: Study, args: argparse.Namespace) -> None:
     """train the restoration network on the captures of a lens"""
     from restoration import training
+    from tasklens.devices import claim
     from tasklens.files import read_tensors, write_rows, write_tensors
     from tasklens.imaging import Camera
     from tasklens.recognition import data
 
     layout, job = Layout.of(study), jobs.restore(study, args.lens, args.seed)
     inputs = [Path(layout.images("train")), Path(layout.images("minival")), Path(layout.psf(args.lens, args.seed))]
-    camera = Camera(read_tensors(inputs[2])[0]["psf"], job.capture.outside, job.capture.colour)
-    train, minival = (data.read(path) for path in inputs[:2])
+    device = claim()
+    camera = Camera(read_tensors(inputs[2])[0]["psf"].to(device), job.capture.outside, job.capture.colour)
+    train, minival = (data.read(path, device) for path in inputs[:2])
     history: list[dict] = []
     checkpoint = _checkpoint(layout, "restore", f"{args.lens}-seed{args.seed}", job, inputs)
     network = training.train(job.restoration, train, minival, camera, job.seed, history, checkpoint)
@@ -128,17 +134,19 @@ def restore(study: Study, args: argparse.Namespace) -> None:
 def fine_tune(study: Study, args: argparse.Namespace) -> None:
     """fine-tune a classifier on the captures of a lens, and measure it on every field"""
     from restoration.stored import sight
+    from tasklens.devices import claim
     from tasklens.files import write_rows, write_tensors
     from tasklens.recognition import classifiers, data, evaluation, training
 
     layout = Layout.of(study)
     job = jobs.fine_tune(study, args.lens, args.classifier, args.seed, args.restored)
     name = restored(args.classifier) if args.restored else args.classifier
-    splits = {split: data.read(Path(layout.images(split))) for split in data.SPLITS}
+    device = claim()
+    splits = {split: data.read(Path(layout.images(split)), device) for split in data.SPLITS}
     sharp = Path(layout.reference(args.classifier))
-    recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp)
+    recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp).to(device)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
-    seen = sight(job.capture, job.restoration, *paths)
+    seen = sight(job.capture, job.restoration, *paths, device)
     found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen)
     inputs = [Path(layout.images("train")), sharp, *(path for path in paths if path.exists())]
     checkpoint = _checkpoint(layout, "fine_tune", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
@@ -162,17 +170,19 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
 def reproduce(study: Study, args: argparse.Namespace) -> None:
     """recognise the test pictures again with the stored weights, through the stored PSFs"""
     from restoration.stored import sight
+    from tasklens.devices import claim
     from tasklens.files import write_rows
     from tasklens.recognition import classifiers, data, evaluation
 
     layout = Layout.of(study)
     job = jobs.reproduce(study, args.lens, args.classifier, args.restored)
     name = restored(args.classifier) if args.restored else args.classifier
-    pictures = data.read(Path(layout.images("test")))
+    device = claim()
+    pictures = data.read(Path(layout.images("test")), device)
     weights = Path(layout.classifier(args.lens, args.seed, name))
-    recogniser = classifiers.build(job.classifier, pictures.classes, weights).eval()
+    recogniser = classifiers.build(job.classifier, pictures.classes, weights).eval().to(device)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
-    correct, _ = evaluation.evaluate(recogniser, pictures, sight(job.capture, job.restoration, *paths))
+    correct, _ = evaluation.evaluate(recogniser, pictures, sight(job.capture, job.restoration, *paths, device))
     rows = evaluation.by_picture(correct, pictures)
     write_rows(Path(layout.reproduced(args.lens, args.seed, name)), rows)
 

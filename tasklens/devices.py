@@ -1,0 +1,44 @@
+"""Which device a job computes on: a GPU that no other job of this machine has, or the CPU."""
+
+import fcntl
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+
+CPU = torch.device("cpu")
+_claimed: list = []  # open lock files: a lock ends with its process, however that ends
+
+
+def claim() -> torch.device:
+    """A GPU for this process alone, once one is free; the CPU where there is none.
+
+    Jobs that Snakemake runs side by side spread over the visible GPUs, and wait where there are more jobs than those.
+    """
+    count = torch.cuda.device_count()
+    if count == 0:
+        return CPU
+    while True:
+        for index in range(count):
+            if _lock(str(torch.cuda.get_device_properties(index).uuid)):
+                torch.cuda.set_device(index)
+                return torch.device("cuda", index)
+        time.sleep(1.0)
+
+
+def half_precision(device: torch.device) -> torch.autocast:
+    """Where a network computes: in bfloat16 on a GPU, whose tensor cores want that, in float32 on the CPU."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")
+
+
+def _lock(name: str) -> bool:
+    """Whether this process now holds the lock of this name."""
+    file = open(Path(tempfile.gettempdir()) / f"tasklens-{name}.lock", "a")  # noqa: SIM115
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        return False
+    _claimed.append(file)
+    return True

@@ -1,0 +1,48 @@
+"""Jobs spread over the GPUs of a machine, and run on the CPU where there is none."""
+
+import multiprocessing
+from types import SimpleNamespace
+
+import torch
+
+from tasklens import devices
+
+
+def pretend(monkeypatch, names: list[str]) -> None:
+    """As many GPUs as names."""
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: len(names))
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda index: SimpleNamespace(uuid=names[index]))
+    monkeypatch.setattr(torch.cuda, "set_device", lambda index: None)
+
+
+def test_without_a_gpu_it_is_the_cpu(monkeypatch):
+    pretend(monkeypatch, [])
+    assert devices.claim() == torch.device("cpu")
+
+
+def hold(name: str, ready, done) -> None:
+    assert devices._lock(name)
+    ready.set()
+    done.wait()
+
+
+def test_a_gpu_has_one_job(monkeypatch, tmp_path):
+    """What another process holds is left to it, and free again when that ends, by whatever."""
+    names = ["one", "other"]
+    pretend(monkeypatch, names)
+    monkeypatch.setattr(devices.tempfile, "gettempdir", lambda: tmp_path)
+    context = multiprocessing.get_context("fork")
+    ready, done = context.Event(), context.Event()
+    other = context.Process(target=hold, args=(names[0], ready, done))
+    other.start()
+    ready.wait()
+    assert devices.claim() == torch.device("cuda", 1)
+    waited = []
+    monkeypatch.setattr(devices.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
+    assert devices.claim() == torch.device("cuda", 0)
+    assert len(waited) == 1
+
+
+def test_networks_compute_in_single_precision_on_the_cpu():
+    with devices.half_precision(torch.device("cpu")):
+        assert torch.mm(torch.ones(2, 2), torch.ones(2, 2)).dtype == torch.float32
