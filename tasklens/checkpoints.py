@@ -47,7 +47,7 @@ class Checkpoint:
         self.records: dict[str, dict] = {}
         if path is not None and path.exists():
             try:
-                self.records = torch.load(path, weights_only=True)
+                self.records = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:  # of pickle, zip or torch
                 raise FileError(f"{path}: no checkpoint of this program; remove it ({error})") from error
 
@@ -60,7 +60,9 @@ class Checkpoint:
         """
         record = self.records.get(name, {})
         if record:
-            torch.set_rng_state(record["random"])
+            torch.set_rng_state(record["random"]["cpu"])
+            if "gpu" in record["random"] and torch.cuda.is_available():
+                torch.cuda.set_rng_state(record["random"]["gpu"])
             if history is not None:
                 history[:] = [dict(row) for row in record["history"]]
         for key, state in record.get("holders", {}).items():
@@ -125,4 +127,7 @@ class Part:
 
     def _remember(self, record: dict) -> None:
         rows = [dict(row) for row in self.history or ()]
-        self.checkpoint.records[self.name] = record | {"random": torch.get_rng_state(), "history": rows}
+        random = {"cpu": torch.get_rng_state()}
+        if torch.cuda.is_initialized():  # dropout draws there
+            random["gpu"] = torch.cuda.get_rng_state()
+        self.checkpoint.records[self.name] = record | {"random": random, "history": rows}

@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 
 CPU = torch.device("cpu")
-_claimed: list = []  # open lock files: a lock ends with its process, however that ends
+_locked: dict[str, object] = {}  # by GPU, open files: a lock ends with its process, however that ends
 
 
 def claim() -> torch.device:
-    """A GPU for this process alone, once one is free; the CPU where there is none.
+    """A GPU for this process alone, once one is free, and the same when asked again; the CPU where there is none.
 
     Jobs that Snakemake runs side by side spread over the visible GPUs, and wait where there are more jobs than those.
     """
@@ -33,12 +33,17 @@ def half_precision(device: torch.device) -> torch.autocast:
 
 
 def _lock(name: str) -> bool:
-    """Whether this process now holds the lock of this name."""
-    file = open(Path(tempfile.gettempdir()) / f"tasklens-{name}.lock", "a")  # noqa: SIM115
+    """Whether this process holds the lock of this name, from now on or already."""
+    if name in _locked:
+        return True
+    path = Path(tempfile.gettempdir()) / f"tasklens-{name}.lock"
+    if not path.exists():
+        path.touch()
+    file = path.open()  # for reading, which is enough for a lock: the file may be another user's
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         file.close()
         return False
-    _claimed.append(file)
+    _locked[name] = file
     return True

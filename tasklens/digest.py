@@ -86,10 +86,10 @@ def code(stage: str) -> str:
 def of_folder(folder: Path) -> str:
     """Digest of the names, sizes and times of change of all files below a folder; of an absent one, too."""
     entries = []
-    for root, folders, files in os.walk(folder):
+    for root, folders, files in os.walk(folder, followlinks=True):
         folders.sort()
         for name in sorted(files):
             path = os.path.join(root, name)
-            status = os.stat(path)
+            status = os.stat(path) if os.path.exists(path) else os.lstat(path)  # a link to nowhere
             entries.append(f"{os.path.relpath(path, folder)} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(entries).encode()).hexdigest()[:16]

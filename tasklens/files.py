@@ -31,9 +31,13 @@ def number(value: object, where: str) -> float:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it when the block ends, removed when it raises."""
+    """A temporary path beside `path`, renamed to it when the block ends, removed when it raises.
+
+    The next writer of `path` removes what a killed one has left.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.unlink(missing_ok=True)
     try:
         yield temporary
         os.replace(temporary, path)

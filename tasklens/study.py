@@ -146,13 +146,14 @@ class Study(Frozen):
         for name in self.ablations:
             self._check_ablation(name)
         for lens in (self.lenses | self.variants).values():
-            size = getattr(lens.design, "size", None) or self.images.size
             kernel = self.spec_of(lens.elements).kernel
-            if not kernel // 2 < size <= self.images.size:
-                raise ValueError(
-                    f"designs.{lens.design_name}.size: expected more than half of spec.kernel = {kernel} and at most "
-                    f"images.size = {self.images.size}, got {size}"
-                )
+            for part in (lens.design, getattr(lens.design, "polish", None)):
+                size = getattr(part, "size", None)
+                if size is not None and not kernel // 2 < size <= self.images.size:
+                    raise ValueError(
+                        f"designs.{lens.design_name}: size: expected more than half of spec.kernel = {kernel} and at "
+                        f"most images.size = {self.images.size}, got {size}"
+                    )
             starts = lens.design.start if isinstance(lens.design, EndToEnd) else None
             if starts == "best_imaging" and not self.imaging_designs:
                 raise ValueError(

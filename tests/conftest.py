@@ -1,8 +1,9 @@
-"""One thread for every test: sums are then taken in the same order on every machine. And the lens of many tests."""
+"""One thread of the CPU for every test: sums are then taken in one order everywhere. And the lens of many tests."""
 
 import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 import numpy
 import pytest

@@ -122,6 +122,8 @@ def test_weights_of_numpy_are_read_by_models_that_can(tmp_path):
     vit = Classifier(model="vit_tiny_patch16_224", arguments=small, weights=tmp_path / "vit.npz")
     logits = classifiers.build(vit, names(3)).eval()(torch.rand(2, 3, 32, 32))
     torch.testing.assert_close(logits, torch.tensor([[1.0, 2.0, 3.0]] * 2))
+    with pytest.raises(FileError, match=r"vit\.npz: its head is not that of vit_tiny_patch16_224 with 4 outputs"):
+        classifiers.build(vit, names(4))
     with pytest.raises(FileError, match=r"vit\.npz: no weights for test_resnet"):
         classifiers.build(Classifier(model="test_resnet", weights=tmp_path / "vit.npz"), names(3))
 

@@ -11,6 +11,7 @@ from examples import changed, f64, materials, random_lens, random_pictures, tiny
 from torch import nn
 
 from tasklens import jobs
+from tasklens.checkpoints import NOTHING_KEPT
 from tasklens.design import descent, methods
 from tasklens.design.constraints import (
     first_order_margins,
@@ -232,11 +233,11 @@ def problem(limits=LIMITS):
     return descent.Problem(LOOKS, limits, Capture(), random_pictures(12, 16, 3, seed=0), seed=1)
 
 
-def descended(network, lens, **settings):
+def descended(network, lens, checkpoint=NOTHING_KEPT, **settings):
     settings = {"steps": 3, "images": 4, "rays": 16, "rates": RATES, "network_rate": 1e-3} | settings
     history: list[dict] = []
     settings = EndToEnd(method="end_to_end", start="flat", **settings)
-    return descent.descend(lens, network, problem(), settings, history, "test"), history
+    return descent.descend(lens, network, problem(), settings, history, "test", checkpoint), history
 
 
 def test_a_design_may_see_smaller_pictures(start):

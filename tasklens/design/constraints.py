@@ -25,9 +25,9 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     flange: its polynomial means nothing there.
 
     Args:
-        semi_diameter: (S,) radius that light uses on each surface [mm]; taken as given, without gradient.
+        semi_diameter: (S,) radius that light uses on each surface [mm].
     """
-    semi = semi_diameter.detach().clamp(min=float(lens.semi_diameter[lens.stop]))
+    semi = semi_diameter.clamp(min=float(lens.semi_diameter[lens.stop]))
     element = torch.tensor([medium != AIR for medium in lens.media[:-1]])
     shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
 

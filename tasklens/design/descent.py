@@ -135,6 +135,7 @@ def descend(
     if part.state is not None:
         for name, value in values.items():
             value.data.copy_(part.state["values"][name])
+        last = part.state["last"]
     for step in range(part.step + 1, steps + 1):
         indices = order.next()
         pixels = stop = 1.0
@@ -143,7 +144,8 @@ def descend(
             stop = geometric(cold.stop_scale, (step - 1) / (cold.stop_duration * steps))
         lens = variables.assemble(values)
         pupil = sobol_disc(settings.rays, problem.seed * steps + step)
-        rays = trace_fields(lens.stopped(stop), view, pupil)
+        stopped = lens.stopped(stop)
+        rays = trace_fields(stopped, view, pupil)
         grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
         bounds = penalty(lens, problem.limits, view)
 
@@ -154,7 +156,7 @@ def descend(
         loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
-            where = cause(lens, view, pupil, losses)
+            where = cause(stopped, view, pupil, losses)
             print(f"{label}: diverged at step {step}: {where}", file=sys.stderr, flush=True)
             history.append({"phase": f"{label}, diverged", "step": step, "cause": where})
             values = last
@@ -180,6 +182,6 @@ def descend(
                     "rate": rates.get_last_lr()[0],
                 }
             )
-        part.keep(step, values=values)
+        part.keep(step, values=values, last=last)
     recogniser.eval().requires_grad_(False)
     return variables.assemble(values).detached()

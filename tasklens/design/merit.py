@@ -64,17 +64,10 @@ class Merit:
         record: list[Rays] = []
         start = bundles(lens, self.view.tangents, self.pupil, self.view.wavelengths)
         linearise(lens, start, lens.refractive_indices(self.view.wavelengths), record)
-        return self._clear(record)
-
-    @staticmethod
-    def _clear(record: list[Rays]) -> Tensor:
-        return _MORE * torch.stack([torch.hypot(rays.x, rays.y).max() for rays in record])
+        return _MORE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, record)])
 
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
-        """(R,) residuals [um], and the function from V changes of the lens (see `tracing.linearise`) to (R, V) columns.
-
-        Limits take the apertures as given, without derivative.
-        """
+        """(R,) residuals [um], and the function from V changes of the lens (`tracing.linearise`) to (R, V) columns."""
         view, record = self.view, []
         start = bundles(lens, view.tangents, self.pupil, view.wavelengths)
         rays, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths), record)
@@ -83,22 +76,30 @@ class Merit:
             torch.where(valid, 1e3 * self.share * error, _LOST * self.share)
             for error in self._errors(rays.x, rays.y, valid, change=False)
         ]
-        semi_diameter = self._clear(record)
+        outermost = [_outermost(behind) for behind in record]
         leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
         leaves["chief"] = torch.stack(
             [v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)]
         ).requires_grad_()
-        operands = self._operands(leaves, lens, semi_diameter)
+        used = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
+        leaves["semi_diameter"] = (_MORE * used).requires_grad_()
+        operands = self._operands(leaves, lens)
         values = torch.cat([*(error.flatten() for error in errors), operands.detach()])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
-            moved = derivative(changes)
+            behind: list[tuple[Tensor, Tensor]] = []
+            moved = derivative(changes, behind)
             rows = [
                 torch.where(valid, 1e3 * self.share * error, 0.0).flatten(1)
                 for error in self._errors(moved.x, moved.y, valid, change=True)
             ]
             chief = torch.stack([v[..., self.middle, -1] for v in (moved.x, moved.y, moved.m, moved.n)], 1)
-            rows.append(_along(operands, leaves, {**changes, "chief": chief}))
+            aperture = [
+                (x * dx.expand_as(moved.x).flatten(1)[:, i] + y * dy.expand_as(moved.x).flatten(1)[:, i]) / height
+                for (x, y, i), (dx, dy), height in zip(outermost, behind, used, strict=True)
+            ]
+            apertures = _MORE * torch.stack(aperture, -1)
+            rows.append(_along(operands, leaves, {**changes, "chief": chief, "semi_diameter": apertures}))
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
         # A kicked lens can leave every range; scipy wants numbers all the same, as bad as they may be.
@@ -117,17 +118,24 @@ class Merit:
                 centre = torch.zeros_like(self.view.fields[:, 1]) if change else self.view.fields[:, 1]
         return x[..., :count], y[..., :count] - centre[..., None, None]
 
-    def _operands(self, leaves: Mapping[str, Tensor], lens: Lens, semi_diameter: Tensor) -> Tensor:
+    def _operands(self, leaves: Mapping[str, Tensor], lens: Lens) -> Tensor:
         """One-sided residuals of limits, zero where they hold."""
-        shape = {name: value for name, value in leaves.items() if name != "chief"}
-        lens, (x, y, m, n) = replace(lens, **shape), leaves["chief"]
-        margins = manufacturing_margins(lens, self.limits, semi_diameter)
+        lens = replace(lens, **{name: leaves[name] for name in ("curvature", "alpha", "thickness")})
+        x, y, m, n = leaves["chief"]
+        margins = manufacturing_margins(lens, self.limits, leaves["semi_diameter"])
         margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))
         operands = [self.per_mm * shortfall(margins)]
         if self.max_chief_ray_angle_deg is not None:
             angle = torch.rad2deg(torch.atan2(m.abs(), n))
             operands.append((angle - self.max_chief_ray_angle_deg).clamp(min=0))
         return torch.cat(operands)
+
+
+def _outermost(rays: Rays) -> tuple[Tensor, Tensor, int]:
+    """Point (x, y) of the ray that is farthest from the axis and not lost [mm], and its index among all."""
+    heights = torch.where(rays.lost_at < 0, torch.hypot(rays.x, rays.y), 0.0).flatten()
+    i = int(heights.argmax())
+    return rays.x.flatten()[i], rays.y.flatten()[i], i
 
 
 def _along(operands: Tensor, leaves: Mapping[str, Tensor], changes: Mapping[str, Tensor]) -> Tensor:

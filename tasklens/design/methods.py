@@ -97,7 +97,7 @@ def finished(lens: Lens, clear: Tensor, job: DesignJob, origin: dict) -> tuple[L
     A ray beyond them is lost: classifiers bend the rims of lenses, and a few rays of the pupil's outline go far astray.
     """
     looks = view(job.spec)
-    margins = manufacturing_margins(lens, job.constraints, clear)
+    margins = manufacturing_margins(lens, job.constraints, torch.minimum(clear, lens.semi_diameter))
     margins |= first_order_margins(lens, job.constraints, looks, chief_points(lens, looks))
     name, value = worst_margin(margins)
     lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))

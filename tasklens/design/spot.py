@@ -59,7 +59,8 @@ def design(
         lens = variables.assemble(values)
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
         pupil = sobol_disc(settings.rays, seed * settings.steps + step)
-        rays = trace_fields(lens.stopped(scale), view, pupil)
+        stopped = lens.stopped(scale)
+        rays = trace_fields(stopped, view, pupil)
         middle = centroid(rays)
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
         spots = torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()  # a lost ray counts as 1 mm away
@@ -67,7 +68,7 @@ def design(
         bounds = penalty(lens, limits, view)
         loss = spot / scale + settings.penalty * bounds
         if not torch.isfinite(loss):
-            where = cause(lens, view, pupil, spots)
+            where = cause(stopped, view, pupil, spots)
             print(f"spot: diverged at step {step}: {where}", file=sys.stderr, flush=True)
             history.append({"step": step, "rms_um": math.inf, "cause": where})
             break

@@ -111,8 +111,11 @@ class _Sequence(torch.autograd.Function):
         return *_pushed(ctx.notes, indices, rays, path, d_indices, curvature, conic, alpha, thickness), None, None
 
 
-def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, conic, alpha, thickness):
-    """Small changes of rays (..., F, W, N) and surfaces (..., S) carried to the image plane; None stands for zero."""
+def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, conic, alpha, thickness, record=None):
+    """Small changes of rays (..., F, W, N) and surfaces (..., S) carried to the image plane; None stands for zero.
+
+    Those of x and y behind every surface are appended to `record`.
+    """
     zero, index = indices.new_zeros(()), indices.unbind()
     rays, d_path = Bundle(*(zero if v is None else v for v in rays)), zero if d_path is None else d_path
 
@@ -126,6 +129,8 @@ def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, 
             shape = (at(curvature, i), at(conic, i), coefficients)
             rays, dt = push(rays, (before - crossing.mu * behind) / index[i + 1], shape, crossing, surface)
             d_path = d_path + before * crossing.t + index[i] * dt
+        if record is not None:
+            record.append((rays.x, rays.y))
         rays = rays._replace(z=rays.z - at(thickness, i))
     dx, dy, dz, dl, dm, dn = rays
     l, m, n, t = notes.last
@@ -235,13 +240,14 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
 
 def linearise(
     lens: Lens, rays: Rays, indices: Tensor, record: list | None = None
-) -> tuple[Rays, Callable[[Mapping[str, Tensor]], Bundle]]:
+) -> tuple[Rays, Callable[..., Bundle]]:
     """Trace rays (F, W, N) as `trace` does but without a graph, and give the derivative along changes of the lens.
 
     Returns:
         The rays on the image plane, and the function that takes V changes of the lens at once, `curvature`, `conic` and
         `thickness` (V, S), `alpha` (V, S, M), where a missing one is zero, to those of the rays there, (V, F, W, N).
-        The rays start as they are, whatever the lens.
+        The rays start as they are, whatever the lens. Its second argument, a list, receives the changes of x and y
+        behind every surface, of a shape that broadcasts with those.
     """
     notes = _Notes(lens.semi_diameter.tolist(), record, keep=True, to_index=False)
     parts = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
@@ -249,10 +255,10 @@ def linearise(
     with torch.no_grad():
         x, y, l, m, n, path, fate, lost_at = _Sequence.forward(notes, *parts, indices[..., None], *shape)
 
-    def derivative(changes: Mapping[str, Tensor]) -> Bundle:
+    def derivative(changes: Mapping[str, Tensor], behind: list | None = None) -> Bundle:
         kinds = (changes.get(name) for name in ("curvature", "conic", "alpha", "thickness"))
         with torch.no_grad():
-            dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds)
+            dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds, behind)
         return Bundle(dx, dy, torch.zeros_like(dx), dl, dm, dn)
 
     return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at), derivative

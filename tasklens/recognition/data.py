@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from tasklens.devices import CPU
-from tasklens.digest import of_folder
 from tasklens.files import FileError, read_tensors, write_tensors
 from tasklens.recognition import folders
 from tasklens.settings import Images
@@ -71,7 +70,7 @@ def make(images: Images, paths: Mapping[str, Path], threads: int = 1) -> None:
         if images.folder is None:
             write(chosen, paths[split])
         else:
-            folders.convert(chosen, images.size, paths[split], threads, of_folder(images.folder))
+            folders.convert(chosen, images.size, paths[split], threads)
 
 
 def _rendered(count: int, size: int, seed: int) -> Pictures:

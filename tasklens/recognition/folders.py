@@ -59,12 +59,11 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
     return Listing(tuple(file for file, _ in chosen), torch.tensor([k for _, k in chosen]), tuple(classes))
 
 
-def convert(listing: Listing, size: int, path: Path, threads: int, source: str) -> None:
+def convert(listing: Listing, size: int, path: Path, threads: int) -> None:
     """Decode the photographs and write them like `data.write`, (N, 3, size, size), straight into the file.
 
     Args:
         threads: that decode at once.
-        source: digest of where they are from, for the file.
 
     Raises:
         FileError: a file that is no picture, or a full disk, before anything is decoded.
@@ -73,7 +72,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, source: str) 
         "labels": listing.labels,
         "images": torch.empty(len(listing), 3, size, size, dtype=torch.uint8, device="meta"),
     }
-    metadata = {"classes": list(listing.classes), "source": source}
+    metadata = {"classes": list(listing.classes)}
     progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
     with writing_tensors(path, tensors, metadata) as mapped, ThreadPoolExecutor(threads) as pool:
 

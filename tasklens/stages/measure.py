@@ -36,7 +36,8 @@ def reference(study: Study, args: argparse.Namespace) -> None:
     pictures = data.read(Path(layout.images("train")), device)
     training.reseed(0)
     recogniser = classifiers.build(job.classifier, pictures.classes).to(device)
-    checkpoint = _checkpoint(layout, "reference", args.classifier, job, [Path(layout.images("train"))])
+    inputs = [Path(layout.images("train")), *filter(None, [job.classifier.weights])]
+    checkpoint = _checkpoint(layout, "reference", args.classifier, job, inputs)
     if job.classifier.training is not None:
         label = f"reference {args.classifier}"
         training.fit(recogniser, pictures, job.classifier.training, 0, label, checkpoint=checkpoint)
@@ -148,7 +149,8 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
     seen = sight(job.capture, job.restoration, *paths, device)
     found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen)
-    inputs = [Path(layout.images("train")), sharp, *(path for path in paths if path.exists())]
+    inputs = [Path(layout.images("train")), sharp]
+    inputs += [path for path, read in zip(paths, (job.capture, job.restoration), strict=True) if read is not None]
     checkpoint = _checkpoint(layout, "fine_tune", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
     label = f"fine-tune {name}"
     training.fit(recogniser, splits["train"], job.training, job.seed, label, seen.one_field, checkpoint)
