@@ -129,7 +129,7 @@ def test_weights_of_numpy_are_read_by_models_that_can(tmp_path):
 
 
 def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
-    """Logits of the classes that there are, in the order of the folders; training moves no other row of the head."""
+    """Logits of the classes that there are, in the order of the folders; no other row of the head has a gradient."""
     classifier = Classifier(model="test_resnet", outputs="imagenet", training=Training(epochs=1, rate=1e-2))
     folders = ["n01443537", "n02102040", "n01440764"]  # goldfish (1), English springer (217), tench (0)
     recogniser = classifiers.build(classifier, folders).eval()
