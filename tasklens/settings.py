@@ -124,6 +124,7 @@ class Classifier(Frozen):
     Attributes:
         outputs: one per class of the pictures, or the 1000 of ImageNet, among which folders named by WordNet ids are
             found; the others then take no part but in the zero-shot accuracy.
+        processes: that fine-tune it together on one machine, each on its share of every batch, and on a GPU of its own.
     """
 
     model: str
@@ -132,6 +133,7 @@ class Classifier(Frozen):
     weights: Path | None = None
     outputs: Literal["classes", "imagenet"] = "classes"
     training: Training | None = None
+    processes: Count = 1
 
     @model_validator(mode="after")
     def _one_origin(self):

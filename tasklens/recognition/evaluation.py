@@ -23,12 +23,12 @@ class Sight:
     camera: Camera | None = None
     restoration: nn.Module | None = None
 
-    def one_field(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Images (B, 3, H, W) in [0, 1], each seen at a random field, for training."""
-        if self.camera is not None:
-            fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
-            images = self.camera.single(images, fields)
-        return self._restored(images)
+    def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
+        """A share of images (B, 3, H, W) in [0, 1], each seen at a random field, for training."""
+        if self.camera is None:
+            return self._restored(images[share])
+        fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
+        return self._restored(self.camera.single(images[share], fields[share]))
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Images (B, 3, H, W) in [0, 1] at every field, (F, B, 3, H, W); without a camera there is one field."""

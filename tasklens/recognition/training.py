@@ -10,6 +10,7 @@ from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, S
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
+from tasklens.recognition.team import ALONE, Team
 from tasklens.settings import Training
 
 
@@ -63,8 +64,9 @@ def fit(
     training: Training,
     seed: int,
     label: str,
-    see: Callable[[Tensor, torch.Generator], Tensor] = lambda images, generator: images,
+    see: Callable[[Tensor, torch.Generator, slice], Tensor] = lambda images, generator, share: images[share],
     checkpoint: Checkpoint = NOTHING_KEPT,
+    team: Team = ALONE,
 ) -> None:
     """Train a classifier in place with cross-entropy; it is left in `eval()`.
 
@@ -74,9 +76,12 @@ def fit(
         training: budget and rates.
         seed: of the order of the pictures, the flips and the network's own randomness.
         label: for the progress lines.
-        see: what the classifier sees instead of the sharp images (B, 3, H, W), given a random generator.
-        checkpoint: of the job, for its part `label`.
+        see: what the classifier sees instead of the sharp images (B, 3, H, W), given a random generator, of which it
+            takes the same numbers whatever the share of the images that is wanted.
+        checkpoint: of the job, for its part `label`; the first process writes it.
+        team: the processes that train together; all end with the same network.
     """
+    share, together = team.share(training.batch), team.together(recogniser)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(pictures) / training.batch))
@@ -90,13 +95,14 @@ def fit(
         images, labels = pictures.batch(order.next())
         flip = (torch.rand(len(images), generator=generator) < 0.5).to(images.device)
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
-        loss = F.cross_entropy(recogniser(see(images, generator)), labels)
+        loss = F.cross_entropy(together(see(images, generator, share)), labels[share])
         if not torch.isfinite(loss):
             raise FloatingPointError(f"{label}: the loss became {loss.item()} at step {step} of {steps}")
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
-        progress(step, loss=loss.item())
-        part.keep(step)
+        if team.first:
+            progress(step, loss=loss.item())
+            part.keep(step)
     recogniser.eval()

@@ -137,7 +137,7 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     from restoration.stored import sight
     from tasklens.devices import claim
     from tasklens.files import write_rows, write_tensors
-    from tasklens.recognition import classifiers, data, evaluation, training
+    from tasklens.recognition import classifiers, data, evaluation, team, training
 
     layout = Layout.of(study)
     job = jobs.fine_tune(study, args.lens, args.classifier, args.seed, args.restored)
@@ -148,12 +148,15 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp).to(device)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
     seen = sight(job.capture, job.restoration, *paths, device)
-    found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen)
     inputs = [Path(layout.images("train")), sharp]
     inputs += [path for path, read in zip(paths, (job.capture, job.restoration), strict=True) if read is not None]
     checkpoint = _checkpoint(layout, "fine_tune", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
-    label = f"fine-tune {name}"
-    training.fit(recogniser, splits["train"], job.training, job.seed, label, seen.one_field, checkpoint)
+    with team.joined(device) as processes:
+        found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen) if processes.first else []
+        label = f"fine-tune {name}"
+        training.fit(recogniser, splits["train"], job.training, job.seed, label, seen.one_field, checkpoint, processes)
+    if not processes.first:
+        return
     rows, by_picture = evaluation.measure(recogniser, splits, seen)
     common = {
         "elements": job.elements,

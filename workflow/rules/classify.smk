@@ -26,12 +26,14 @@ rule fine_tune:
         pictures=layout.pictures("{lens}", "{seed}", "{classifier}"),
     log:
         f"{layout.root}/logs/fine_tune/{{lens}}-seed{{seed}}-{{classifier}}.log",
-    threads: 1
+    threads: processes
     params:
+        tasklens=tasklens_of,
         study=layout.study,
         job=lambda wildcards: jobs.fine_tune(
             study, wildcards.lens, wildcards.classifier, wildcards.seed, False
         ).model_dump_json(),
         code=code("fine_tune"),
     shell:
-        "tasklens fine-tune {params.study} {wildcards.lens} {wildcards.classifier} --seed {wildcards.seed} 2> {log}"
+        "{params.tasklens} fine-tune {params.study} {wildcards.lens} {wildcards.classifier} --seed {wildcards.seed}"
+        " 2> {log}"

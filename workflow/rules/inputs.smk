@@ -10,6 +10,17 @@ def published_weights(wildcards):
     return [] if path is None else str(path)
 
 
+def processes(wildcards):
+    """How many processes fine-tune a classifier together."""
+    return study.classifiers[wildcards.classifier].processes
+
+
+def tasklens_of(wildcards):
+    """The command line, once for every process."""
+    count = processes(wildcards)
+    return "tasklens" if count == 1 else f"torchrun --standalone --nproc-per-node {count} -m tasklens.cli"
+
+
 def design_inputs(wildcards):
     """What a design reads: pictures and the supervisor, imaging lenses to start from, a lens from outside, or nothing."""
     inputs = {}

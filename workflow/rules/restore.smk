@@ -28,13 +28,14 @@ rule fine_tune_restored:
         pictures=layout.pictures("{lens}", "{seed}", restored("{classifier}")),
     log:
         f"{layout.root}/logs/fine_tune_restored/{{lens}}-seed{{seed}}-{{classifier}}.log",
-    threads: 1
+    threads: processes
     params:
+        tasklens=tasklens_of,
         study=layout.study,
         job=lambda wildcards: jobs.fine_tune(
             study, wildcards.lens, wildcards.classifier, wildcards.seed, True
         ).model_dump_json(),
         code=code("fine_tune"),
     shell:
-        "tasklens fine-tune {params.study} {wildcards.lens} {wildcards.classifier} --restored"
+        "{params.tasklens} fine-tune {params.study} {wildcards.lens} {wildcards.classifier} --restored"
         " --seed {wildcards.seed} 2> {log}"

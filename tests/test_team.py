@@ -1,0 +1,60 @@
+"""Two processes that fine-tune a classifier together give the metrics of one."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from examples import changed, tiny_study
+
+from tasklens import cli
+from tasklens.files import read_tensors
+from tasklens.recognition.team import Team
+from tasklens.study import StudyError
+
+VIT = {
+    "model": "vit_tiny_patch16_224",  # without batch norms, whose statistics on a CPU are of each share alone
+    "arguments": {"img_size": 16, "patch_size": 8, "embed_dim": 12, "depth": 1, "num_heads": 1},
+    "training": {"epochs": 1, "rate": 1.0e-3, "batch": 16},
+}
+
+
+def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
+    """Accuracies at all fields within one picture, weights within rounding, and only one of them writes."""
+    study = changed(changed(tiny_study(), "classifiers.small", VIT), "fine_tuning.epochs", 2)
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
+    monkeypatch.chdir(tmp_path)
+    for call in (["images"], ["reference", "small"], ["design", "singlet-imaging1"], ["psf", "singlet-imaging1"]):
+        assert cli.main([call[0], "study.yaml", *call[1:]]) == 0
+    job = ["fine-tune", "study.yaml", "singlet-imaging1", "small"]
+    metrics = Path("results/tiny/metrics/singlet-imaging1/seed0/small.csv")
+
+    def measured() -> dict[tuple[str, str], float]:
+        with metrics.open(newline="") as file:
+            return {(row["metric"], row["field"]): float(row["value"]) for row in csv.DictReader(file)}
+
+    assert cli.main(job) == 0
+    alone = measured()
+    weights = Path("results/tiny/classifiers/singlet-imaging1/seed0/small.safetensors")
+    expected = {name: value.clone() for name, value in read_tensors(weights)[0].items()}
+    for path in (metrics, weights):
+        path.unlink()
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.cli"]
+    done = subprocess.run([sys.executable, *torchrun, *job], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("fine-tune small  step 1/") == 1
+    torch.testing.assert_close(read_tensors(weights)[0], expected, rtol=0, atol=1e-5)
+    together = measured()
+    assert together.keys() == alone.keys()
+    picture = 100 / study["images"]["test"] + 1e-6
+    for key, value in alone.items():
+        assert together[key] == pytest.approx(value, abs=picture if "accuracy" in key[0] else 1e-6), key
+
+
+def test_shares_are_of_one_size():
+    assert [list(range(6))[Team(rank, 3).share(6)] for rank in range(3)] == [[0, 3], [1, 4], [2, 5]]
+    with pytest.raises(StudyError, match="64 is no multiple of the 3 processes"):
+        Team(0, 3).share(64)
