@@ -1,7 +1,7 @@
 """Peak memory of one task-driven step at the paper's size, in a process of its own for each size of micro-batch.
 
 64 pictures of 224 pixels at nine fields are 576 captures; the supervisor is ResNet50 with random weights, frozen. The
-step is the design's own: `descend` with one step. It takes about 3 minutes of a core per micro-batch.
+step is the design's own. It takes about 3 minutes of a core per micro-batch.
 """
 
 import multiprocessing
@@ -13,6 +13,7 @@ import timing
 import timm
 import torch
 
+from tasklens.checkpoints import NOTHING_KEPT
 from tasklens.design import task
 from tasklens.design.descent import Problem
 from tasklens.design.start import flat, view
@@ -38,7 +39,7 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     settings = Task(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    task._walk(plates, frozen(recogniser), problem, settings, walk, generator, [], "memory")
+    task._walk(plates, frozen(recogniser), problem, settings, walk, generator, [], "memory", NOTHING_KEPT)
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

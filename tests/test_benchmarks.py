@@ -13,6 +13,7 @@ import pytest
         ("captures", "times faster", ["--rounds", "1"]),
         ("memory", "peak [GiB]", ["--captures", "5"]),
         ("step", "% of the step", ["--rounds", "1"]),
+        ("network", "ratio", ["--rounds", "1"]),
     ],
 )
 def test_benchmark_prints_its_table(script, column, options, monkeypatch, capsys):

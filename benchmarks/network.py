@@ -1,0 +1,156 @@
+"""What a study adds to its networks: a step of design over the frozen network alone, fine-tuning over bare training.
+
+The frozen network alone takes the same number of captures in the same micro-batches, forward and backward to its input.
+Bare training takes one batch that is there already: forward, backward, AdamW. Both compute as a study does, in bfloat16
+on a GPU. Times are of the wall there, of the processor on a CPU.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from itertools import pairwise
+
+import timing
+import timm
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from tasklens.checkpoints import Checkpoint
+from tasklens.design import task
+from tasklens.design.descent import Problem
+from tasklens.design.start import flat, view
+from tasklens.design_settings import Task, Walk
+from tasklens.devices import claim
+from tasklens.imaging import Camera
+from tasklens.optics.catalogues import builtin
+from tasklens.recognition.classifiers import Recogniser, frozen
+from tasklens.recognition.data import Pictures
+from tasklens.recognition.evaluation import Sight
+from tasklens.recognition.training import fit, parameter_groups
+from tasklens.settings import Capture, Constraints, Spec, Training
+
+FIELDS = 9
+
+
+class Clock(Checkpoint):
+    """Keeps nothing but the time at which each step ended."""
+
+    def __init__(self, device: torch.device):
+        super().__init__()
+        self.device, self.ends = device, []
+
+    def due(self) -> bool:
+        self.ends.append(now(self.device))
+        return False
+
+    @property
+    def steps(self) -> list[float]:
+        """Durations [s] of all steps but the first, which ends the warm-up."""
+        return [b - a for a, b in pairwise(self.ends)]
+
+
+def now(device: torch.device) -> float:
+    """Seconds: of the wall once the GPU has done all it was told, or of the processor."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+        return time.perf_counter()
+    return time.process_time()
+
+
+def timed(function: Callable[[], object], rounds: int, device: torch.device) -> list[float]:
+    """Durations [s] after one round of warm-up."""
+    ends = []
+    for _ in range(rounds + 1):
+        function()
+        ends.append(now(device))
+    return [b - a for a, b in pairwise(ends)]
+
+
+def noise(count: int, size: int, device: torch.device) -> Pictures:
+    generator = torch.Generator().manual_seed(0)
+    images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
+    return Pictures(images, torch.arange(count) % 10, tuple(map(str, range(10))), device)
+
+
+def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: int, rounds: int, device: torch.device):
+    """Durations of a step of task-driven design, and of the frozen network alone on as many captures."""
+    recogniser, pictures = frozen(Recogniser(network)).to(device), noise(count, size, device)
+    problem = Problem(view(Spec()), Constraints(), Capture(), pictures, seed=0)
+    walk = Walk(steps=rounds + 1, pixels=(20, 20))
+    settings = Task(
+        method="task", images=count, rays=rays, micro_batch=micro_batch, augment=False, start=walk, refine=walk
+    )
+    plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
+    task._walk(plates, recogniser, problem, settings, walk, torch.Generator().manual_seed(0), [], "design", clock)
+    captures, labels = torch.rand(FIELDS * count, 3, size, size, device=device), pictures.labels.to(device)
+    labels = labels.repeat(FIELDS)
+
+    def alone() -> None:
+        for part, label in zip(captures.split(micro_batch), labels.split(micro_batch), strict=True):
+            part.requires_grad_()
+            F.cross_entropy(recogniser(part), label).backward()
+            part.grad = None
+
+    return clock.steps, timed(alone, rounds, device)
+
+
+def fine_tuning(network: nn.Module, batch: int, size: int, rounds: int, device: torch.device):
+    """Durations of a step of fine-tuning on captures, and of one of bare training."""
+    recogniser, pictures, clock = Recogniser(network).to(device), noise(4 * batch, size, device), Clock(device)
+    psf = torch.rand(FIELDS, 3, 51, 51, device=device)
+    sight = Sight(Camera(psf / psf.sum((-2, -1), keepdim=True)))
+    training = Training(epochs=(rounds + 1) / 4, rate=1e-5, batch=batch)
+    fit(recogniser, pictures, training, 0, "fine-tuning", sight.one_field, clock)
+    images, labels = pictures.batch(torch.arange(batch))
+    optimizer = torch.optim.AdamW(parameter_groups(recogniser, 0.05), lr=1e-5)
+    recogniser.train()
+
+    def bare() -> None:
+        loss = F.cross_entropy(recogniser(images), labels)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+
+    return clock.steps, timed(bare, rounds, device)
+
+
+def peak(device: torch.device) -> str:
+    """Largest memory since the last call on a GPU, of the process so far on a CPU [GB]."""
+    if device.type != "cuda":
+        return f"{timing.peak_memory_gib() * 2**30 / 1e9:.1f}"
+    found = torch.cuda.max_memory_allocated(device)
+    torch.cuda.reset_peak_memory_stats(device)
+    return f"{found / 1e9:.1f}"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = timing.arguments(__doc__)
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--models", nargs="+", default=["resnet50"], help="of timm, for the paper's size on a GPU")
+    options = parser.parse_args(arguments)
+    device = claim()
+    if device.type == "cuda":
+        cases = [(name, {}, 224, 64, 256, 64) for name in options.models]  # the paper's: 576 captures a step
+    else:
+        small = {"layers": [1, 1, 1, 1], "channels": [16, 32, 64, 128], "stem_type": "deep", "stem_width": 16}
+        cases = [("resnet18", small, 64, 1 if options.tiny else 8, 128, 64)]  # the default study's
+    rows = []
+    for name, given, size, pictures, rays, batch in cases:
+        for what in ("design", "fine-tuning"):
+            network = timm.create_model(name, num_classes=10, **given)
+            if what == "design":
+                ours, alone = design(network, pictures, size, rays, batch, options.rounds, device)
+            else:
+                ours, alone = fine_tuning(network, batch, size, options.rounds, device)
+            ratio = statistics.median(ours) / statistics.median(alone)
+            rows.append((name, what, timing.spread(ours, 1e3), timing.spread(alone, 1e3), f"{ratio:.3f}", peak(device)))
+    columns = ("network", "step of", "ours [ms]", "network alone [ms]", "ratio", "peak [GB]")
+    card = torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
+    timing.report(
+        f"{pictures} pictures x 9 fields of {size} px, batches of {batch}, {card}", columns, rows, options.save
+    )
+
+
+if __name__ == "__main__":
+    main()
