@@ -76,6 +76,9 @@ def expected(study: Study) -> dict[str, int]:
 def test_every_study_plans_its_jobs(tmp_path, path):
     """A dry run counts what the study implies."""
     study = load(path)
+    for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
+        (tmp_path / weights).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / weights).touch()  # a user's own file
     assert plan(tmp_path, path, "tables") == expected(study)
     verified = plan(tmp_path, path, "verify")
     assert verified["reproduce"] == verified["fine_tune"]

@@ -72,12 +72,11 @@ def build(classifier: Classifier, classes: Sequence[str], weights: Path | None =
     network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=count, **classifier.arguments)
     path = weights or classifier.weights
     if path is not None:
+        path.stat()  # timm does not say which file is missing
         head = next(network.get_classifier().parameters())
         before = head.detach().clone()
         try:
             load_checkpoint(network, str(path), weights_only=True)
-        except FileNotFoundError:
-            raise
         except Exception as error:  # of torch, safetensors, pickle or numpy, whichever reads the file
             raise FileError(f"{path}: no weights for {classifier.model} with {count} outputs: {error}") from error
         if path.suffix == ".npz" and torch.equal(head, before):  # its readers leave out a head of another size
