@@ -101,7 +101,8 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
         if medium != AIR:
             for end in (0, -1):
                 (z0, h0), (z1, h1) = edges[i], edges[i + 1]
-                axes.plot([z0[end], z1[end]], [h0[end], h1[end]], color="black", lw=1)
+                rim = max(h0[end], h1[end], key=abs)  # beyond its own light a surface is a flat flange
+                axes.plot([z0[end], z0[end], z1[end], z1[end]], [h0[end], rim, rim, h1[end]], color="black", lw=1)
     radius = view.fields.norm(dim=-1)[list(_SHOWN)]
     along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, view.wavelengths[1:2], 1.0, 1)
     fan = torch.stack([torch.zeros(9), torch.linspace(-0.98, 0.98, 9)], -1).double()
