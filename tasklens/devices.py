@@ -1,4 +1,4 @@
-"""Which device a job computes on: a GPU that no other job of this machine has, or the CPU."""
+"""Which device a job computes on: a GPU that no other job of ours has on this machine, or the CPU."""
 
 import fcntl
 import tempfile

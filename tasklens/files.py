@@ -94,7 +94,7 @@ def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator
             if free < end:
                 raise FileError(f"{path}: needs {end / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
             file.truncate(file.tell() + end)
-        raw = numpy.memmap(temporary, numpy.uint8, "r+", offset=8 + len(text)) if end else numpy.empty(0, numpy.uint8)
+        raw = numpy.memmap(temporary, numpy.uint8, "r+", offset=8 + len(text))
         mapped = {}
         for name, tensor in tensors.items():
             part = torch.from_numpy(raw[slice(*header[name]["data_offsets"])])
@@ -102,8 +102,7 @@ def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator
             if not tensor.is_meta:
                 mapped[name].copy_(tensor)
         yield mapped
-        if end:
-            raw.flush()
+        raw.flush()
 
 
 def read_tensors(path: Path) -> tuple[dict, dict]:

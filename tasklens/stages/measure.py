@@ -199,5 +199,5 @@ def _checkpoint(layout: Layout, stage: str, name: str, job: Frozen, inputs: list
     path = Path(layout.checkpoint(stage, name, key(job.model_dump_json(), code(stage), inputs=inputs)))
     for other in path.parent.glob(f"{stage}-{name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:
-            other.unlink()
+            other.unlink(missing_ok=True)  # several processes that train together look here
     return Checkpoint(path)
