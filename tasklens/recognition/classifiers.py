@@ -18,8 +18,6 @@ from tasklens.files import FileError
 from tasklens.settings import Classifier
 from tasklens.study import StudyError
 
-_IMAGENET = ImageNetInfo("imagenet-1k")
-
 
 class Recogniser(nn.Module):
     """A timm network behind its own normalisation, which belongs to the network and comes after the optics.
@@ -60,7 +58,7 @@ def build(classifier: Classifier, classes: Sequence[str], weights: Path | None =
         StudyError: a published head for other classes that nothing is to train.
     """
     outputs = imagenet_outputs(classes) if classifier.outputs == "imagenet" else None
-    count = len(classes) if outputs is None else _IMAGENET.num_classes()
+    count = len(classes) if outputs is None else ImageNetInfo().num_classes()
     pretrained = classifier.pretrained and weights is None
     if pretrained and classifier.training is None:
         published = timm.get_pretrained_cfg(classifier.model)
@@ -90,7 +88,7 @@ def imagenet_outputs(classes: Sequence[str]) -> Tensor:
     Raises:
         FileError: an id that is none of them.
     """
-    indices = {name: index for index, name in enumerate(_IMAGENET.label_names())}
+    indices = {name: index for index, name in enumerate(ImageNetInfo().label_names())}
     unknown = [name for name in classes if name not in indices]
     if unknown:
         raise FileError(
