@@ -29,7 +29,7 @@ def claim() -> torch.device:
 
 def half_precision(device: torch.device) -> torch.autocast:
     """Where a network computes: in bfloat16 on a GPU, whose tensor cores want that, in float32 on the CPU."""
-    return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")
+    return torch.autocast("cuda", torch.bfloat16, enabled=device.type == "cuda")
 
 
 def _lock(name: str) -> bool:

@@ -14,6 +14,7 @@ import pytest
         ("memory", "peak [GiB]", ["--captures", "5"]),
         ("step", "% of the step", ["--rounds", "1"]),
         ("network", "ratio", ["--rounds", "1"]),
+        ("cost", "GPU-hours", ["config/smoke.yaml"]),
     ],
 )
 def test_benchmark_prints_its_table(script, column, options, monkeypatch, capsys):

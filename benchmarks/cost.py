@@ -1,0 +1,127 @@
+"""What a study costs on GPUs, on paper: the arithmetic of its networks over a measured throughput, table by table.
+
+Operations of a network forward, two per multiply-add, are counted on tensors without memory; with the backward pass to
+its input it takes twice as many, to its weights three times. A study file says how often each happens. A table is
+charged with what the tables before it have not made already. One GPU trains ResNet50 with --throughput pictures a
+second, and is taken to do all other networks at the same rate of operations. Rays, captures, and designs by image
+quality alone are left out, and so is the check of a restoration while it trains.
+"""
+
+from collections import defaultdict
+from functools import cache
+from itertools import product
+
+import timing
+import timm
+import torch
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from restoration.training import build
+from tasklens import jobs
+from tasklens import study as studies
+from tasklens.design_settings import EndToEnd, Task
+from tasklens.layout import SHARP
+from tasklens.recognition.classifiers import Recogniser
+from tasklens.settings import Classifier
+from tasklens.study import Study
+
+FIELDS = 9
+RESNET50 = Classifier(model="resnet50", pretrained=True)
+A100 = 2470.0  # pictures/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch
+FORWARD, TO_INPUT, TO_WEIGHTS = 1, 2, 3  # operations of a pass, in those of a forward pass
+
+
+def operations(network: nn.Module, size: int) -> float:
+    """Operations of a forward pass of a picture of `size` pixels through a network on the meta device."""
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        network(torch.zeros(1, 3, size, size, device="meta"))
+    return float(counter.get_total_flops())
+
+
+class Cost:
+    """Operations of the jobs of a study, with `train` and `test` pictures where the study takes all of a folder."""
+
+    def __init__(self, study: Study, train: int, test: int):
+        self.study = study
+        self.train, self.test = study.images.train or train - study.images.minival, study.images.test or test
+        self.forward = cache(self.forward)
+
+    def forward(self, classifier: str | None, size: int) -> float:
+        """As `operations`, of a classifier of the study; of the restoration network where its name is None."""
+        with torch.device("meta"):
+            if classifier is None:
+                return operations(build(self.study.restoration), size)
+            return operations(recogniser(self.study.classifier(classifier)), size)
+
+    def design(self, lens: str) -> float:
+        """Of designing a lens under a classifier; of nothing, by image quality alone."""
+        settings, size = self.study.lens(lens).design, self.study.images.size
+        total, supervisor = 0.0, self.study.supervisor
+        if isinstance(settings, Task):
+            steps = settings.starts * settings.start.steps + settings.refine.steps
+            total += FIELDS * steps * settings.images * TO_INPUT * self.forward(supervisor, settings.size or size)
+        together = settings if isinstance(settings, EndToEnd) else getattr(settings, "polish", None)
+        if together is not None:
+            captures = FIELDS * together.steps * together.images
+            total += captures * TO_WEIGHTS * self.forward(supervisor, together.size or size)
+        return total
+
+    def fine_tune(self, lens: str, classifier: str, restored: bool) -> float:
+        """Of fine-tuning and measuring a classifier on the captures of a lens, restored or not."""
+        size, training = self.study.images.size, self.study.fine_tuning
+        seen = (self.test + self.study.images.minival) * (1 if lens == SHARP else FIELDS)
+        trained = training.epochs * self.train
+        total = (FORWARD * seen + TO_WEIGHTS * trained) * self.forward(classifier, size)
+        if restored:
+            total += FORWARD * (seen + trained) * self.forward(None, size)
+        return total
+
+    def restore(self) -> float:
+        """Of training a restoration for all its steps."""
+        settings = self.study.restoration
+        return settings.steps * settings.batch * TO_WEIGHTS * self.forward(None, self.study.images.size)
+
+
+def recogniser(classifier: Classifier) -> Recogniser:
+    return Recogniser(timm.create_model(classifier.model, **classifier.arguments)).eval()
+
+
+def charged(study: Study, cost: Cost) -> dict[tuple, tuple[str, float]]:
+    """By job with a network: the first table that asks for it, and its operations."""
+    found: dict[tuple, tuple[str, float]] = {}
+    for name in jobs.TABLES:
+        table = jobs.table(study, name)
+        for lens in table.lenses:
+            found.setdefault(("design", lens), (name, cost.design(lens)))
+        for lens, classifier in product((SHARP, *table.lenses), table.classifiers):
+            restored = name == "table4" and lens != SHARP
+            job = "fine-tuning", lens, classifier, restored
+            found.setdefault(job, (name, cost.fine_tune(lens, classifier, restored)))
+            if restored:
+                found.setdefault(("restoration", lens), (name, cost.restore()))
+    return {job: entry for job, entry in found.items() if entry[1]}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = timing.arguments(__doc__)
+    parser.add_argument("study", nargs="?", default="config/imagenet.yaml", help="a study file")
+    parser.add_argument("--train", type=int, default=1_281_167, help="pictures in the folders, ImageNet's by default")
+    parser.add_argument("--test", type=int, default=50_000)
+    parser.add_argument("--throughput", type=float, default=A100, help="pictures/s of training ResNet50 at 224 pixels")
+    options = parser.parse_args(arguments)
+    study = studies.load(options.study)
+    cost = Cost(study, options.train, options.test)
+    with torch.device("meta"):
+        rate = TO_WEIGHTS * options.throughput * operations(recogniser(RESNET50), 224)
+    hours = defaultdict(list)
+    for (kind, *_), (table, count) in charged(study, cost).items():
+        hours[table, kind] += len(study.seeds) * [count / rate / 3600]
+    rows = [(*key, len(each), f"{sum(each):.3g}") for key, each in sorted(hours.items())]
+    rows.append(("all", "", sum(map(len, hours.values())), f"{sum(map(sum, hours.values())):.3g}"))
+    title = f"Study {study.name}, at {options.throughput:g} pictures a second ({rate / 1e12:.3g} TFLOP/s)"
+    timing.report(title, ("table", "jobs", "count", "GPU-hours"), rows, options.save)
+
+
+if __name__ == "__main__":
+    main()
