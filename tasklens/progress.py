@@ -10,14 +10,17 @@ class Progress:
     def __init__(self, label: str, total: int, interval: float = 15.0):
         self.label, self.total, self.interval = label, total, interval
         self.start = self.written = time.monotonic()
+        self.first: int | None = None  # not 1 where a job goes on from a checkpoint
 
     def __call__(self, step: int, **values: float) -> None:
         """Report that `step` of the total (counted from 1) is done."""
         now = time.monotonic()
-        if 1 < step < self.total and now - self.written < self.interval:
+        if self.first is None:
+            self.first = step
+        if self.first < step < self.total and now - self.written < self.interval:
             return
         self.written = now
-        remaining = (now - self.start) / step * max(0, self.total - step)
+        remaining = (now - self.start) / (step - self.first + 1) * max(0, self.total - step)
         shown = "".join(f"  {name} {value:.4g}" for name, value in values.items())
         line = f"{self.label}  step {step}/{self.total}{shown}  remaining {remaining:.0f} s"
         print(line, file=sys.stderr, flush=True)

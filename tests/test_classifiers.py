@@ -36,7 +36,7 @@ def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, argumen
 
 def test_a_published_head_for_other_classes_is_no_reference():
     """Without training it would judge at random; found before anything is downloaded."""
-    with pytest.raises(StudyError, match="1000 classes, the pictures have 10"):
+    with pytest.raises(StudyError, match="1000 outputs, 10 are wanted"):
         classifiers.build(Classifier(model="resnet18.a1_in1k", pretrained=True), names(10))
 
 

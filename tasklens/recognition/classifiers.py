@@ -64,7 +64,7 @@ def build(classifier: Classifier, classes: Sequence[str], weights: Path | None =
         published = timm.get_pretrained_cfg(classifier.model)
         if published is not None and published.num_classes != count:
             raise StudyError(
-                f"{classifier.model}: published with {published.num_classes} classes, the pictures have {count}: "
+                f"{classifier.model}: published with {published.num_classes} outputs, {count} are wanted: "
                 "its new head needs `training`, or its own outputs `outputs: imagenet`"
             )
     network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=count, **classifier.arguments)

@@ -1,0 +1,24 @@
+"""Progress lines: when they come and what they forecast."""
+
+import time
+
+import pytest
+
+from tasklens.progress import Progress
+
+
+@pytest.mark.parametrize("first", [1, 51])
+def test_what_remains_is_forecast_from_the_steps_of_this_run(first, monkeypatch, capsys):
+    """Two seconds a step, also where a job goes on from a checkpoint."""
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    progress = Progress("design", 100, interval=15.0)
+    for step in range(first, 101):
+        clock[0] += 2.0
+        progress(step, loss=0.5)
+    lines = capsys.readouterr().err.splitlines()
+    steps = [int(line.split("step ")[1].split("/")[0]) for line in lines]
+    remaining = [float(line.split("remaining ")[1].split(" s")[0]) for line in lines]
+    assert steps[0] == first and steps[-1] == 100 and steps[1] == first + 7  # 16 s later
+    assert remaining == [2.0 * (100 - step) for step in steps]
+    assert lines[0].startswith(f"design  step {first}/100  loss 0.5  remaining ")
