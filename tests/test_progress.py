@@ -19,6 +19,6 @@ def test_what_remains_is_forecast_from_the_steps_of_this_run(first, monkeypatch,
     lines = capsys.readouterr().err.splitlines()
     steps = [int(line.split("step ")[1].split("/")[0]) for line in lines]
     remaining = [float(line.split("remaining ")[1].split(" s")[0]) for line in lines]
-    assert steps[0] == first and steps[-1] == 100 and steps[1] == first + 7  # 16 s later
+    assert steps[0] == first and steps[-1] == 100 and steps[1] == first + 8  # 16 s later
     assert remaining == [2.0 * (100 - step) for step in steps]
     assert lines[0].startswith(f"design  step {first}/100  loss 0.5  remaining ")
