@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from tasklens.design.start import view
 from tasklens.optics.analysis import View
-from tasklens.optics.catalogues import builtin
+from tasklens.optics.catalogues import PLASTICS, builtin
 from tasklens.optics.lens import Lens
 from tasklens.optics.materials import AIR, Material, model_glass
 from tasklens.optics.rays import Rays, launch
@@ -176,6 +176,11 @@ def tiny_study() -> dict:
         "restoration": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1], "steps": 2, "batch": 4},
         "minutes": {"images": 0.1},
     }
+
+
+def with_outside(**catalogues) -> dict:
+    """The tiny study and a lens from outside; a study does not look into its file."""
+    return changed(tiny_study(), "outside.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})
 
 
 def changed(study: dict, key: str, value) -> dict:

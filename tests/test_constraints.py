@@ -1,0 +1,108 @@
+"""What every design has to keep: margins, penalties, shortfalls."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import f64, materials
+
+from tasklens.design.constraints import (
+    first_order_margins,
+    manufacturing_margins,
+    penalty,
+    shortfall,
+    worst_margin,
+)
+from tasklens.design.start import flat, view
+from tasklens.settings import Constraints, Spec
+
+SPEC, LIMITS = Spec(kernel=11), Constraints()
+LOOKS = view(SPEC)
+
+
+def sphere_sag(radius: float, r: float) -> float:
+    return radius - math.sqrt(radius**2 - r**2)
+
+
+SEMI, R = 0.8, 2.0
+FLAT = flat(materials("COC"), SPEC, LIMITS)
+
+
+def plates(thickness, curvature=(0.0, 0.0, 0.0)):
+    return replace(FLAT, thickness=f64(thickness), curvature=f64(curvature))
+
+
+BROKEN = {
+    "min_centre_thickness": (plates([0.1, 0.22, 2.0]), 0.22 - 0.25),
+    "max_centre_thickness": (plates([0.1, 1.62, 2.0]), 1.5 - 1.62),
+    "min_edge_thickness": (plates([0.1, 0.4, 2.0], [0, 1 / R, -1 / R]), 0.4 - 2 * sphere_sag(R, SEMI) - 0.2),
+    "min_air_gap": (plates([0.1, 0.9, 2.0], [0, -1 / R, 0]), 0.1 - sphere_sag(R, SEMI) - 0.05),
+    "min_back_focus": (plates([0.1, 0.9, 0.8], [0, 0, 1 / R]), 0.8 - sphere_sag(R, SEMI) - 0.7),
+    "max_track": (plates([0.1, 1.0, 3.5]), 4.4 - 4.6),
+    "max_slope": (plates([0.3, 1.0, 2.0], [0, 0, 1 / 1.1]), 0.57 - SEMI / math.sqrt(1.1**2 - SEMI**2)),
+}
+
+
+@pytest.mark.parametrize("limit", BROKEN)
+def test_a_broken_limit_reports_by_how_much(limit):
+    """Spheres and plates whose shortfall is known in closed form; the other limits hold."""
+    lens, expected = BROKEN[limit]
+    assert expected < 0
+    margins = manufacturing_margins(lens, LIMITS, torch.full((3,), SEMI, dtype=torch.float64))
+    assert set(margins) == set(BROKEN)
+    assert float(margins[limit].min()) == pytest.approx(expected, abs=1e-12)
+    others = {name: value for name, value in margins.items() if name != limit}
+    assert worst_margin(others)[1] > 0
+    assert worst_margin(margins) == (limit, pytest.approx(expected, abs=1e-12))
+
+
+@pytest.mark.parametrize("semi", [(SEMI, SEMI, 0.6), (SEMI, 0.6, SEMI)])
+def test_edges_end_in_flanges(semi):
+    """An element is moulded up to where light leaves either surface; the other is flat beyond its own light."""
+    lens, _ = BROKEN["min_edge_thickness"]
+    margins = manufacturing_margins(lens, LIMITS, f64(semi))
+    expected = 0.4 - sphere_sag(R, SEMI) - sphere_sag(R, 0.6) - 0.2
+    assert float(margins["min_edge_thickness"].min()) == pytest.approx(expected, abs=1e-12)
+
+
+def test_elements_that_overlap_only_between_axis_and_rim_are_found():
+    """Air gaps are checked at several heights: aspheres may touch where neither vertex nor edge shows it."""
+    alpha = torch.zeros(5, 5, dtype=torch.float64)
+    alpha[3, 0], alpha[3, 1] = -0.64, 1.0  # sag r^2 (r^2 - 0.64): zero at the vertex and at r = 0.8, -0.1 between
+    base = flat(materials("COC", "OKP4"), SPEC, LIMITS)
+    lens = replace(base, alpha=alpha, thickness=f64([0.1, 0.8, 0.1, 0.8, 1.5]))
+    margins = manufacturing_margins(lens, LIMITS, torch.full((5,), 0.8, dtype=torch.float64))
+    assert float(margins["min_air_gap"].min()) == pytest.approx(0.1 - 0.32**2 - 0.05, abs=2e-3)
+
+
+def test_focal_length_and_distortion_margins(start):
+    """A lens 5 % too long, and chief rays 6 % too far out, miss their limits of 2 and 3 % by the rest."""
+    longer = replace(LOOKS, efl=LOOKS.efl / 1.05)
+    margins = first_order_margins(start, LIMITS, longer, 1.06 * longer.fields)
+    assert float(margins["efl_tolerance"]) == pytest.approx(0.02 - (1 - 1 / 1.05), abs=1e-9)
+    torch.testing.assert_close(margins["distortion"], torch.full((8,), 0.03 - 0.06, dtype=torch.float64))
+
+
+def test_penalty_is_zero_inside_and_pushes_outward():
+    """Steepest descent of the penalty thickens a plate that is too thin and flattens a surface that is too steep."""
+    limits = LIMITS.model_copy(update={"efl_tolerance": 9.0, "distortion": 9.0})  # plates have no focal length
+    good = plates([0.2, 0.9, 2.0])
+    assert float(penalty(good, limits, LOOKS)) == 0
+
+    def slope(lens, name):
+        leaf = getattr(lens, name).clone().requires_grad_()
+        return torch.autograd.grad(penalty(replace(lens, **{name: leaf}), limits, LOOKS), leaf)[0]
+
+    assert slope(plates([0.2, 0.1, 2.0]), "thickness")[1] < 0
+    assert slope(plates([0.2, 1.0, 3.5]), "thickness").min() > 0  # track: every space shrinks
+    for sign in (1, -1):
+        assert sign * slope(plates([0.6, 1.0, 2.0], [0, sign / 1.1, 0]), "curvature")[1] > 0
+    assert float(penalty(good, LIMITS, LOOKS)) > 0.9  # no power instead of all of it
+
+
+def test_shortfall_begins_before_the_limit():
+    """Designs aim a buffer inside: at the limit itself the shortfall is already positive, far inside it is zero."""
+    found = shortfall({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
+    assert found[0] > 0 and found[1] == 0 and float(found[2] - found[0]) == pytest.approx(0.5)
+    assert 0 < found[3] < found[0]

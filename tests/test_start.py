@@ -1,0 +1,71 @@
+"""Starts and variables of designs, and their schedules."""
+
+import pytest
+import torch
+from examples import f64, materials, random_lens
+
+from tasklens.design.constraints import (
+    manufacturing_margins,
+    worst_margin,
+)
+from tasklens.design.schedule import cosine
+from tasklens.design.start import Variables, flat, parameter_groups, view
+from tasklens.design_settings import Rates
+from tasklens.optics.paraxial import paraxial
+from tasklens.settings import Constraints, Spec
+
+SPEC, LIMITS = Spec(kernel=11), Constraints()
+LOOKS = view(SPEC)
+
+
+@pytest.mark.parametrize("elements", [1, 2, 3, 4])
+def test_flat_start_keeps_the_limits_and_has_no_power(elements):
+    """Plane plates that can be made, a stop of EFL / (2 F), nothing bent."""
+    lens = flat(materials("COC") * elements, SPEC, LIMITS)
+    assert float(paraxial(lens, 0.5893).power) == 0
+    assert float(lens.semi_diameter[lens.stop]) == pytest.approx(SPEC.efl_mm / (2 * SPEC.f_number), rel=1e-15)
+    margins = manufacturing_margins(lens, LIMITS, torch.full_like(lens.thickness, 1.5))
+    del margins["max_centre_thickness"]  # few plates fill the track with thick glass
+    assert worst_margin(margins)[1] >= 0
+
+
+def test_variables_there_and_back():
+    """Assembling what was taken out changes nothing; assembling other values changes these and no others."""
+    lens = random_lens(0)
+    variables = Variables.plain(lens)
+    same = variables.assemble(variables.values())
+    for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
+        assert torch.equal(getattr(same, name), getattr(lens, name)), name
+    values = {name: torch.full_like(v, 0.1 * k) for k, (name, v) in enumerate(variables.values().items(), 1)}
+    again = Variables.plain(variables.assemble(values)).values()
+    assert all(torch.equal(values[name], again[name]) for name in values)
+    other = variables.assemble(values)
+    assert torch.equal(other.alpha[:, 0], lens.alpha[:, 0]) and torch.equal(other.conic, lens.conic)
+    assert other.thickness[0] == lens.thickness[0] and other.curvature[0] == lens.curvature[0]
+    partial = variables.assemble({"curvature": values["curvature"]})
+    assert torch.equal(partial.thickness, lens.thickness) and torch.equal(partial.alpha, lens.alpha)
+
+
+def test_normalised_variables_are_slopes_at_the_radius_that_light_uses():
+    """alpha_2j R^(2j - 1) is 1 / (2j) of the slope that the term has at R; taking out and putting in is exact."""
+    lens, used = random_lens(0), f64([0.3, 0.4, 0.7, 1.1, 1.9])
+    variables = Variables(lens, used)
+    for order in (4, 6, 8, 10):
+        r = used.clone().requires_grad_()
+        slope = torch.autograd.grad((lens.alpha[:, order // 2 - 1] * r**order).sum(), r)[0]
+        torch.testing.assert_close(variables.values()[f"alpha_{order}"], slope[1:] / order, rtol=1e-13, atol=0)
+    torch.testing.assert_close(variables.assemble(variables.values()).alpha, lens.alpha, rtol=1e-14, atol=0)
+
+
+def test_each_asphere_order_learns_more_slowly_by_one_factor():
+    values = Variables.plain(random_lens(0)).values()
+    groups = parameter_groups(values, Rates(curvature=1, thickness=2, alpha_4=3, decay=0.5))
+    assert [group["lr"] for group in groups] == [1, 2, 3, 1.5, 0.75, 0.375]
+    assert [group["params"][0] is value for group, value in zip(groups, values.values(), strict=True)] == [True] * 6
+
+
+def test_cosine_schedule():
+    """From 1 to the final fraction, their mean half-way, symmetric about it."""
+    assert [cosine(x, 0.2) for x in (0, 0.5, 1, 2)] == pytest.approx([1, 0.6, 0.2, 0.2])
+    assert cosine(0.3, 0.2) + cosine(0.7, 0.2) == pytest.approx(1.2)
+    assert cosine(0.7, 1.0) == 1
