@@ -34,7 +34,7 @@ wildcard_constraints:
     lens="|".join([*study.lenses, *study.variants, SHARP]),
     classifier="|".join(study.classifiers),
     seed="|".join(map(str, study.seeds)),
-    table="|".join(jobs.TABLES),
+    table="|".join(studies.TABLES),
     elements="|".join(study.elements),
     ablation="|".join(study.ablations),
 
@@ -52,7 +52,7 @@ localrules:
 
 rule tables:
     input:
-        [layout.table(name, "csv") for name in (*jobs.TABLES, "verdicts", "psf_tail")],
+        [layout.table(name, "csv") for name in (*study.tables, "verdicts", "psf_tail")],
 
 
 rule backbones:
@@ -104,7 +104,7 @@ for name in study.ablations:
         localrule: True
 
 
-for name in jobs.TABLES:
+for name in studies.TABLES:
 
     rule:
         name:

@@ -90,8 +90,8 @@ def recogniser(classifier: Classifier) -> Recogniser:
 def charged(study: Study, cost: Cost) -> dict[tuple, tuple[str, float]]:
     """By job with a network: the first table that asks for it, and its operations."""
     found: dict[tuple, tuple[str, float]] = {}
-    for name in jobs.TABLES:
-        table = jobs.table(study, name)
+    for table in jobs.tables(study):
+        name = table.name
         for lens in table.lenses:
             found.setdefault(("design", lens), (name, cost.design(lens)))
         for lens, classifier in product((SHARP, *table.lenses), table.classifiers):

@@ -4,9 +4,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from tasklens import jobs
 from tasklens.layout import SHARP
-from tasklens.study import load
+from tasklens.study import TABLES, load
 
 
 def _count(text: str) -> int:
@@ -19,7 +18,7 @@ def _count(text: str) -> int:
 _MEANING = {
     "lens": {"help": f"name of a lens; {SHARP} for the pictures themselves, where a classifier follows"},
     "classifier": {},
-    "table": {"choices": jobs.TABLES},
+    "table": {"choices": TABLES},
     "ablation": {},
     "elements": {},
     "--seed": {"type": int, "default": 0},

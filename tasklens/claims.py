@@ -49,7 +49,7 @@ class VerdictsJob(Frozen):
 def verdicts(study: Study) -> VerdictsJob:
     """Every claim that the lenses of a study can decide, table by table."""
     found = []
-    for table in (jobs.table(study, name) for name in jobs.TABLES):
+    for table in jobs.tables(study):
         pairs = _end_to_end(study) if table.name == "table3" else _against_imaging(study)
         found += [
             Claim(

@@ -9,8 +9,6 @@ from tasklens.layout import SHARP, restored
 from tasklens.settings import Capture, Classifier, Constraints, Frozen, Images, Restoration, Spec, Training
 from tasklens.study import Study
 
-TABLES = ("table1", "table2", "table3", "table4")
-
 
 class ReferenceJob(Frozen):
     classifier: Classifier
@@ -159,18 +157,24 @@ def reproduce(study: Study, lens: str, classifier: str, restored: bool) -> Repro
     )
 
 
+def tables(study: Study) -> tuple[TableJob, ...]:
+    """The tables that the study makes and has lenses for."""
+    return tuple(job for job in (table(study, name) for name in study.tables) if job.lenses)
+
+
 def psf_tail(study: Study) -> TailJob:
-    return TailJob(lenses=tuple(study.lenses), seeds=study.seeds)
+    shown = {lens for job in tables(study) for lens in job.lenses}
+    return TailJob(lenses=tuple(lens for lens in study.lenses if lens in shown), seeds=study.seeds)
 
 
 def verify(study: Study) -> VerificationJob:
-    """What is verified: all lenses, and the measurements of the tables that this study has lenses for."""
-    tables = (table(study, name) for name in TABLES)
+    """What is verified: the tables of a study, their lenses and their measurements."""
+    lenses = {name: study.lens(name) for name in psf_tail(study).lenses}
     return VerificationJob(
-        lenses=tuple(study.lenses),
-        promising=tuple(name for name, lens in study.lenses.items() if lens.keeps_constraints),
-        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in study.lenses.items()},
-        tables=tuple(job for job in tables if job.lenses),
+        lenses=tuple(lenses),
+        promising=tuple(name for name, lens in lenses.items() if lens.keeps_constraints),
+        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in lenses.items()},
+        tables=tables(study),
         seeds=study.seeds,
     )
 

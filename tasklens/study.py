@@ -52,6 +52,9 @@ STAGES = (
 )
 
 
+TABLES = ("table1", "table2", "table3", "table4")
+
+
 class StudyError(ValueError):
     """A study file that cannot be run; the message names the key, the value and what was expected."""
 
@@ -78,18 +81,19 @@ class Study(Frozen):
     outside: Annotated[dict[Name, Outside], Field(default_factory=dict)]
     ablations: Annotated[dict[Name, Ablation], Field(default_factory=dict)]
     classifiers: Annotated[dict[Name, Classifier], Field(min_length=1)]
+    tables: Annotated[tuple[Literal[TABLES], ...], Field(min_length=1)] = TABLES  # made, judged and verified together
     supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
     fine_tuning: Training
     restoration: Restoration
     restored: tuple[Name, ...] | None = None  # elements whose captures are restored, table 4; null means all
     minutes: dict[Literal[STAGES], Annotated[float, Field(ge=0)]]  # measured per job of a stage: the forecast
 
-    @field_validator("seeds")
+    @field_validator("seeds", "tables")
     @classmethod
-    def _distinct(cls, seeds: tuple) -> tuple:
-        if len(set(seeds)) < len(seeds):
-            raise ValueError("expected every seed once")
-        return seeds
+    def _distinct(cls, given: tuple) -> tuple:
+        if len(set(given)) < len(given):
+            raise ValueError("expected each once")
+        return given
 
     @field_validator("elements")
     @classmethod

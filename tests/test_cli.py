@@ -14,7 +14,7 @@ from tasklens.files import read_tensors, write_tensors
 from tasklens.layout import Layout, restored
 from tasklens.optics import prescription
 from tasklens.optics.prescription import Prescription
-from tasklens.study import load
+from tasklens.study import TABLES, load
 
 LAYOUT, VERIFIED = Layout("results/tiny"), Layout("results/verified")
 
@@ -233,7 +233,7 @@ def finished(lenses):
             assert verified("restore", lens) == 0
         for stage in ("fine-tune", "reproduce"):
             assert verified(stage, lens, "small", *how) == 0
-    for stage in (*(["table", name] for name in jobs.TABLES), ["verdicts"], ["psf-tail"]):
+    for stage in (*(["table", name] for name in TABLES), ["verdicts"], ["psf-tail"]):
         assert verified(*stage) == 0
     return lenses
 

@@ -9,7 +9,7 @@ from examples import changed, tiny_study, with_outside
 from tasklens import claims, jobs
 from tasklens.layout import SHARP
 from tasklens.optics.catalogues import builtin
-from tasklens.study import dump, parse
+from tasklens.study import TABLES, dump, parse
 
 
 def slices(mapping: dict) -> dict[tuple, str]:
@@ -26,7 +26,7 @@ def slices(mapping: dict) -> dict[tuple, str]:
         found["design", lens] = jobs.design(study, lens, seed)
         found["psf", lens] = jobs.psf(study, lens)
         found["restore", lens] = jobs.restore(study, lens, seed)
-    for table in jobs.TABLES:
+    for table in TABLES:
         found["table", table] = jobs.table(study, table)
     found["psf_tail",] = jobs.psf_tail(study)
     found["verdicts",] = claims.verdicts(study)
@@ -80,12 +80,24 @@ def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
 def test_tables_hold_the_lenses_of_the_paper():
     """Task-driven against imaging; in table 3 against end-to-end; in table 2 with all classifiers."""
     study = parse(tiny_study())
-    found = {name: jobs.table(study, name) for name in jobs.TABLES}
+    found = {name: jobs.table(study, name) for name in TABLES}
     imaging = ("singlet-tasklens", "singlet-imaging1", "singlet-imaging2")
     assert all(found[name].lenses == imaging for name in ("table1", "table2", "table4"))
     assert found["table3"].lenses == SUPERVISED
     assert found["table2"].classifiers == ("small", "other")
     assert all(found[name].classifiers == ("small",) for name in ("table1", "table3", "table4"))
+
+
+def test_a_study_may_make_some_of_the_tables():
+    """Its tails, verdicts and verification are of these, of their lenses and of their measurements."""
+    some = changed(tiny_study(), "tables", ["table3"])
+    before, after = slices(tiny_study()), slices(some)
+    assert {job for job in before if before[job] != after[job]} == {("psf_tail",), ("verdicts",)}
+    study = parse(some)
+    assert jobs.psf_tail(study).lenses == jobs.verify(study).lenses == SUPERVISED
+    assert {classifier for _, classifier in jobs.verify(study).measured} == {"small"}
+    assert {claim.table for claim in claims.verdicts(study).claims} == {"table3"}
+    assert {claim.table for claim in claims.verdicts(parse(tiny_study())).claims} == {*TABLES}
 
 
 def test_a_lens_from_outside_adds_rows_and_changes_no_other_job():
@@ -95,7 +107,7 @@ def test_a_lens_from_outside_adds_rows_and_changes_no_other_job():
     assert {job for job in before if before[job] != after[job]} == tables
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
     study = parse(with_outside())
-    for name in jobs.TABLES:
+    for name in TABLES:
         outside = () if name == "table3" else ("quadruplet-phone",)
         assert jobs.table(study, name).lenses == jobs.table(parse(tiny_study()), name).lenses + outside
     assert jobs.design(study, "quadruplet-phone", 0).classifier is None

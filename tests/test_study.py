@@ -40,6 +40,7 @@ MISTAKES = [
     ("seeds", [], ["at least 1"]),
     ("seeds", [-1], ["-1"]),
     ("seeds", "many", ["many"]),
+    ("tables", ["table5"], ["table5", "table4"]),
     ("supervisor", "nobody", ["nobody", "small"]),
     ("capture.outside", "ignore", ["ignore", "veil", "renormalise"]),
     ("fine_tuning.rate", "fast", ["fast", "number"]),
@@ -110,6 +111,7 @@ IMPOSSIBLE = [
     ("constraints.max_track", 0.5),
     ("constraints.min_centre_thickness", 2.0),  # above the largest
     ("seeds", [0, 0]),
+    ("tables", ["table1", "table1"]),
     ("fine_tuning.rate", math.inf),
 ]
 

@@ -12,7 +12,7 @@ from tasklens import jobs
 from tasklens import layout as layouts
 from tasklens.layout import SHARP, Layout, restored
 from tasklens.report import tables
-from tasklens.study import dump, parse
+from tasklens.study import TABLES, dump, parse
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
 ACCURACY = {
@@ -175,7 +175,7 @@ def test_nothing_measured_yet_is_said(study, tmp_path):
         tables.make(jobs.table(study, "table1"), Layout(str(tmp_path)), "tiny", partial=True)
 
 
-@pytest.mark.parametrize("name", jobs.TABLES)
+@pytest.mark.parametrize("name", TABLES)
 def test_files_of_a_table_agree(study, layout, name):
     """CSV, Markdown and LaTeX have the same rows; the sidecar says what made them."""
     tables.make(jobs.table(study, name), layout, "tiny", partial=False)
@@ -203,7 +203,7 @@ def test_the_papers_values_are_those_of_its_tables():
     """Every lens of table 1 has an accuracy; the doublet TaskLens reads 70.08 % in table 1 and 70.05 % in table 3."""
     paper = pandas.read_csv(layouts.PAPER, keep_default_na=False)
     assert not paper.duplicated(["table", "elements", "design", "classifier", "metric"]).any()
-    assert set(paper["table"]) == set(jobs.TABLES)
+    assert set(paper["table"]) == set(TABLES)
     index = paper.set_index(["table", "elements", "design", "classifier", "metric"])["value"].astype(float)
     assert index["table1", "doublet", "tasklens", "resnet", "accuracy"] == 70.08
     assert index["table3", "doublet", "tasklens", "resnet", "accuracy"] == 70.05
