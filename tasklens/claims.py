@@ -28,7 +28,8 @@ class Claim(Frozen):
         table: where the paper shows it, or what else of ours asks.
         text: one of the sentences above.
         lens: the lens that it is about.
-        rivals: of these the one with the best minival accuracy is the opponent; none for a lens judged alone.
+        rivals: of these the one with the best minival accuracy is the opponent, of each seed anew; none for a lens
+            judged alone.
         classifier: name under which it is measured, such as `resnet-restored` in table 4.
         reference: name under which the same classifier is measured on the pictures themselves.
     """

@@ -181,6 +181,18 @@ def test_the_opponent_is_chosen_on_the_minival(tmp_path):
     assert found.loc["table2", OVER_STRONG, "doublet-tasklens", "other"]["opponent"] == "doublet-imaging2"
 
 
+def test_each_seed_chooses_its_opponent(tmp_path):
+    """Seed 1 has a bad imaging2: whoever designed two lenses takes the other one then."""
+
+    def accuracy(lens, name, seed):
+        return by_design(tasklens=0.7, imaging2=0.1 if seed == 1 else 0.6, imaging3=0.5)(lens, name, seed)
+
+    found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracy)
+    row = found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]
+    assert row["opponent"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
+    assert row["difference"] == pytest.approx((4 * 10 + 20) / 5, abs=3)
+
+
 @pytest.mark.parametrize(
     "accuracy, inside, expected, difference",
     [(0.2, 0.9, HOLDS, 35), (0.8, 0.9, FAILS, -25), (0.8, 0.3, HOLDS, 20), (0.3, 0.3, HOLDS, 25)],

@@ -1,6 +1,7 @@
 """Where task-driven design pays: its difference to the best imaging lens over element counts and specifications."""
 
 from pathlib import Path
+from statistics import mean
 
 import pandas
 
@@ -11,9 +12,9 @@ from tasklens.report import verdicts
 from tasklens.report.tables import lens_file, lens_values
 
 _NOTE = """\
-Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens by minival [points], its 95 %
-interval, and the mean RMS spots of the two [um]. A difference whose interval holds zero, or of fewer than five seeds,
-is undecided."""
+Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens of the seed by minival [points],
+its 95 % interval, and the mean RMS spots of the two [um]. A difference whose interval holds zero, or of fewer than
+five seeds, is undecided."""
 
 
 def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
@@ -24,8 +25,8 @@ def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
     """
     rows = verdicts.collect(job, layout)
 
-    def rms_um(lens: str) -> float:
-        return sum(lens_values(Path(layout.lens(lens, seed)))["rms_spot_um"] for seed in job.seeds) / len(job.seeds)
+    def rms_um(lens: str, seed: int) -> float:
+        return lens_values(Path(layout.lens(lens, seed)))["rms_spot_um"]
 
     specs = [lens_file(Path(layout.lens(lens, job.seeds[0])))["spec"] for lens in rows["lens"]]
     return pandas.DataFrame(
@@ -36,8 +37,10 @@ def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
             "difference": rows["difference"],
             "low": rows["low"],
             "high": rows["high"],
-            "rms_task_um": [rms_um(lens) for lens in rows["lens"]],
-            "rms_imaging_um": [rms_um(lens) for lens in rows["opponent"]],
+            "rms_task_um": [mean(rms_um(claim.lens, seed) for seed in job.seeds) for claim in job.claims],
+            "rms_imaging_um": [
+                mean(rms_um(verdicts.opponent(claim, seed, layout), seed) for seed in job.seeds) for claim in job.claims
+            ],
             "opponent": rows["opponent"],
             "seeds": rows["seeds"],
             "verdict": rows["verdict"],

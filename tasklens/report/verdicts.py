@@ -8,6 +8,8 @@ interval comes from 10 000 resamples of the test pictures, and of the seeds wher
     undecided       else; and, whatever the interval, where fewer than five seeds ran.
 """
 
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy
@@ -29,8 +31,9 @@ COLUMNS = [
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % interval, over test pictures{seeds}. A claim holds
 where the whole interval is above zero, does not hold where it is below, and is undecided else, or with fewer than
-{least} seeds. The opponent is the best of its kind by minival accuracy. For the claim about convergence, the difference
-is how far the rule of table 3 is missed: half of the light in the window, half of the accuracy above chance."""
+{least} seeds. The opponent of each seed is the best of its kind by minival accuracy (in brackets: in how many seeds).
+For the claim about convergence, the difference is how far the rule of table 3 is missed: half of the light in the
+window, half of the accuracy above chance."""
 
 
 def verdict(low: float, high: float, seeds: int) -> tuple[str, str]:
@@ -44,51 +47,58 @@ def verdict(low: float, high: float, seeds: int) -> tuple[str, str]:
     return UNDECIDED, "interval holds zero"
 
 
-def opponent(claim: Claim, seeds: tuple[int, ...], layout: Layout) -> str:
-    """The rival with the best minival accuracy with the claim's classifier, mean over seeds; "" without rivals."""
+def opponent(claim: Claim, seed: int, layout: Layout) -> str:
+    """The rival with the best minival accuracy with the claim's classifier and this seed; "" without rivals.
+
+    Of each seed anew: whoever has two designs at hand keeps the better one.
+    """
 
     def minival(rival: str) -> float:
-        paths = (Path(layout.metrics(rival, seed, claim.classifier)) for seed in seeds)
-        return sum(measured_values(path)["minival_accuracy"] for path in paths)
+        return measured_values(Path(layout.metrics(rival, seed, claim.classifier)))["minival_accuracy"]
 
     return max(claim.rivals, key=minival, default="")
 
 
-def by_picture(lens: str, classifier: str, seeds: tuple[int, ...], layout: Layout) -> pandas.DataFrame:
+def by_picture(lenses: Mapping[int, str], classifier: str, layout: Layout) -> pandas.DataFrame:
     """Accuracy [%] of each test picture, mean over fields: a row per picture, a column per seed.
+
+    Args:
+        lenses: by seed.
 
     Raises:
         FileError: the seeds have different pictures.
     """
     columns = {}
-    for seed in seeds:
+    for seed, lens in lenses.items():
         path = layout.pictures(lens, seed, classifier)
         columns[seed] = 100 * pictures.read(path).mean(axis=1)
-        pictures.same_pictures(columns[seeds[0]], columns[seed], path)
+        pictures.same_pictures(next(iter(columns.values())), columns[seed], path)
     return pandas.DataFrame(columns)
 
 
-def advantage(
-    claim: Claim, rival: str, seeds: tuple[int, ...], layout: Layout
-) -> tuple[pandas.DataFrame, numpy.ndarray]:
+def advantage(claim: Claim, rivals: Mapping[int, str], layout: Layout) -> tuple[pandas.DataFrame, numpy.ndarray]:
     """What speaks for a claim [points], and the least that its mean over pictures counts for.
 
     For a claim about two lenses, the difference of their accuracies; it counts as it is. For convergence, what the
     accuracy lacks of half-way from chance to that of sharp pictures; and where the PSF window lacks more of half of the
     light, that counts instead.
 
+    Args:
+        rivals: the opponent of each seed.
+
     Returns:
         A row per picture and a column per seed; and (S,) least values of the means.
     """
-    own = by_picture(claim.lens, claim.classifier, seeds, layout)
+    seeds = list(rivals)
+    own = by_picture(dict.fromkeys(seeds, claim.lens), claim.classifier, layout)
     if claim.text == FLAT_FAILS:
-        sharp = by_picture(SHARP, claim.reference, seeds, layout)
+        sharp = by_picture(dict.fromkeys(seeds, SHARP), claim.reference, layout)
         chance = measured_values(Path(layout.metrics(SHARP, seeds[0], claim.reference)))["chance"]
         inside = [lens_values(Path(layout.lens(claim.lens, seed)))["energy_in_window"] for seed in seeds]
         other, own, least = own, (sharp + chance) / 2, 50 - 100 * numpy.array(inside)
     else:
-        other, least = by_picture(rival, claim.classifier, seeds, layout), numpy.full(len(seeds), -numpy.inf)
-    pictures.same_pictures(own, other, f"{claim.lens} and {rival or SHARP}")
+        other, least = by_picture(rivals, claim.classifier, layout), numpy.full(len(seeds), -numpy.inf)
+    pictures.same_pictures(own, other, f"{claim.lens} and {rivals[seeds[0]] or SHARP}")
     return own - other, least
 
 
@@ -98,8 +108,8 @@ def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
     Raises:
         FileNotFoundError: a measurement is missing.
     """
-    rivals = [opponent(claim, job.seeds, layout) for claim in job.claims]
-    found = [advantage(*pair, job.seeds, layout) for pair in zip(job.claims, rivals, strict=True)]
+    rivals = [{seed: opponent(claim, seed, layout) for seed in job.seeds} for claim in job.claims]
+    found = [advantage(*pair, layout) for pair in zip(job.claims, rivals, strict=True)]
     if not found:
         return pandas.DataFrame(columns=COLUMNS)
     for claim, (frame, _) in zip(job.claims, found, strict=True):
@@ -113,9 +123,17 @@ def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
         low, high = bootstrap.interval(numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least))
         difference = float(numpy.maximum(values[k].mean(0), least).mean())
         judged = verdict(low, high, seeds)
-        keys = (claim.table, claim.text, claim.lens, rival, claim.classifier)
+        keys = (claim.table, claim.text, claim.lens, _named(rival.values()), claim.classifier)
         rows.append((*keys, difference, low, high, seeds, *judged))
     return pandas.DataFrame(rows, columns=COLUMNS)
+
+
+def _named(opponents: Iterable[str]) -> str:
+    """The opponent of all seeds; or each, the most frequent first, with the number of its seeds."""
+    counts = Counter(opponents)
+    if len(counts) == 1:
+        return next(iter(counts))
+    return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
 
 
 def make(job: VerdictsJob, layout: Layout, study: str) -> None:

@@ -81,7 +81,7 @@ def comparison(study: Study, args: argparse.Namespace) -> None:
 
     layout = Layout.of(study)
     claim = claims.over_imaging(study, args.elements)
-    lenses = (claim.lens, verdicts.opponent(claim, (args.seed,), layout))
+    lenses = (claim.lens, verdicts.opponent(claim, args.seed, layout))
     panels = [_panel(layout, lens, args.seed) for lens in lenses]
     figures.draw(Path(layout.comparison(args.elements, args.seed)), panels)
 
