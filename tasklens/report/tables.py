@@ -105,17 +105,18 @@ def collect(job: TableJob, layout: Layout, partial: bool) -> pandas.DataFrame:
 
 
 def summarise(job: TableJob, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
-    """Means over seeds, with `_std` where several ran, beside the paper's values."""
+    """Means over seeds, with `_std` where several ran, beside the paper's values.
+
+    Of margins the worst counts, and a design converged where it did with every seed.
+    """
     columns = list(_COLUMNS[job.name])
     if job.name in ("table1", "table2") and _ZERO_SHOT in rows:
         columns.insert(columns.index("accuracy") + 1, _ZERO_SHOT)
     keys = ["elements", "design", *(["classifier"] if job.name == "table2" else [])]
     groups = rows.groupby(keys, sort=False)
-    table = groups[[c for c in columns if c != "converged"]].mean()
-    if "converged" in columns:
-        table["converged"] = groups["converged"].all()
+    table = groups.agg({c: {"converged": "all", "worst_margin": "min"}.get(c, "mean") for c in columns})
     if len(job.seeds) > 1:
-        spread = groups[[c for c in columns if c != "converged"]].std(ddof=1)
+        spread = groups[[c for c in columns if c not in ("converged", "worst_margin")]].std(ddof=1)
         table = table.join(spread.add_suffix("_std"))
     table = table.reset_index()
     wanted = paper[paper["table"] == job.name]
