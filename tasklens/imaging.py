@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor
 
-_BLOCK = 8  # images that `grid` renders at once: their spectra, and those of a capture each, then stay in the cache
+_BLOCK = 8  # images that a CPU renders at once: their spectra, and those of a capture each, then stay in the cache
 
 
 def _fast_size(size: int) -> int:
@@ -34,6 +34,11 @@ def _spectrum(planes: Tensor, size: tuple[int, int]) -> Tensor:
     Where the columns are contiguous, the inverse transform along them costs half.
     """
     return torch.fft.fft(torch.fft.rfft(planes, size[1]).transpose(-1, -2), size[0])
+
+
+def _at_once(images: Tensor) -> int:
+    """How many images are rendered at once: all on a GPU, which wants them so."""
+    return _BLOCK if images.device.type == "cpu" else len(images)
 
 
 class Camera:
@@ -59,15 +64,18 @@ class Camera:
     def grid(self, images: Tensor) -> Tensor:
         """Captures of every image at every field: (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
         blocks = []
-        for block in images.split(_BLOCK):
+        for block in images.split(_at_once(images)):
             render, kernels = self._prepare(block)
             blocks.append(torch.stack([render(*kernel) for kernel in zip(kernels, self.veil, strict=True)]))
         return torch.cat(blocks, 1)
 
     def single(self, images: Tensor, fields: Tensor) -> Tensor:
         """Captures of each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
-        render, kernels = self._prepare(images)
-        return render(kernels[fields], self.veil[fields])
+        captures = []
+        for block, chosen in zip(images.split(_at_once(images)), fields.split(_at_once(images)), strict=True):
+            render, kernels = self._prepare(block)
+            captures.append(render(kernels[chosen], self.veil[chosen]))
+        return torch.cat(captures)
 
     def _prepare(self, images: Tensor) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
         """Everything that is done once for all fields.

@@ -139,6 +139,8 @@ def test_many_images_are_rendered_like_few():
     camera = Camera(random_psf(17))
     each = torch.cat([camera.grid(image[None]) for image in images], 1)
     torch.testing.assert_close(camera.grid(images), each, rtol=0, atol=1e-6)
+    fields = torch.arange(20) % len(camera.psf)
+    torch.testing.assert_close(camera.single(images, fields), each[fields, torch.arange(20)], rtol=0, atol=1e-6)
 
 
 FIELDS = torch.tensor([3, 0, 3])

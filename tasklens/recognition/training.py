@@ -85,7 +85,7 @@ def fit(
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(pictures) / training.batch))
-    optimizer = torch.optim.AdamW(parameter_groups(recogniser, training.weight_decay), lr=training.rate)
+    optimizer = torch.optim.AdamW(parameter_groups(recogniser, training.weight_decay), lr=training.rate, fused=True)
     schedule = warmup_cosine(optimizer, steps, training.warmup)
     order = Shuffled(len(pictures), training.batch, generator)
     progress = Progress(label, steps)
