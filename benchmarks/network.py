@@ -127,14 +127,17 @@ def peak(device: torch.device) -> str:
 def main(arguments: list[str] | None = None) -> None:
     parser = timing.arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--models", nargs="+", default=["resnet50"], help="of timm, for the paper's size on a GPU")
+    parser.add_argument("--models", nargs="+", default=["resnet50"], help="of timm, at 224 pixels")
     options = parser.parse_args(arguments)
     device = claim()
-    if device.type == "cuda":
+    small = {"layers": [1, 1, 1, 1], "channels": [16, 32, 64, 128], "stem_type": "deep", "stem_width": 16}
+    if options.tiny:
+        cases = [("resnet18", small, 64, 1, 128, 64)]
+    elif device.type == "cuda":
         cases = [(name, {}, 224, 64, 256, 64) for name in options.models]  # the paper's: 576 captures a step
     else:
-        small = {"layers": [1, 1, 1, 1], "channels": [16, 32, 64, 128], "stem_type": "deep", "stem_width": 16}
-        cases = [("resnet18", small, 64, 1 if options.tiny else 8, 128, 64)]  # the default study's
+        cases = [("resnet18", small, 64, 8, 128, 64)]  # the default study's
+        cases += [(name, {}, 224, 2, 256, 16) for name in options.models]
     rows = []
     for name, given, size, pictures, rays, batch in cases:
         for what in ("design", "fine-tuning"):
@@ -144,12 +147,20 @@ def main(arguments: list[str] | None = None) -> None:
             else:
                 ours, alone = fine_tuning(network, batch, size, options.rounds, device)
             ratio = statistics.median(ours) / statistics.median(alone)
-            rows.append((name, what, timing.spread(ours, 1e3), timing.spread(alone, 1e3), f"{ratio:.3f}", peak(device)))
+            load = f"{FIELDS * pictures} captures" if what == "design" else f"batch of {batch}"
+            rows.append(
+                (
+                    name,
+                    f"{what}, {load} of {size} px",
+                    timing.spread(ours, 1e3),
+                    timing.spread(alone, 1e3),
+                    f"{ratio:.3f}",
+                    peak(device),
+                )
+            )
     columns = ("network", "step of", "ours [ms]", "network alone [ms]", "ratio", "peak [GB]")
     card = torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
-    timing.report(
-        f"{pictures} pictures x 9 fields of {size} px, batches of {batch}, {card}", columns, rows, options.save
-    )
+    timing.report(f"Networks alone and in a study, {card}", columns, rows, options.save)
 
 
 if __name__ == "__main__":
