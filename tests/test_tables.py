@@ -185,6 +185,9 @@ def test_files_of_a_table_agree(study, layout, name):
         body = [line for line in file.read().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == (4 if name == "table1" else 6 if name == "table2" else 3)
     assert all(row.design in line for row, line in zip(rows.itertuples(), body, strict=True))
+    each = pandas.read_csv(layout.table(name, "seeds.csv"), keep_default_na=False)
+    assert len(each) == 2 * len(rows) and each["seed"].tolist() == [0] * len(rows) + [1] * len(rows)
+    assert each["accuracy"].astype(float).mean() == pytest.approx(rows["accuracy"].mean())
     with open(layout.table(name, "tex")) as file:
         latex = file.read()
     assert latex.count(r"\\") == len(rows) + 1 and "nan" not in latex.lower()

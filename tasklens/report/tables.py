@@ -21,9 +21,7 @@ _COLUMNS = {
     "table3": ["accuracy", "energy_in_window", "worst_margin", "converged"],
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
-_ZERO_SHOT = (
-    "zero_shot_accuracy"  # follows the accuracy in tables 1 and 2, where a network has more outputs than classes
-)
+_ZERO_SHOT = "zero_shot_accuracy"  # follows the accuracy in tables 1 and 2, if a network has more outputs than classes
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",
     "table2": "Accuracy with other classifiers",
@@ -104,14 +102,20 @@ def collect(job: TableJob, layout: Layout, partial: bool) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
+def _columns(job: TableJob, rows: pandas.DataFrame) -> list[str]:
+    """What a table shows of its rows."""
+    columns = list(_COLUMNS[job.name])
+    if job.name in ("table1", "table2") and _ZERO_SHOT in rows:
+        columns.insert(columns.index("accuracy") + 1, _ZERO_SHOT)
+    return columns
+
+
 def summarise(job: TableJob, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
     """Means over seeds, with `_std` where several ran, beside the paper's values.
 
     Of margins the worst counts, and a design converged where it did with every seed.
     """
-    columns = list(_COLUMNS[job.name])
-    if job.name in ("table1", "table2") and _ZERO_SHOT in rows:
-        columns.insert(columns.index("accuracy") + 1, _ZERO_SHOT)
+    columns = _columns(job, rows)
     keys = ["elements", "design", *(["classifier"] if job.name == "table2" else [])]
     groups = rows.groupby(keys, sort=False)
     table = groups.agg({c: {"converged": "all", "worst_margin": "min"}.get(c, "mean") for c in columns})
@@ -138,13 +142,14 @@ def printed(job: TableJob, table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def make(job: TableJob, layout: Layout, study: str, partial: bool) -> None:
-    """Write a table as CSV, Markdown and LaTeX, and a sidecar that says what made it."""
+    """Write a table as CSV, Markdown and LaTeX, its rows seed by seed, and a sidecar that says what made it."""
     paper = pandas.read_csv(PAPER, keep_default_na=False)
     paper["value"] = pandas.to_numeric(paper["value"])
     rows = collect(job, layout, partial)
     if rows.empty:
         raise FileNotFoundError(f"{job.name}: nothing has been measured yet below {layout.root}/metrics")
-    table = summarise(job, rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[job.name]]))), paper)
+    rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[job.name]])))
+    table = summarise(job, rows, paper)
     shown = printed(job, table)
     title = f"Table {job.name[-1]}: {_TITLES[job.name]}"
     name = f"{job.name}-partial" if partial else job.name
@@ -152,6 +157,8 @@ def make(job: TableJob, layout: Layout, study: str, partial: bool) -> None:
     note = f"Not measured yet: {', '.join(unmeasured)}. " if unmeasured else ""
     note += f"Study `{study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
     write_text(Path(layout.table(name, "csv")), table.to_csv(index=False))
+    each = [c for c in ("elements", "design", "classifier", "seed", *_columns(job, rows)) if c in rows]
+    write_text(Path(layout.table(name, "seeds.csv")), rows[each].to_csv(index=False))
     markdown = shown.to_markdown(index=False, disable_numparse=True)
     write_text(Path(layout.table(name, "md")), f"**{title}**\n\n{markdown}\n\n{note}\n")
     latex = shown.to_latex(index=False, escape=True, caption=_latex(f"{title}. {note}"))

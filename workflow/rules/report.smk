@@ -3,7 +3,7 @@ rule table:
         unpack(table_inputs),
         paper=PAPER,
     output:
-        multiext(f"{layout.root}/tables/{{table}}", ".csv", ".md", ".tex", ".json"),
+        multiext(f"{layout.root}/tables/{{table}}", ".csv", ".seeds.csv", ".md", ".tex", ".json"),
     log:
         f"{layout.root}/logs/{{table}}.log",
     threads: 1
@@ -17,8 +17,8 @@ rule table:
 
 rule psf_tail:
     input:
-        [layout.tail(lens, seed) for lens in study.lenses for seed in study.seeds],
-        [layout.encircled_energy(lens, seed) for lens in study.lenses for seed in study.seeds],
+        [layout.tail(lens, seed) for lens in jobs.psf_tail(study).lenses for seed in study.seeds],
+        [layout.encircled_energy(lens, seed) for lens in jobs.psf_tail(study).lenses for seed in study.seeds],
     output:
         layout.table("psf_tail", "csv"),
         layout.table("psf_tail", "md"),
