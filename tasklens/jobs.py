@@ -162,14 +162,19 @@ def tables(study: Study) -> tuple[TableJob, ...]:
     return tuple(job for job in (table(study, name) for name in study.tables) if job.lenses)
 
 
+def shown(study: Study) -> tuple[str, ...]:
+    """The lenses of these tables."""
+    found = {lens for job in tables(study) for lens in job.lenses}
+    return tuple(lens for lens in study.lenses if lens in found)
+
+
 def psf_tail(study: Study) -> TailJob:
-    shown = {lens for job in tables(study) for lens in job.lenses}
-    return TailJob(lenses=tuple(lens for lens in study.lenses if lens in shown), seeds=study.seeds)
+    return TailJob(lenses=shown(study), seeds=study.seeds)
 
 
 def verify(study: Study) -> VerificationJob:
     """What is verified: the tables of a study, their lenses and their measurements."""
-    lenses = {name: study.lens(name) for name in psf_tail(study).lenses}
+    lenses = {name: study.lens(name) for name in shown(study)}
     return VerificationJob(
         lenses=tuple(lenses),
         promising=tuple(name for name, lens in lenses.items() if lens.keeps_constraints),

@@ -17,8 +17,8 @@ rule table:
 
 rule psf_tail:
     input:
-        [layout.tail(lens, seed) for lens in jobs.psf_tail(study).lenses for seed in study.seeds],
-        [layout.encircled_energy(lens, seed) for lens in jobs.psf_tail(study).lenses for seed in study.seeds],
+        [layout.tail(lens, seed) for lens in jobs.shown(study) for seed in study.seeds],
+        [layout.encircled_energy(lens, seed) for lens in jobs.shown(study) for seed in study.seeds],
     output:
         layout.table("psf_tail", "csv"),
         layout.table("psf_tail", "md"),
