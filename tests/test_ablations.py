@@ -4,7 +4,7 @@ import pandas
 import pytest
 import yaml
 from examples import changed, tiny_study
-from test_study import slices
+from test_jobs import slices
 from test_verdicts import results
 
 from tasklens import claims, jobs
