@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
-from tasklens.design_settings import Design
-from tasklens.settings import Frozen, Name
+from tasklens.design_settings import Design, Lens
+from tasklens.settings import Capture, Frozen, Name
 
 _DESIGN = TypeAdapter(Design)
 
@@ -28,9 +28,25 @@ class Ablation(Frozen):
         return f"{self.design}_{ablation}_{variant}"
 
 
-def varied(design: Design, changes: Mapping[str, Any]) -> Design:
-    """The design with `changes` in it; raises ValidationError where they do not fit."""
-    return _DESIGN.validate_python(_merged(design.model_dump(), changes))
+def varied(base: Lens, capture: Capture, name: str, ablation: Ablation, variant: str) -> Lens:
+    """The lens that a variant of the ablation `name` makes of the lens `base`, in a study that captures as in `capture`.
+
+    Raises:
+        ValueError: changes that do not fit (pydantic's ValidationError), or a capture without keys.
+    """
+    changes = dict(ablation.variants[variant])
+    other = changes.pop("capture", None)
+    if not isinstance(other, dict | None):
+        raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {other!r}")
+    design_name = ablation.name(name, variant)
+    return Lens(
+        name=f"{base.elements}-{design_name}",
+        elements=base.elements,
+        plastics=base.plastics,
+        design_name=design_name,
+        design=_DESIGN.validate_python(_merged(base.design.model_dump(), changes)),
+        capture=None if other is None else Capture.model_validate(capture.model_dump() | other),
+    )
 
 
 def _merged(base: Any, changes: Any) -> Any:

@@ -187,20 +187,7 @@ class Study(Frozen):
 
     def _variant(self, name: str, variant: str) -> Lens:
         ablation = self.ablations[name]
-        changes = dict(ablation.variants[variant])
-        capture = changes.pop("capture", None)
-        if not isinstance(capture, dict | None):
-            raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {capture!r}")
-        base = self._designed(ablation.elements, ablation.design)
-        design_name = ablation.name(name, variant)
-        return Lens(
-            name=f"{ablation.elements}-{design_name}",
-            elements=ablation.elements,
-            plastics=base.plastics,
-            design_name=design_name,
-            design=varied(base.design, changes),
-            capture=None if capture is None else Capture.model_validate(self.capture.model_dump() | capture),
-        )
+        return varied(self._designed(ablation.elements, ablation.design), self.capture, name, ablation, variant)
 
     def spec_of(self, elements: str) -> Spec:
         """The specification of these elements: `spec` with what `specs` says of them."""
