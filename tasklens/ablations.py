@@ -29,7 +29,7 @@ class Ablation(Frozen):
 
 
 def varied(base: Lens, capture: Capture, name: str, ablation: Ablation, variant: str) -> Lens:
-    """The lens that a variant of the ablation `name` makes of the lens `base`, in a study that captures as in `capture`.
+    """The lens that a variant of the ablation `name` makes of the lens `base`, in a study that captures by `capture`.
 
     Raises:
         ValueError: changes that do not fit (pydantic's ValidationError), or a capture without keys.
