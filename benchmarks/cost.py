@@ -26,7 +26,6 @@ from tasklens.recognition.classifiers import Recogniser
 from tasklens.settings import Classifier
 from tasklens.study import Study
 
-FIELDS = 9
 RESNET50 = Classifier(model="resnet50", pretrained=True)
 A100 = 2470.0  # pictures/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch
 FORWARD, TO_INPUT, TO_WEIGHTS = 1, 2, 3  # operations of a pass, in those of a forward pass
@@ -43,7 +42,7 @@ class Cost:
     """Operations of the jobs of a study, with `train` and `test` pictures where the study takes all of a folder."""
 
     def __init__(self, study: Study, train: int, test: int):
-        self.study = study
+        self.study, self.fields = study, len(study.spec.fields_mm)
         self.train, self.test = study.images.train or train - study.images.minival, study.images.test or test
         self.forward = cache(self.forward)
 
@@ -60,17 +59,17 @@ class Cost:
         total, supervisor = 0.0, self.study.supervisor
         if isinstance(settings, Task):
             steps = settings.starts * settings.start.steps + settings.refine.steps
-            total += FIELDS * steps * settings.images * TO_INPUT * self.forward(supervisor, settings.size or size)
+            total += self.fields * steps * settings.images * TO_INPUT * self.forward(supervisor, settings.size or size)
         together = settings if isinstance(settings, EndToEnd) else getattr(settings, "polish", None)
         if together is not None:
-            captures = FIELDS * together.steps * together.images
+            captures = self.fields * together.steps * together.images
             total += captures * TO_WEIGHTS * self.forward(supervisor, together.size or size)
         return total
 
     def fine_tune(self, lens: str, classifier: str, restored: bool) -> float:
         """Of fine-tuning and measuring a classifier on the captures of a lens, restored or not."""
         size, training = self.study.images.size, self.study.fine_tuning
-        seen = (self.test + self.study.images.minival) * (1 if lens == SHARP else FIELDS)
+        seen = (self.test + self.study.images.minival) * (1 if lens == SHARP else self.fields)
         trained = training.epochs * self.train
         total = (FORWARD * seen + TO_WEIGHTS * trained) * self.forward(classifier, size)
         if restored:

@@ -4,6 +4,9 @@ import importlib
 from pathlib import Path
 
 import pytest
+import torch
+
+from tasklens.settings import Classifier
 
 
 @pytest.mark.parametrize(
@@ -23,6 +26,16 @@ def test_benchmark_prints_its_table(script, column, options, monkeypatch, capsys
     table = capsys.readouterr().out.split("\n\n")[2].splitlines()
     assert f"| {column} |" in table[0] and len(table) >= 3
     assert {line.count("|") for line in table} == {table[0].count("|")}
+
+
+def test_operations_are_those_of_the_published_networks(monkeypatch):
+    """Two per multiply-add: 4.09e9 of ResNet50 and 0.22e9 of MobileNetV3 (torchvision's tables), within 2 %."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    cost = importlib.import_module("cost")
+    for model, operations in (("resnet50", 2 * 4.09e9), ("mobilenetv3_large_100", 2 * 0.217e9)):
+        with torch.device("meta"):
+            network = cost.recogniser(Classifier(model=model, pretrained=True))
+        assert cost.operations(network, 224) == pytest.approx(operations, rel=0.02)
 
 
 def test_times_are_taken_in_turn(monkeypatch, capsys):

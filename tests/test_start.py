@@ -9,13 +9,12 @@ from tasklens.design.constraints import (
     worst_margin,
 )
 from tasklens.design.schedule import cosine
-from tasklens.design.start import Variables, flat, parameter_groups, view
+from tasklens.design.start import Variables, flat, parameter_groups
 from tasklens.design_settings import Rates
 from tasklens.optics.paraxial import paraxial
 from tasklens.settings import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
-LOOKS = view(SPEC)
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 4])
