@@ -16,7 +16,7 @@ from tasklens.settings import Restoration
 
 _JUDGED = 64  # minival pictures, each at every field
 _GAIN_DB = 0.1  # less than this above the last check with progress is none
-_QUARTERINGS = 2  # of the rate, each after a check without progress; the third such check says: converged
+_DROP = 0.1  # of the rate, at the first check without progress; the second such check says: converged
 
 
 def build(settings: Restoration) -> NAFNet:
@@ -37,8 +37,8 @@ def train(
 
     The loss is the negative PSNR of each image; AdamW with betas (0.9, 0.9) and gradients clipped at a norm of 0.01, as
     the authors of NAFNet train it. Every `settings.check` steps the mean PSNR of 64 minival pictures at all fields is
-    taken. Where it is not 0.1 dB above the last check that was progress, the rate is quartered; at the third such check
-    the training has converged.
+    taken. Where it is not 0.1 dB above the last check that was progress, the rate drops to a tenth; at the second such
+    check the training has converged.
 
     Args:
         settings: network, rate, and the most steps.
@@ -59,7 +59,7 @@ def train(
     network = build(settings).to(pictures.device)
     betas = (0.9, 0.9)
     optimizer = torch.optim.AdamW(network.parameters(), settings.rate, betas, weight_decay=0.0, fused=True)
-    plateau = ReduceLROnPlateau(optimizer, "max", 0.25, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
+    plateau = ReduceLROnPlateau(optimizer, "max", _DROP, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
     progress = Progress("restoration", settings.steps)
     order = Shuffled(len(pictures), settings.batch, generator)
     best, found = -torch.inf, {}
@@ -83,7 +83,7 @@ def train(
                 best, found = judged, copy.deepcopy(network.state_dict())
             rate = optimizer.param_groups[0]["lr"]
             plateau.step(judged)
-            converged = optimizer.param_groups[0]["lr"] < settings.rate / 4**_QUARTERINGS
+            converged = optimizer.param_groups[0]["lr"] < settings.rate * _DROP
             history.append({"step": step, "rate": rate, "psnr_db": judged, "converged": converged})
             if converged:
                 break
