@@ -17,7 +17,7 @@ import torch
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from restoration.training import build
+from restoration.nafnet import build
 from tasklens import jobs
 from tasklens import study as studies
 from tasklens.design_settings import EndToEnd, Task

@@ -8,6 +8,7 @@ from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
 from tasklens.devices import half_precision
+from tasklens.settings import Restoration
 
 
 class SimpleGate(nn.Module):
@@ -88,3 +89,8 @@ class NAFNet(nn.Module):
         for blocks, up, skip in zip(self.decoders, self.ups, reversed(skips), strict=True):
             x = blocks(up(x) + skip)
         return self.ending(x)
+
+
+def build(settings: Restoration) -> NAFNet:
+    """The untrained network that `settings` describe."""
+    return NAFNet(settings.width, settings.encoder, settings.middle, settings.decoder)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from restoration.training import build
+from restoration.nafnet import build
 from tasklens.files import read_tensors
 from tasklens.imaging import Camera
 from tasklens.recognition.evaluation import Sight

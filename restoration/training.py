@@ -6,7 +6,7 @@ import sys
 import torch
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
-from restoration.nafnet import NAFNet
+from restoration.nafnet import NAFNet, build
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.imaging import Camera, psnr
 from tasklens.progress import Progress
@@ -17,11 +17,6 @@ from tasklens.settings import Restoration
 _JUDGED = 64  # minival pictures, each at every field
 _GAIN_DB = 0.1  # less than this above the last check with progress is none
 _DROP = 0.1  # of the rate, at the first check without progress; the second such check says: converged
-
-
-def build(settings: Restoration) -> NAFNet:
-    """The untrained network that `settings` describe."""
-    return NAFNet(settings.width, settings.encoder, settings.middle, settings.decoder)
 
 
 def train(

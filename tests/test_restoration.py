@@ -5,7 +5,7 @@ import torch
 from examples import random_pictures
 
 from restoration import training
-from restoration.nafnet import NAFBlock, NAFNet
+from restoration.nafnet import NAFBlock, NAFNet, build
 from tasklens.imaging import Camera, psnr
 from tasklens.settings import Restoration
 
@@ -21,7 +21,7 @@ def pictures(seed: int, *shape) -> torch.Tensor:
 
 def test_paper_size_has_the_papers_parameters():
     """Width 32, encoder 1 1 1 8, middle 1, decoder 1 1 1 1: 7 767 907 parameters, as the original's code counts."""
-    network = training.build(Restoration(steps=1))
+    network = build(Restoration(steps=1))
     assert sum(p.numel() for p in network.parameters()) == 7_767_907
 
 
@@ -107,7 +107,7 @@ def test_training_restores_and_is_deterministic():
 
 
 def test_training_ends_when_two_checks_gained_nothing():
-    """The rate drops to a tenth after each; the network of the best check is returned, with the PSNR that was logged."""
+    """Each divides the rate by ten; the network of the best check is returned, with the PSNR that was logged."""
     sharp, minival = random_pictures(16, 16, 2, seed=0), random_pictures(8, 16, 2, seed=1)
     history: list[dict] = []
     network = training.train(
