@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 CPU = torch.device("cpu")
 _locked: dict[str, object] = {}  # by GPU, open files: a lock ends with its process, however that ends
@@ -25,6 +26,11 @@ def claim() -> torch.device:
                 torch.cuda.set_device(index)
                 return torch.device("cuda", index)
         time.sleep(1.0)
+
+
+def send(tensor: Tensor, device: torch.device) -> Tensor:
+    """A tensor of the CPU on `device`; to a GPU it goes without waiting for what that still has to do."""
+    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
 
 
 def half_precision(device: torch.device) -> torch.autocast:

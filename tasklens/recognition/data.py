@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tasklens.devices import CPU
+from tasklens.devices import CPU, send
 from tasklens.files import FileError, read_tensors, write_tensors
 from tasklens.recognition import folders
 from tasklens.settings import Images
@@ -29,7 +29,7 @@ class Pictures:
 
     def batch(self, indices: Tensor) -> tuple[Tensor, Tensor]:
         """Pictures in [0, 1], float32, and their labels."""
-        return self.images[indices].to(self.device).float() / 255, self.labels[indices].to(self.device)
+        return send(self.images[indices], self.device).float() / 255, send(self.labels[indices], self.device)
 
     def batches(self, size: int):
         """All pictures in order, as batches."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
+from tasklens.devices import send
 from tasklens.imaging import Camera, psnr
 from tasklens.progress import Progress
 from tasklens.recognition.classifiers import Recogniser, parameters_m
@@ -28,7 +29,7 @@ class Sight:
         if self.camera is None:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
-        return self._restored(self.camera.single(images[share], fields[share]))
+        return self._restored(self.camera.single(images[share], send(fields[share], images.device)))
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Images (B, 3, H, W) in [0, 1] at every field, (F, B, 3, H, W); without a camera there is one field."""

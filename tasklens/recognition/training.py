@@ -1,5 +1,6 @@
 """The one training loop for classifiers: sharp pictures, captures or restored captures."""
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -8,6 +9,7 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, SequentialLR
 
 from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.devices import send
 from tasklens.progress import Progress
 from tasklens.recognition.data import Pictures
 from tasklens.recognition.team import ALONE, Team
@@ -80,6 +82,9 @@ def fit(
             takes the same numbers whatever the share of the images that is wanted.
         checkpoint: of the job, for its part `label`; the first process writes it.
         team: the processes that train together; all end with the same network.
+
+    Raises:
+        FloatingPointError: the loss stopped being finite.
     """
     share, together = team.share(training.batch), team.together(recogniser)
     torch.manual_seed(seed)
@@ -90,19 +95,29 @@ def fit(
     order = Shuffled(len(pictures), training.batch, generator)
     progress = Progress(label, steps)
     part = checkpoint.part(label, network=recogniser, optimizer=optimizer, schedule=schedule, order=order)
+
+    def judge(step: int, loss: float) -> None:
+        if not math.isfinite(loss):
+            raise FloatingPointError(f"{label}: the loss became {loss} at step {step} of {steps}")
+        if team.first:
+            progress(step, loss=loss)
+
+    before = None
     recogniser.train()
     for step in range(part.step + 1, steps + 1):
         images, labels = pictures.batch(order.next())
-        flip = (torch.rand(len(images), generator=generator) < 0.5).to(images.device)
+        flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(together(see(images, generator, share)), labels[share])
-        if not torch.isfinite(loss):
-            raise FloatingPointError(f"{label}: the loss became {loss.item()} at step {step} of {steps}")
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
+        if before is not None:  # and not yet this loss: a GPU computes it while the next pictures are fetched
+            judge(step - 1, before.item())
+        before = loss.detach()
         if team.first:
-            progress(step, loss=loss.item())
             part.keep(step)
+    if before is not None:
+        judge(steps, before.item())
     recogniser.eval()
