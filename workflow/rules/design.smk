@@ -6,6 +6,7 @@ rule design:
         history=layout.history("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/design/{{lens}}-seed{{seed}}.log",
+    priority: 1  # most waits for designs, and the longest jobs are among them
     threads: 1
     params:
         study=layout.study,
