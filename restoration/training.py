@@ -1,6 +1,7 @@
 """Training of the restoration network on the captures of one lens, until it has converged."""
 
 import copy
+import math
 import sys
 
 import torch
@@ -74,6 +75,8 @@ def train(
         progress(step, psnr_db=quality.item())
         if step % settings.check == 0 or step == settings.steps:
             judged = _judge(network, minival, camera)
+            if not math.isfinite(judged):
+                raise FloatingPointError(f"restoration: the minival's PSNR became {judged} at step {step}")
             if judged > best:
                 best, found = judged, copy.deepcopy(network.state_dict())
             rate = optimizer.param_groups[0]["lr"]

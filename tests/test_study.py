@@ -60,6 +60,7 @@ MISTAKES = [
     ("restoration.decoder", [1, 1], ["encoder", "decoder"]),
     ("constraints.distortion", -0.1, ["-0.1"]),
     ("minutes.design", -1, ["-1"]),
+    ("classifiers.small.processes", 3, ["classifiers.small.processes", "fine_tuning.batch"]),
     ("outside.phone.file", "nowhere.zmx", ["outside.phone.file", "nowhere.zmx", "not point to a file"]),
     ("outside.phone.file", __file__, ["outside.phone.file", ".zmx", ".yaml"]),
     ("outside.phone", {"elements": "x", "file": str(PLASTICS), "catalogues": ["no.agf"]}, ["catalogues", "no.agf"]),

@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import timm
 import torch
 import yaml
 from examples import changed, tiny_study
 
 from tasklens import cli
 from tasklens.files import read_tensors
+from tasklens.recognition import team
 from tasklens.recognition.team import Team
 from tasklens.study import StudyError
 
@@ -52,6 +54,19 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     picture = 100 / study["images"]["test"] + 1e-6
     for key, value in alone.items():
         assert together[key] == pytest.approx(value, abs=picture if "accuracy" in key[0] else 1e-6), key
+
+
+def test_batch_norms_of_a_team_keep_their_activations(monkeypatch):
+    """timm puts them into one layer; converted for several GPUs, a network judges as before."""
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(team, "DistributedDataParallel", lambda network: network)
+    torch.manual_seed(0)
+    network = timm.create_model("test_efficientnet", num_classes=5).eval()
+    images = torch.rand(2, 3, 64, 64)
+    expected = network(images)
+    converted = Team(0, 2).together(network).eval()
+    assert any(isinstance(module, torch.nn.SyncBatchNorm) for module in converted.modules())
+    torch.testing.assert_close(converted(images), expected)
 
 
 def test_shares_are_of_one_size():

@@ -7,6 +7,7 @@ import torch
 from examples import random_pictures, small_network, trained_network
 from torch import nn
 
+from tasklens import checkpoints
 from tasklens.recognition import evaluation, training
 from tasklens.settings import Training
 
@@ -40,11 +41,28 @@ def test_what_the_classifier_sees_is_what_it_learns_from():
     assert correct.double().mean() < 0.5
 
 
-def test_a_loss_that_is_not_finite_ends_the_training():
-    with pytest.raises(FloatingPointError, match="step 1 of"):
-        network = small_network(0)
-        nn.init.constant_(network[-1].bias, float("nan"))
-        training.fit(network, random_pictures(60, 16, 3, seed=1), Training(epochs=1, rate=1e-2), 0, "test")
+@pytest.mark.parametrize("bad", [1, 3, 5])
+def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path):
+    """At whichever step, and the state kept last is from before it."""
+    steps = iter(range(1, 6))
+
+    def see(images: torch.Tensor, generator: torch.Generator, share: slice) -> torch.Tensor:
+        return images[share] * (float("inf") if next(steps) == bad else 1.0)
+
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    checkpoint = checkpoints.Checkpoint(tmp_path / "job.pt")
+    with pytest.raises(FloatingPointError, match=f"step {bad} of 5"):
+        pictures, settings = random_pictures(50, 16, 3, seed=1), Training(epochs=1, rate=1e-2, batch=10)
+        training.fit(small_network(0), pictures, settings, 0, "test", see, checkpoint)
+    assert checkpoint.records.get("test", {}).get("step", 0) == bad - 1
+
+
+def test_weights_that_are_not_finite_in_the_end_are_no_result():
+    network = small_network(0)
+    network[0].weight.register_hook(lambda gradient: gradient * torch.nan)
+    with pytest.raises(FloatingPointError, match="weights stopped being finite"):
+        settings = Training(epochs=1, rate=1e-2, batch=60)
+        training.fit(network, random_pictures(60, 16, 3, seed=1), settings, 0, "test")
 
 
 def test_weight_decay_spares_vectors():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 import torch
+from timm.layers import convert_sync_batchnorm
 from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
@@ -42,7 +43,7 @@ class Team:
         if self.size == 1:
             return network
         if torch.cuda.is_initialized():
-            network = nn.SyncBatchNorm.convert_sync_batchnorm(network)
+            network = convert_sync_batchnorm(network)  # torch's own loses the activation in some of timm's batch norms
         return DistributedDataParallel(network)
 
 

@@ -107,17 +107,19 @@ def fit(
     for step in range(part.step + 1, steps + 1):
         images, labels = pictures.batch(order.next())
         flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
+        if before is not None:  # only now, so that a GPU has the step before to compute while pictures are fetched
+            judge(step - 1, before.item())
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(together(see(images, generator, share)), labels[share])
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
-        if before is not None:  # and not yet this loss: a GPU computes it while the next pictures are fetched
-            judge(step - 1, before.item())
         before = loss.detach()
         if team.first:
-            part.keep(step)
+            part.keep(step, loss=before)
     if before is not None:
         judge(steps, before.item())
+    if not all(parameter.isfinite().all() for parameter in recogniser.parameters()):
+        raise FloatingPointError(f"{label}: the weights stopped being finite at step {steps} of {steps}")
     recogniser.eval()

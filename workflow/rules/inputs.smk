@@ -18,7 +18,9 @@ def processes(wildcards):
 def tasklens_of(wildcards):
     """The command line, once for every process."""
     count = processes(wildcards)
-    return "tasklens" if count == 1 else f"torchrun --standalone --nproc-per-node {count} -m tasklens.cli"
+    # Snakemake sets the threads of a job to its cores, here those of all its processes.
+    team = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {count} -m tasklens.cli"
+    return "tasklens" if count == 1 else team
 
 
 def design_inputs(wildcards):
