@@ -18,6 +18,7 @@ from tasklens import checkpoints, cli
 from tasklens.checkpoints import Checkpoint, key
 from tasklens.design import descent
 from tasklens.files import FileError
+from tasklens.recognition import evaluation
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
 JOBS = {
@@ -28,6 +29,7 @@ JOBS = {
     "end_to_end": ["design", "singlet-end_to_end_from_flat"],
     "restoration": ["restore", "singlet-imaging1"],
     "fine_tuning": ["fine-tune", "singlet-imaging1", "small"],
+    "reproduction": ["reproduce", "singlet-imaging1", "small"],
 }
 
 
@@ -60,10 +62,13 @@ def outputs(before: float) -> dict[str, bytes]:
 @pytest.mark.parametrize("job", JOBS)
 def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
     """To the last bit, in every file, wherever it is killed; the checkpoint is gone then."""
+    monkeypatch.setattr(evaluation, "_BATCH", 8)
+    if job == "reproduction":
+        assert run(*JOBS["fine_tuning"]) == 0
     start = time.time()
     assert run(*JOBS[job]) == 0
     expected = outputs(start)
-    assert len(expected) > 1 or job == "reference"
+    assert len(expected) > 1 or job in ("reference", "reproduction")
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     for killed_at in itertools.count(1):
         writes = itertools.count(1)

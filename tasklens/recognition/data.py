@@ -31,11 +31,6 @@ class Pictures:
         """Pictures in [0, 1], float32, and their labels."""
         return send(self.images[indices], self.device).float() / 255, send(self.labels[indices], self.device)
 
-    def batches(self, size: int):
-        """All pictures in order, as batches."""
-        for indices in torch.arange(len(self)).split(size):
-            yield self.batch(indices)
-
     def take(self, indices: Tensor) -> "Pictures":
         return replace(self, images=self.images[indices], labels=self.labels[indices])
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.devices import send
 from tasklens.imaging import Camera, psnr
 from tasklens.progress import Progress
@@ -44,20 +45,52 @@ class Sight:
 
 
 @torch.no_grad()
-def evaluate(recogniser: Callable[[Tensor], Tensor], pictures: Pictures, sight: Sight) -> tuple[Tensor, Tensor]:
-    """Whether each of N pictures is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N)."""
-    correct, quality = [], []
-    progress = Progress("evaluation", math.ceil(len(pictures) / _BATCH))
-    for step, (images, labels) in enumerate(pictures.batches(_BATCH), 1):
+def evaluate(
+    recogniser: Callable[[Tensor], Tensor],
+    pictures: Pictures,
+    sight: Sight,
+    label: str = "evaluation",
+    checkpoint: Checkpoint = NOTHING_KEPT,
+) -> tuple[Tensor, Tensor]:
+    """How well a classifier recognises N pictures at F fields.
+
+    Args:
+        recogniser: logits (B, C) of images (B, 3, H, W).
+        label: for progress lines.
+        checkpoint: of the job, for its part `label`.
+
+    Returns:
+        Whether each picture is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N).
+    """
+    part = checkpoint.part(label)
+    if part.result is not None:
+        return part.result["correct"], part.result["quality"]
+    found = [] if part.state is None else [(part.state["correct"], part.state["quality"])]
+    batches = torch.arange(len(pictures)).split(_BATCH)
+    progress = Progress(label, len(batches))
+    for step, indices in enumerate(batches[part.step :], part.step + 1):
+        images, labels = pictures.batch(indices)
         captures = sight.all_fields(images)
         predicted = torch.stack([recogniser(field).argmax(-1) for field in captures])
-        correct.append((predicted == labels).cpu())
-        quality.append(psnr(captures, images).cpu())
+        found.append(((predicted == labels).cpu(), psnr(captures, images).cpu()))
         progress(step)
+        if checkpoint.due():
+            found = [_joined(found)]
+            part.keep(step, correct=found[0][0], quality=found[0][1])
+    correct, quality = _joined(found)
+    part.end(correct=correct, quality=quality)
+    return correct, quality
+
+
+def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+    """What was found batch by batch, of all pictures."""
+    correct, quality = zip(*found, strict=True)
     return torch.cat(correct, -1), torch.cat(quality, -1)
 
 
-def zero_shot(recogniser: Recogniser, pictures: Pictures, sight: Sight) -> list[dict]:
+def zero_shot(
+    recogniser: Recogniser, pictures: Pictures, sight: Sight, checkpoint: Checkpoint = NOTHING_KEPT
+) -> list[dict]:
     """How well a network with more outputs than the pictures have classes recognises them among all its outputs.
 
     Returns:
@@ -66,7 +99,7 @@ def zero_shot(recogniser: Recogniser, pictures: Pictures, sight: Sight) -> list[
     if recogniser.outputs is None:
         return []
     among_all = replace(pictures, labels=recogniser.outputs.cpu()[pictures.labels])
-    correct, _ = evaluate(recogniser.all_outputs, among_all, sight)
+    correct, _ = evaluate(recogniser.all_outputs, among_all, sight, "zero-shot evaluation", checkpoint)
     values = (100 * correct.double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
 
@@ -85,8 +118,14 @@ def by_picture(correct: Tensor, pictures: Pictures) -> list[dict]:
     ]
 
 
-def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -> tuple[list[dict], list[dict]]:
+def measure(
+    recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight, checkpoint: Checkpoint = NOTHING_KEPT
+) -> tuple[list[dict], list[dict]]:
     """How well a classifier recognises, as means and picture by picture.
+
+    Args:
+        splits: `test` and `minival`.
+        checkpoint: of the job.
 
     Returns:
         Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all pictures and of the worst 1 %,
@@ -94,8 +133,8 @@ def measure(recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight) -
         pictures themselves are seen.
         And the rows of `by_picture` for the test pictures.
     """
-    correct, quality = evaluate(recogniser, splits["test"], sight)
-    chosen, _ = evaluate(recogniser, splits["minival"], sight)
+    correct, quality = evaluate(recogniser, splits["test"], sight, "test", checkpoint)
+    chosen, _ = evaluate(recogniser, splits["minival"], sight, "minival", checkpoint)
     columns = {
         "accuracy": 100 * correct.double().mean(-1),
         "minival_accuracy": 100 * chosen.double().mean(-1),

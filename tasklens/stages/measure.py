@@ -148,16 +148,16 @@ def fine_tune(study: Study, args: argparse.Namespace) -> None:
     recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp).to(device)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
     seen = sight(job.capture, job.restoration, *paths, device)
-    inputs = [Path(layout.images("train")), sharp]
+    inputs = [sharp, *(Path(layout.images(split)) for split in data.SPLITS)]
     inputs += [path for path, read in zip(paths, (job.capture, job.restoration), strict=True) if read is not None]
     checkpoint = _checkpoint(layout, "fine_tune", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
     with team.joined(device) as processes:
-        found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen) if processes.first else []
+        found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen, checkpoint) if processes.first else []
         label = f"fine-tune {name}"
         training.fit(recogniser, splits["train"], job.training, job.seed, label, seen.one_field, checkpoint, processes)
     if not processes.first:
         return
-    rows, by_picture = evaluation.measure(recogniser, splits, seen)
+    rows, by_picture = evaluation.measure(recogniser, splits, seen, checkpoint)
     common = {
         "elements": job.elements,
         "design": job.design,
@@ -183,13 +183,16 @@ def reproduce(study: Study, args: argparse.Namespace) -> None:
     job = jobs.reproduce(study, args.lens, args.classifier, args.restored)
     name = restored(args.classifier) if args.restored else args.classifier
     device = claim()
-    pictures = data.read(Path(layout.images("test")), device)
-    weights = Path(layout.classifier(args.lens, args.seed, name))
-    recogniser = classifiers.build(job.classifier, pictures.classes, weights).eval().to(device)
+    inputs = [Path(layout.images("test")), Path(layout.classifier(args.lens, args.seed, name))]
+    pictures = data.read(inputs[0], device)
+    recogniser = classifiers.build(job.classifier, pictures.classes, inputs[1]).eval().to(device)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
-    correct, _ = evaluation.evaluate(recogniser, pictures, sight(job.capture, job.restoration, *paths, device))
-    rows = evaluation.by_picture(correct, pictures)
-    write_rows(Path(layout.reproduced(args.lens, args.seed, name)), rows)
+    seen = sight(job.capture, job.restoration, *paths, device)
+    inputs += [path for path, read in zip(paths, (job.capture, job.restoration), strict=True) if read is not None]
+    checkpoint = _checkpoint(layout, "reproduce", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
+    correct, _ = evaluation.evaluate(recogniser, pictures, seen, "test", checkpoint)
+    write_rows(Path(layout.reproduced(args.lens, args.seed, name)), evaluation.by_picture(correct, pictures))
+    checkpoint.remove()
 
 
 def _checkpoint(layout: Layout, stage: str, name: str, job: Frozen, inputs: list[Path]):
