@@ -105,6 +105,37 @@ def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator
         raw.flush()
 
 
+def map_tensors(path: Path) -> tuple[dict, dict]:
+    """Tensors and metadata of a file from `writing_tensors`, mapped to be read only: for more than fits into memory.
+
+    Linux refuses mappings that could be written to, such as those of `read_tensors`, beyond memory and swap.
+
+    Raises:
+        FileError: the file is not complete.
+    """
+    import warnings
+
+    import numpy
+    import torch
+
+    kinds = {name: dtype for dtype, name in _DTYPES.items()}
+    try:
+        with open(path, "rb") as file:
+            length = int.from_bytes(file.read(8), "little")
+            header = json.loads(file.read(length))
+        raw = numpy.memmap(path, numpy.uint8, "r", offset=8 + length)
+        metadata = json.loads(header.pop("__metadata__")["json"])
+        mapped = {}
+        for name, entry in header.items():
+            part = raw[slice(*entry["data_offsets"])]
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # torch's, that nothing may be written
+                tensor = torch.from_numpy(part)
+            mapped[name] = tensor.view(getattr(torch, kinds[entry["dtype"]])).view(entry["shape"])
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+        raise FileError(f"{path}: no complete file of labelled pictures; remove it ({error})") from error
+    return mapped, metadata
+
+
 def read_tensors(path: Path) -> tuple[dict, dict]:
     """Tensors and metadata of a safetensors file; the tensors are mapped from the file, not copied."""
     from safetensors import safe_open

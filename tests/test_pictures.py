@@ -1,5 +1,7 @@
 """Splits of pictures, from the renderer and from folders of photographs."""
 
+from pathlib import Path
+
 import pytest
 import torch
 from examples import random_pictures
@@ -8,7 +10,7 @@ from PIL import Image
 from tasklens import files
 from tasklens.digest import of_folder
 from tasklens.files import FileError
-from tasklens.recognition import data
+from tasklens.recognition import data, folders
 from tasklens.settings import Images
 
 
@@ -43,6 +45,21 @@ def test_pictures_survive_their_file(tmp_path):
     found = data.read(tmp_path / "train.safetensors")
     assert torch.equal(found.images, pictures.images) and torch.equal(found.labels, pictures.labels)
     assert found.classes == pictures.classes
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux tells what is mapped how")
+def test_pictures_are_mapped_and_not_held(tmp_path):
+    """Shared and read only, as Linux allows it for files larger than memory and swap; the values are the file's."""
+    path = tmp_path / "train.safetensors"
+    pictures = random_pictures(6, 16, 3, seed=0)
+    data.write(pictures, path)
+    found = data.read(path)
+    mappings = [line.split() for line in Path("/proc/self/maps").read_text().splitlines() if str(path) in line]
+    assert [fields[1] for fields in mappings] == ["r--s"]
+    assert torch.equal(found.batch(torch.tensor([4, 1]))[0], pictures.batch(torch.tensor([4, 1]))[0])
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(FileError, match=r"train\.safetensors: no complete file"):
+        data.read(path)
 
 
 def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
@@ -117,6 +134,12 @@ def test_a_turned_camera_is_turned_back(tmp_path):
     test = made(tmp_path, Images(size=32, minival=1, folder=folder))["test"]
     bright = test.images[test.images.flatten(1).float().std(1).argmax()]
     assert (bright[:, :15] == 255).all() and (bright[:, 17:] == 0).all()
+
+
+def test_a_picture_of_any_size_is_read(tmp_path):
+    """Pillow alone refuses more than 179 million pixels."""
+    Image.new("L", (15_000, 12_500), 60).save(tmp_path / "large.png", compress_level=1)
+    assert (folders.read(tmp_path / "large.png", 16) == 60).all()
 
 
 def test_threads_change_nothing(tmp_path):

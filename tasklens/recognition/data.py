@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from tasklens.devices import CPU, send
-from tasklens.files import FileError, read_tensors, write_tensors
+from tasklens.files import FileError, map_tensors, write_tensors
 from tasklens.recognition import folders
 from tasklens.settings import Images
 
@@ -81,5 +81,5 @@ def write(pictures: Pictures, path: Path) -> None:
 
 def read(path: Path, device: torch.device = CPU) -> Pictures:
     """Read a split written by `make`; its pictures are mapped from the file, not copied."""
-    tensors, metadata = read_tensors(path)
+    tensors, metadata = map_tensors(path)
     return Pictures(tensors["images"], tensors["labels"], tuple(metadata["classes"]), device)

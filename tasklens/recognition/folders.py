@@ -13,6 +13,7 @@ from torch import Tensor
 from tasklens.files import FileError, writing_tensors
 from tasklens.progress import Progress
 
+Image.MAX_IMAGE_PIXELS = None  # Pillow's guard against strangers' files; these are the user's own, of any size
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 _BLOCK = 64  # photographs that a thread reads at once
 
