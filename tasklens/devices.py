@@ -17,14 +17,28 @@ def claim() -> torch.device:
 
     Jobs that Snakemake runs side by side spread over the visible GPUs, and wait where there are more jobs than those.
     """
+    (device,) = claim_several(1)
+    if device != CPU:
+        torch.cuda.set_device(device)
+    return device
+
+
+def claim_several(wanted: int) -> list[torch.device]:
+    """As many GPUs, of which there are that many, for this process and its team alone; the CPU where there is none."""
     count = torch.cuda.device_count()
     if count == 0:
-        return CPU
+        return wanted * [CPU]
+    while wanted > 1 and not _lock("several"):  # two that collect at once could wait for each other without end
+        time.sleep(1.0)
     while True:
+        found = []
         for index in range(count):
-            if _lock(str(torch.cuda.get_device_properties(index).uuid)):
-                torch.cuda.set_device(index)
-                return torch.device("cuda", index)
+            if len(found) < wanted and _lock(str(torch.cuda.get_device_properties(index).uuid)):
+                found.append(torch.device("cuda", index))
+        if len(found) == wanted:
+            if wanted > 1:
+                _locked.pop("several").close()
+            return found
         time.sleep(1.0)
 
 

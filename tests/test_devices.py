@@ -3,9 +3,12 @@
 import multiprocessing
 from types import SimpleNamespace
 
+import pytest
 import torch
 
 from tasklens import devices
+from tasklens.recognition.team import joined
+from tasklens.study import StudyError
 
 
 def pretend(monkeypatch, names: list[str]) -> None:
@@ -21,6 +24,7 @@ def test_without_a_gpu_it_is_the_cpu(monkeypatch):
 
 
 def hold(name: str, ready, done) -> None:
+    devices._locked.clear()  # what a forked process seems to hold is its parent's
     assert devices._lock(name)
     ready.set()
     done.wait()
@@ -43,6 +47,38 @@ def test_a_gpu_has_one_job(monkeypatch, tmp_path):
     monkeypatch.setattr(devices.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
     assert devices.claim() == torch.device("cuda", 0)
     assert len(waited) == 1
+
+
+def test_a_team_has_all_its_gpus_or_none(monkeypatch, tmp_path):
+    """It waits for the last one while another team, which would want the first, may not begin to collect."""
+    names = ["one", "other"]
+    pretend(monkeypatch, names)
+    monkeypatch.setattr(devices.tempfile, "gettempdir", lambda: tmp_path)
+    context = multiprocessing.get_context("fork")
+    ready, done = context.Event(), context.Event()
+    other = context.Process(target=hold, args=(names[1], ready, done))
+    other.start()
+    ready.wait()
+    monkeypatch.setattr(devices, "_locked", {})
+    seen = []
+
+    def wait(seconds: float) -> None:
+        second = context.Process(target=hold, args=("several", context.Event(), done))
+        second.start()
+        second.join()
+        seen.append(second.exitcode)
+        other.kill(), other.join()
+
+    monkeypatch.setattr(devices.time, "sleep", wait)
+    assert devices.claim_several(2) == [torch.device("cuda", 0), torch.device("cuda", 1)]
+    assert seen == [1] and set(devices._locked) == set(names)
+
+
+def test_a_team_larger_than_the_machine_is_refused(monkeypatch):
+    pretend(monkeypatch, ["one", "other"])
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    with pytest.raises(StudyError, match="want a GPU each, 3; found 2"), joined():
+        pass
 
 
 def test_networks_compute_in_single_precision_on_the_cpu():

@@ -58,13 +58,12 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
 
 def test_batch_norms_of_a_team_keep_their_activations(monkeypatch):
     """timm puts them into one layer; converted for several GPUs, a network judges as before."""
-    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
     monkeypatch.setattr(team, "DistributedDataParallel", lambda network: network)
     torch.manual_seed(0)
     network = timm.create_model("test_efficientnet", num_classes=5).eval()
     images = torch.rand(2, 3, 64, 64)
     expected = network(images)
-    converted = Team(0, 2).together(network).eval()
+    converted = Team(0, 2, torch.device("cuda", 0)).together(network).eval()
     assert any(isinstance(module, torch.nn.SyncBatchNorm) for module in converted.modules())
     torch.testing.assert_close(converted(images), expected)
 

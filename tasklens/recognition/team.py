@@ -11,15 +11,17 @@ from timm.layers import convert_sync_batchnorm
 from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
+from tasklens.devices import CPU, claim, claim_several
 from tasklens.study import StudyError
 
 
 @dataclass(frozen=True)
 class Team:
-    """Which of how many processes this one is; the first also writes."""
+    """Which of how many processes this one is, and where it computes; the first also writes."""
 
     rank: int = 0
     size: int = 1
+    device: torch.device = CPU
 
     @property
     def first(self) -> bool:
@@ -42,7 +44,7 @@ class Team:
         """
         if self.size == 1:
             return network
-        if torch.cuda.is_initialized():
+        if self.device != CPU:
             network = convert_sync_batchnorm(network)  # torch's own loses the activation in some of timm's batch norms
         return DistributedDataParallel(network)
 
@@ -51,14 +53,28 @@ ALONE = Team()
 
 
 @contextmanager
-def joined(device: torch.device) -> Iterator[Team]:
-    """The team that `torchrun` has started, or this process alone."""
+def joined() -> Iterator[Team]:
+    """The team that `torchrun` has started, each process with a GPU of its own if there is one, or this one alone.
+
+    Raises:
+        StudyError: the machine has GPUs, but fewer than the team has processes.
+    """
     if "WORLD_SIZE" not in os.environ:
-        yield ALONE
+        yield Team(device=claim())
         return
-    waiting = timedelta(days=1)  # for the first process, which measures before the others train
-    torch.distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=waiting)
+    count = torch.cuda.device_count()
+    if 0 < count < int(os.environ["WORLD_SIZE"]):
+        raise StudyError(f"processes: those of a classifier want a GPU each, {os.environ['WORLD_SIZE']}; found {count}")
+    waiting = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
+    backends = "cpu:gloo,cuda:nccl" if count else "gloo"
+    torch.distributed.init_process_group(backends, timeout=waiting)
     try:
-        yield Team(torch.distributed.get_rank(), torch.distributed.get_world_size())
+        rank, size = torch.distributed.get_rank(), torch.distributed.get_world_size()
+        # The first process claims the GPUs of all: one by one, two teams could wait for each other.
+        devices = claim_several(size) if rank == 0 else size * [CPU]
+        torch.distributed.broadcast_object_list(devices, device=CPU)
+        if devices[rank] != CPU:
+            torch.cuda.set_device(devices[rank])
+        yield Team(rank, size, devices[rank])
     finally:
         torch.distributed.destroy_process_group()

@@ -135,23 +135,21 @@ def restore(study: Study, args: argparse.Namespace) -> None:
 def fine_tune(study: Study, args: argparse.Namespace) -> None:
     """fine-tune a classifier on the captures of a lens, and measure it on every field"""
     from restoration.stored import sight
-    from tasklens.devices import claim
     from tasklens.files import write_rows, write_tensors
     from tasklens.recognition import classifiers, data, evaluation, team, training
 
     layout = Layout.of(study)
     job = jobs.fine_tune(study, args.lens, args.classifier, args.seed, args.restored)
     name = restored(args.classifier) if args.restored else args.classifier
-    device = claim()
-    splits = {split: data.read(Path(layout.images(split)), device) for split in data.SPLITS}
     sharp = Path(layout.reference(args.classifier))
-    recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp).to(device)
     paths = Path(layout.psf(args.lens, args.seed)), Path(layout.restoration(args.lens, args.seed))
-    seen = sight(job.capture, job.restoration, *paths, device)
     inputs = [sharp, *(Path(layout.images(split)) for split in data.SPLITS)]
     inputs += [path for path, read in zip(paths, (job.capture, job.restoration), strict=True) if read is not None]
     checkpoint = _checkpoint(layout, "fine_tune", f"{args.lens}-seed{args.seed}-{name}", job, inputs)
-    with team.joined(device) as processes:
+    with team.joined() as processes:
+        splits = {split: data.read(Path(layout.images(split)), processes.device) for split in data.SPLITS}
+        recogniser = classifiers.build(job.classifier, splits["train"].classes, sharp).to(processes.device)
+        seen = sight(job.capture, job.restoration, *paths, processes.device)
         found = evaluation.zero_shot(recogniser.eval(), splits["test"], seen, checkpoint) if processes.first else []
         label = f"fine-tune {name}"
         training.fit(recogniser, splits["train"], job.training, job.seed, label, seen.one_field, checkpoint, processes)
