@@ -262,8 +262,11 @@ def test_a_failing_job_leaves_no_output(tmp_path):
     assert not list((tmp_path / "results/tiny").rglob("*.safetensors"))
 
 
-def test_a_killed_job_leaves_no_output(tmp_path):
-    """Killed in the midst of a long design: neither lens nor history, and the design is planned again."""
+def test_a_killed_run_goes_on(tmp_path):
+    """Killed with Snakemake in the midst of a long design: neither lens nor history; unlocked, it is made again.
+
+    Also where one of its two files is there already.
+    """
     study = changed(one_lens(), "designs.imaging1.steps", 1_000_000)
     target, log = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml", tmp_path / "results/tiny/logs/design"
     process = subprocess.Popen(
@@ -283,3 +286,10 @@ def test_a_killed_job_leaves_no_output(tmp_path):
         process.wait()
     assert not [path for path in (tmp_path / "results/tiny/lenses").rglob("*") if path.is_file()]
     assert plan(tmp_path, study, target) == {"design": 1}
+    (tmp_path / target).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / target).write_text("half")
+    study = one_lens()
+    assert snakemake(tmp_path, study, "--unlock").returncode == 0
+    done = snakemake(tmp_path, study, target)
+    assert done.returncode == 0, done.stderr
+    assert yaml.safe_load((tmp_path / target).read_text())["margins"]
