@@ -10,6 +10,7 @@ import yaml
 from examples import changed, cooke_triplet, tiny_study
 
 from tasklens import cli, jobs
+from tasklens.design import spot
 from tasklens.files import read_tensors, write_tensors
 from tasklens.layout import Layout, restored
 from tasklens.optics import prescription
@@ -75,6 +76,15 @@ def test_every_design_leaves_a_readable_lens(lenses):
     phases = [row["phase"] for row in rows(LAYOUT.history("singlet-tasklens", 0))]
     walks = [phase for k in (1, 2) for phase in [f"start {k} of 2"] * 2 + [f"start {k} of 2, judged"]]
     assert phases == walks + ["refinement"] * 2 + ["polish"]
+
+
+def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch):
+    """Of a loss that is not finite at the third step, the lens of the second is left."""
+    penalty, steps = spot.penalty, iter((1.0, 1.0, float("nan")))
+    monkeypatch.setattr(spot, "penalty", lambda *rest: next(steps) * penalty(*rest))
+    assert run("design", "singlet-imaging1", "--seed", "9") == 0
+    with open(LAYOUT.lens("singlet-imaging1", 9)) as file:
+        assert yaml.safe_load(file)["origin"]["diverged"].startswith("step 3: ")
 
 
 def test_design_from_imaging_begins_with_the_better_lens(lenses):

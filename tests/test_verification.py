@@ -100,6 +100,12 @@ def test_a_lens_that_promised_nothing_is_reported_only(study, layout):
     assert "not promised: singlet-imaging1 seed 0: max_slope: margin -0.1" in verification.summary(found)
 
 
+def test_a_lens_whose_design_diverged_is_named(study, layout):
+    content = lens_content(study.spec.efl_mm) | {"origin": {"diverged": "step 3: field 2"}}
+    write(layout.lens(LENS, 0), yaml.safe_dump(content))
+    assert failures(study, layout) == [f"{LENS} seed 0: diverged: step 3: field 2"]
+
+
 def edited(path, change):
     """Change a CSV file in place; `change` may return another frame."""
     frame = pandas.read_csv(path, keep_default_na=False)

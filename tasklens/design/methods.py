@@ -69,6 +69,9 @@ def design(
                 start = open_apertures(rivals[origin["start"]][0])
             problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
             lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", checkpoint)
+    last = history[-1] if history else {}
+    if "cause" in last:
+        origin["diverged"] = f"step {last['step']}: {last['cause']}"
     # Limits were soft until here: a little broken, they are mended.
     return finished(*within_limits(lens, looks, job.constraints), job, origin)
 

@@ -51,8 +51,11 @@ def verify(job: VerificationJob, layout: Layout) -> Findings:
     failures, unpromised, accuracy = [], [], {}
     for lens in job.lenses:
         for seed in job.seeds:
-            broken = broken_limits(lens_file(Path(layout.lens(lens, seed))), job.efl_mm[lens])
+            content = lens_file(Path(layout.lens(lens, seed)))
+            broken = broken_limits(content, job.efl_mm[lens])
             found = [Failure(lens, str(seed), limit, f"margin {value:.4g}") for limit, value in broken.items()]
+            if "diverged" in content.get("origin", {}):
+                found.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
             (failures if lens in job.promising else unpromised).extend(found)
     for lens, classifier in job.measured:
         for seed in job.seeds:
