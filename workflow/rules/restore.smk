@@ -7,6 +7,7 @@ rule restore:
         layout.restoration_history("{lens}", "{seed}"),
     log:
         f"{layout.root}/logs/restore/{{lens}}-seed{{seed}}.log",
+    priority: 1  # of the jobs that can run, the one that another, as long, waits for
     threads: 1
     params:
         study=layout.study,
