@@ -23,6 +23,9 @@ def test_without_a_gpu_it_is_the_cpu(monkeypatch):
     assert devices.claim() == torch.device("cpu")
 
 
+CONTEXT = multiprocessing.get_context("fork")
+
+
 def hold(name: str, ready, done) -> None:
     devices._locked.clear()  # what a forked process seems to hold is its parent's
     assert devices._lock(name)
@@ -30,17 +33,27 @@ def hold(name: str, ready, done) -> None:
     done.wait()
 
 
-def test_a_gpu_has_one_job(monkeypatch, tmp_path):
+@pytest.fixture
+def elsewhere(monkeypatch, tmp_path):
+    """A function that has another process hold the lock of a name, and returns that process."""
+    monkeypatch.setattr(devices.tempfile, "gettempdir", lambda: tmp_path)
+    monkeypatch.setattr(devices, "_locked", {})
+
+    def held(name: str) -> multiprocessing.Process:
+        ready = CONTEXT.Event()
+        process = CONTEXT.Process(target=hold, args=(name, ready, CONTEXT.Event()))
+        process.start()
+        ready.wait()
+        return process
+
+    return held
+
+
+def test_a_gpu_has_one_job(monkeypatch, elsewhere):
     """What another process holds is left to it, and free again when that ends, by whatever."""
     names = ["one", "other"]
     pretend(monkeypatch, names)
-    monkeypatch.setattr(devices.tempfile, "gettempdir", lambda: tmp_path)
-    context = multiprocessing.get_context("fork")
-    ready, done = context.Event(), context.Event()
-    other = context.Process(target=hold, args=(names[0], ready, done))
-    other.start()
-    ready.wait()
-    monkeypatch.setattr(devices, "_locked", {})
+    other = elsewhere(names[0])
     assert devices.claim() == devices.claim() == torch.device("cuda", 1)
     waited = []
     monkeypatch.setattr(devices, "_locked", {}), pretend(monkeypatch, names[:1])
@@ -49,21 +62,14 @@ def test_a_gpu_has_one_job(monkeypatch, tmp_path):
     assert len(waited) == 1
 
 
-def test_a_team_has_all_its_gpus_or_none(monkeypatch, tmp_path):
+def test_a_team_has_all_its_gpus_or_none(monkeypatch, elsewhere):
     """It waits for the last one while another team, which would want the first, may not begin to collect."""
     names = ["one", "other"]
     pretend(monkeypatch, names)
-    monkeypatch.setattr(devices.tempfile, "gettempdir", lambda: tmp_path)
-    context = multiprocessing.get_context("fork")
-    ready, done = context.Event(), context.Event()
-    other = context.Process(target=hold, args=(names[1], ready, done))
-    other.start()
-    ready.wait()
-    monkeypatch.setattr(devices, "_locked", {})
-    seen = []
+    other, seen = elsewhere(names[1]), []
 
     def wait(seconds: float) -> None:
-        second = context.Process(target=hold, args=("several", context.Event(), done))
+        second = CONTEXT.Process(target=hold, args=("several", CONTEXT.Event(), CONTEXT.Event()))
         second.start()
         second.join()
         seen.append(second.exitcode)
