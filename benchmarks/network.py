@@ -5,6 +5,7 @@ Bare training takes one batch that is there already: forward, backward, AdamW. B
 on a GPU. Times there are between events in what it has to do, on a CPU of the processor.
 """
 
+import math
 import statistics
 import time
 from collections.abc import Callable
@@ -87,7 +88,8 @@ def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: in
     labels = labels.repeat(FIELDS)
 
     def alone() -> None:
-        for part, label in zip(captures.split(micro_batch), labels.split(micro_batch), strict=True):
+        parts = math.ceil(len(captures) / micro_batch)  # as a design does, of one size
+        for part, label in zip(captures.chunk(parts), labels.chunk(parts), strict=True):
             part.requires_grad_()
             F.cross_entropy(recogniser(part), label).backward()
             part.grad = None
