@@ -5,7 +5,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,15 +29,21 @@ def number(value: object, where: str) -> float:
     return float(text)
 
 
+def temporary_of(path: Path) -> Path:
+    """Where `path` is written until it is complete."""
+    return path.with_name(f".{path.name}.part")
+
+
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, begun: bool = False) -> Iterator[Path]:
     """A temporary path beside `path`, renamed to it when the block ends, removed when it raises.
 
-    The next writer of `path` removes what a killed one has left.
+    The next writer of `path` removes what a killed one has left, unless it goes on with what is `begun`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.unlink(missing_ok=True)
+    temporary = temporary_of(path)
+    if not begun:
+        temporary.unlink(missing_ok=True)
     try:
         yield temporary
         os.replace(temporary, path)
@@ -64,12 +70,18 @@ _DTYPES = {"uint8": "U8", "int64": "I64"}  # as safetensors calls them
 
 
 @contextmanager
-def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator[dict]:
+def writing_tensors(
+    path: Path, tensors: Mapping, metadata: Mapping, begun: bool = False
+) -> Iterator[tuple[dict, Callable[[], None]]]:
     """The tensors of a safetensors file that is being written, mapped: for more than fits into memory.
 
     Args:
         tensors: (by name) int64 or uint8, the former first, so that all are aligned; those on the device `meta` have a
             shape, and the block has to fill them in.
+        begun: go on with the file that a killed writer of the same tensors has left, whose values are kept.
+
+    Yields:
+        The tensors, and a function after which all that was written to them survives the machine.
 
     Raises:
         FileError: the disk has no room for the file; before the block.
@@ -87,13 +99,14 @@ def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator
         header[name] = {"dtype": dtype, "shape": list(tensor.shape), "data_offsets": [begin, end]}
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)
-    with replacing(path) as temporary:
-        with open(temporary, "wb") as file:
-            file.write(len(text).to_bytes(8, "little") + text)
-            free = shutil.disk_usage(temporary.parent).free  # a mapped file that finds no room kills the job instead
-            if free < end:
-                raise FileError(f"{path}: needs {end / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
-            file.truncate(file.tell() + end)
+    with replacing(path, begun) as temporary:
+        if not begun:
+            with open(temporary, "wb") as file:
+                file.write(len(text).to_bytes(8, "little") + text)
+                free = shutil.disk_usage(temporary.parent).free  # a mapped file without room kills the job instead
+                if free < end:
+                    raise FileError(f"{path}: needs {end / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
+                file.truncate(file.tell() + end)
         raw = numpy.memmap(temporary, numpy.uint8, "r+", offset=8 + len(text))
         mapped = {}
         for name, tensor in tensors.items():
@@ -101,7 +114,7 @@ def writing_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> Iterator
             mapped[name] = part.view(tensor.dtype).view(tensor.shape)
             if not tensor.is_meta:
                 mapped[name].copy_(tensor)
-        yield mapped
+        yield mapped, raw.flush
         raw.flush()
 
 

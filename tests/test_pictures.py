@@ -1,5 +1,8 @@
 """Splits of pictures, from the renderer and from folders of photographs."""
 
+import itertools
+import multiprocessing
+import os
 from pathlib import Path
 
 import pytest
@@ -7,7 +10,8 @@ import torch
 from examples import random_pictures
 from PIL import Image
 
-from tasklens import files
+from tasklens import checkpoints, files
+from tasklens.checkpoints import Checkpoint
 from tasklens.digest import of_folder
 from tasklens.files import FileError
 from tasklens.recognition import data, folders
@@ -147,6 +151,35 @@ def test_threads_change_nothing(tmp_path):
     one, four = (made(tmp_path / str(threads), settings, threads) for threads in (1, 4))
     for split, pictures in one.items():
         assert torch.equal(pictures.images, four[split].images) and torch.equal(pictures.labels, four[split].labels)
+
+
+@pytest.mark.parametrize("writes", [1, 5, 9])
+def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
+    """What was decoded before is not decoded again, and the files come out equal to the byte."""
+    settings = Images(size=16, minival=3, folder=make_folder(tmp_path, train=20))
+    paths = {split: tmp_path / f"{split}.safetensors" for split in data.SPLITS}
+    read, decoded = folders.read, []
+    monkeypatch.setattr(folders, "read", lambda *rest: (decoded.append(rest), read(*rest))[1])
+    monkeypatch.setattr(folders, "_BLOCK", 4)
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    data.make(settings, paths)
+    expected, everything = {path: path.read_bytes() for path in paths.values()}, len(decoded)
+    for path in paths.values():
+        path.unlink()
+
+    def killed() -> None:
+        write, count = Checkpoint.write, itertools.count(1)
+        monkeypatch.setattr(Checkpoint, "write", lambda self: (write(self), next(count) == writes and os._exit(9)))
+        data.make(settings, paths, checkpoint=Checkpoint(tmp_path / "job.pt"))
+
+    process = multiprocessing.get_context("fork").Process(target=killed)
+    process.start()
+    process.join()
+    assert process.exitcode == 9
+    decoded.clear()
+    data.make(settings, paths, checkpoint=Checkpoint(tmp_path / "job.pt"))
+    assert {path: path.read_bytes() for path in paths.values()} == expected
+    assert len(decoded) == everything - 4 * writes
 
 
 def test_a_folder_is_known_by_its_digest(tmp_path):

@@ -7,6 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.devices import CPU, send
 from tasklens.files import FileError, map_tensors, write_tensors
 from tasklens.recognition import folders
@@ -35,12 +36,13 @@ class Pictures:
         return replace(self, images=self.images[indices], labels=self.labels[indices])
 
 
-def make(images: Images, paths: Mapping[str, Path], threads: int = 1) -> None:
+def make(images: Images, paths: Mapping[str, Path], threads: int = 1, checkpoint: Checkpoint = NOTHING_KEPT) -> None:
     """Write the three splits that `images` describes; the minival is cut out of the training pictures.
 
     Args:
         paths: of the files of the splits.
         threads: that decode photographs at once.
+        checkpoint: of the job.
 
     Raises:
         FileError: a missing folder, an empty class, an unreadable picture, or too few pictures.
@@ -65,7 +67,7 @@ def make(images: Images, paths: Mapping[str, Path], threads: int = 1) -> None:
         if images.folder is None:
             write(chosen, paths[split])
         else:
-            folders.convert(chosen, images.size, paths[split], threads)
+            folders.convert(chosen, images.size, paths[split], threads, checkpoint)
 
 
 def _rendered(count: int, size: int, seed: int) -> Pictures:

@@ -10,7 +10,8 @@ import torch
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from tasklens.files import FileError, writing_tensors
+from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.files import FileError, temporary_of, writing_tensors
 from tasklens.progress import Progress
 
 Image.MAX_IMAGE_PIXELS = None  # Pillow's guard against strangers' files; these are the user's own, of any size
@@ -60,11 +61,12 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
     return Listing(tuple(file for file, _ in chosen), torch.tensor([k for _, k in chosen]), tuple(classes))
 
 
-def convert(listing: Listing, size: int, path: Path, threads: int) -> None:
+def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: Checkpoint = NOTHING_KEPT) -> None:
     """Decode the photographs and write them like `data.write`, (N, 3, size, size), straight into the file.
 
     Args:
         threads: that decode at once.
+        checkpoint: of the job, for its part that is called like the file.
 
     Raises:
         FileError: a file that is no picture, or a full disk, before anything is decoded.
@@ -75,7 +77,11 @@ def convert(listing: Listing, size: int, path: Path, threads: int) -> None:
     }
     metadata = {"classes": list(listing.classes)}
     progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
-    with writing_tensors(path, tensors, metadata) as mapped, ThreadPoolExecutor(threads) as pool:
+    part = checkpoint.part(path.stem)
+    if part.result is not None and path.exists():
+        return
+    begun = temporary_of(path).exists() and part.step > 0
+    with writing_tensors(path, tensors, metadata, begun) as (mapped, flush), ThreadPoolExecutor(threads) as pool:
 
         def block(first: int) -> int:
             files = listing.files[first : first + _BLOCK]
@@ -83,12 +89,17 @@ def convert(listing: Listing, size: int, path: Path, threads: int) -> None:
                 mapped["images"][i] = read(file, size)
             return first + len(files)
 
-        waiting = [pool.submit(block, first) for first in range(0, len(listing), _BLOCK)]
+        waiting = [pool.submit(block, first) for first in range(part.step if begun else 0, len(listing), _BLOCK)]
         try:
-            for done in waiting:
-                progress(done.result())
+            for each in waiting:
+                done = each.result()
+                progress(done)
+                if checkpoint.due():
+                    flush()
+                    part.keep(done)
         finally:
             pool.shutdown(cancel_futures=True)
+    part.end()
 
 
 def read(path: Path, size: int) -> Tensor:

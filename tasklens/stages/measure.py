@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from tasklens import jobs
-from tasklens.digest import code
+from tasklens.digest import code, of_folder
 from tasklens.layout import Layout, restored
 from tasklens.settings import Frozen
 from tasklens.study import Study
@@ -18,8 +18,11 @@ def images(study: Study, args: argparse.Namespace) -> None:
     """render or read the pictures and cut them into train, minival and test"""
     from tasklens.recognition import data
 
-    paths = {split: Path(Layout.of(study).images(split)) for split in data.SPLITS}
-    data.make(jobs.images(study), paths, args.threads)
+    layout, job = Layout.of(study), jobs.images(study)
+    paths = {split: Path(layout.images(split)) for split in data.SPLITS}
+    checkpoint = _checkpoint(layout, "images", "all", job, [], of_folder(job.folder) if job.folder else "")
+    data.make(job, paths, args.threads, checkpoint)
+    checkpoint.remove()
     for split, path in paths.items():
         pictures = data.read(path)
         print(f"{split}: {len(pictures)} pictures of {len(pictures.classes)} classes", file=sys.stderr)
@@ -193,11 +196,11 @@ def reproduce(study: Study, args: argparse.Namespace) -> None:
     checkpoint.remove()
 
 
-def _checkpoint(layout: Layout, stage: str, name: str, job: Frozen, inputs: list[Path]):
+def _checkpoint(layout: Layout, stage: str, name: str, job: Frozen, inputs: list[Path], source: str = ""):
     """That of the job `name` of a stage; what a job of that name has left that computed something else, is removed."""
     from tasklens.checkpoints import Checkpoint, key
 
-    path = Path(layout.checkpoint(stage, name, key(job.model_dump_json(), code(stage), inputs=inputs)))
+    path = Path(layout.checkpoint(stage, name, key(job.model_dump_json(), code(stage), source, inputs=inputs)))
     for other in path.parent.glob(f"{stage}-{name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:
             other.unlink(missing_ok=True)  # several processes that train together look here
