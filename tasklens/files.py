@@ -119,7 +119,7 @@ def writing_tensors(
 
 
 def map_tensors(path: Path) -> tuple[dict, dict]:
-    """Tensors and metadata of a file from `writing_tensors`, mapped to be read only: for more than fits into memory.
+    """Tensors (int64, uint8) and metadata of a safetensors file, mapped read-only: for more than fits into memory.
 
     Linux refuses mappings that could be written to, such as those of `read_tensors`, beyond memory and swap.
 

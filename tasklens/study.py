@@ -134,16 +134,16 @@ class Study(Frozen):
     def _consistent(self):
         if self.supervisor not in self.classifiers:
             raise ValueError(f"supervisor: {self.supervisor!r} is not one of {', '.join(self.classifiers)}")
-        for name in self.outside:
-            if name in self.designs:
-                raise ValueError(f"outside.{name}: one of the designs is called {name} too; rename one")
-        known = dict.fromkeys([*self.elements, *(lens.elements for lens in self.outside.values())])
         for name, classifier in self.classifiers.items():
             if self.fine_tuning.batch % classifier.processes:
                 raise ValueError(
                     f"classifiers.{name}.processes: {classifier.processes} processes cannot share "
                     f"fine_tuning.batch = {self.fine_tuning.batch} equally"
                 )
+        for name in self.outside:
+            if name in self.designs:
+                raise ValueError(f"outside.{name}: one of the designs is called {name} too; rename one")
+        known = dict.fromkeys([*self.elements, *(lens.elements for lens in self.outside.values())])
         for name in self.specs:
             if name not in known:
                 raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")

@@ -10,6 +10,8 @@ from tasklens import devices
 from tasklens.recognition.team import joined
 from tasklens.study import StudyError
 
+CONTEXT = multiprocessing.get_context("fork")
+
 
 def pretend(monkeypatch, names: list[str]) -> None:
     """As many GPUs as names."""
@@ -21,9 +23,6 @@ def pretend(monkeypatch, names: list[str]) -> None:
 def test_without_a_gpu_it_is_the_cpu(monkeypatch):
     pretend(monkeypatch, [])
     assert devices.claim() == torch.device("cpu")
-
-
-CONTEXT = multiprocessing.get_context("fork")
 
 
 def hold(name: str, ready, done) -> None:
@@ -41,7 +40,7 @@ def elsewhere(monkeypatch, tmp_path):
 
     def held(name: str) -> multiprocessing.Process:
         ready = CONTEXT.Event()
-        process = CONTEXT.Process(target=hold, args=(name, ready, CONTEXT.Event()))
+        process = CONTEXT.Process(target=hold, args=(name, ready, CONTEXT.Event()), daemon=True)
         process.start()
         ready.wait()
         return process
@@ -69,7 +68,9 @@ def test_a_team_has_all_its_gpus_or_none(monkeypatch, elsewhere):
     other, seen = elsewhere(names[1]), []
 
     def wait(seconds: float) -> None:
-        second = CONTEXT.Process(target=hold, args=("several", CONTEXT.Event(), CONTEXT.Event()))
+        done = CONTEXT.Event()
+        done.set()  # should it get the lock, it does not keep it
+        second = CONTEXT.Process(target=hold, args=("several", CONTEXT.Event(), done))
         second.start()
         second.join()
         seen.append(second.exitcode)

@@ -84,7 +84,7 @@ def fit(
         team: the processes that train together; all end with the same network.
 
     Raises:
-        FloatingPointError: the loss stopped being finite.
+        FloatingPointError: the loss stopped being finite, or the weights did at the last step.
     """
     share, together = team.share(training.batch), team.together(recogniser)
     torch.manual_seed(seed)
