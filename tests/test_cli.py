@@ -1,23 +1,20 @@
 """Every stage as a person types it, on a study of a few seconds; what each leaves, and how it complains."""
 
 import csv
-import shutil
-from pathlib import Path
 
 import pytest
 import torch
 import yaml
 from examples import changed, cooke_triplet, tiny_study
 
-from tasklens import cli, jobs
+from tasklens import cli
 from tasklens.design import spot
-from tasklens.files import read_tensors, write_tensors
-from tasklens.layout import Layout, restored
+from tasklens.files import read_tensors
+from tasklens.layout import Layout
 from tasklens.optics import prescription
 from tasklens.optics.prescription import Prescription
-from tasklens.study import TABLES, load
 
-LAYOUT, VERIFIED = Layout("results/tiny"), Layout("results/verified")
+LAYOUT = Layout("results/tiny")
 
 
 @pytest.fixture(scope="module")
@@ -223,92 +220,3 @@ def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
     path.write_text("format: 2\n")
     assert run("psf", "singlet-imaging1", "--seed", "5") == 2
     assert "lens.yaml" in capsys.readouterr().err
-
-
-# ---- verification
-
-
-@pytest.fixture(scope="module")
-def finished(lenses):
-    """A copy of the study with one classifier: all tables, and every measurement reproduced."""
-    study = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
-    (lenses / "verified.yaml").write_text(yaml.safe_dump(study))
-    shutil.copytree("results/tiny", "results/verified")
-    for name in study["designs"]:
-        for stage in ("psf", "tail"):
-            assert verified(stage, f"singlet-{name}") == 0
-    for lens, classifier in jobs.verify(load("verified.yaml")).measured:
-        how = ["--restored"] if classifier == restored("small") else []
-        if how:
-            assert verified("restore", lens) == 0
-        for stage in ("fine-tune", "reproduce"):
-            assert verified(stage, lens, "small", *how) == 0
-    for stage in (*(["table", name] for name in TABLES), ["verdicts"], ["psf-tail"]):
-        assert verified(*stage) == 0
-    return lenses
-
-
-def verified(stage: str, *arguments: str) -> int:
-    return cli.main([stage, "verified.yaml", *arguments])
-
-
-def failed(printed: str) -> list[str]:
-    return [line for line in printed.splitlines() if line.startswith("failed: ")]
-
-
-def test_recognised_pictures_are_kept(finished):
-    """A row per test picture with its label; their means are the accuracies of the metrics file."""
-    found = rows(VERIFIED.pictures("singlet-imaging1", 0, "small"))
-    assert [row["picture"] for row in found] == [str(k) for k in range(20)] and {row["label"] for row in found} <= set(
-        read_tensors(VERIFIED.images("test"))[1]["classes"]
-    )
-    means = [100 * sum(int(row[f"field{k}"]) for row in found) / 20 for k in range(9)]
-    assert means == pytest.approx(values(VERIFIED.metrics("singlet-imaging1", 0, "small"), "accuracy"))
-    assert list(rows(VERIFIED.pictures("sharp", 0, "small"))[0]) == ["picture", "label", "field0"]
-
-
-def test_verify_fails_for_the_limits_that_short_designs_break_and_for_nothing_else(finished, capsys):
-    """Designs of 3 steps break limits: each broken one is named, exit status 1; all measurements come out again.
-
-    End-to-end design from flat, which need not converge, has promised nothing.
-    """
-    capsys.readouterr()
-    assert verified("verify") == 1
-    printed = capsys.readouterr().out
-    broken: dict[str, set] = {"failed": set(), "not promised": set()}
-    for name in tiny_study()["designs"]:
-        with open(VERIFIED.lens(f"singlet-{name}", 0)) as file:
-            margins = yaml.safe_load(file)["margins"]
-        said = "not promised" if name == "end_to_end_from_flat" else "failed"
-        broken[said] |= {f"{said}: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6}
-    lines = [line.rpartition(": margin")[0] for line in printed.splitlines()]
-    for said, expected in broken.items():
-        assert expected and {line for line in lines if line.startswith(f"{said}: ")} == expected
-    assert f"Checked 5 lenses and 9 measurements: {len(broken['failed'])} failures." in printed
-    assert "Verdicts on the paper's claims" in printed and "fewer than five seeds" in printed
-
-
-@pytest.mark.parametrize("classifier, how", [("small", []), ("small-restored", ["--restored"])])
-def test_other_weights_do_not_reproduce(finished, capsys, classifier, how):
-    """The stored head turned to other classes: the captures that this changes are counted."""
-    path = VERIFIED.classifier("singlet-imaging1", 0, classifier)
-    weights, notes = read_tensors(path)
-    weights = {name: tensor.clone() for name, tensor in weights.items()}
-    turned = {name: t.roll(1, 0) if t.shape[:1] == (10,) else t for name, t in weights.items()}
-    try:
-        write_tensors(Path(path), turned, notes)
-        assert verified("reproduce", "singlet-imaging1", "small", *how) == 0
-        assert verified("verify") == 1
-        named = f"failed: singlet-imaging1 seed 0: {classifier}: stored pictures: "
-        assert any(line.startswith(named) for line in failed(capsys.readouterr().out))
-    finally:
-        write_tensors(Path(path), weights, notes)
-        assert verified("reproduce", "singlet-imaging1", "small", *how) == 0
-
-
-def test_tails_of_all_lenses(finished):
-    found = rows(VERIFIED.table("psf_tail", "csv"))
-    assert sorted(row["lens"] for row in found) == sorted(f"singlet-{name}" for name in tiny_study()["designs"])
-    curves = rows(VERIFIED.table("encircled_energy", "csv"))
-    assert {row["lens"] for row in curves} == {row["lens"] for row in found}
-    assert all(0 <= float(row["fraction"]) <= 1 for row in curves)
