@@ -7,11 +7,13 @@ import sys
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
-from tasklens import claims, files, jobs
-from tasklens import study as studies
-from tasklens.digest import code, of_folder
-from tasklens.layout import PAPER, SHARP, Layout, restored
-from tasklens.design_settings import Outside
+from tasklens.study import claims
+from tasklens.runtime import files
+from tasklens.pipeline import jobs
+from tasklens.study import study as studies
+from tasklens.pipeline.digest import code, of_folder
+from tasklens.pipeline.layout import PAPER, SHARP, Layout, restored
+from tasklens.study.design_settings import Outside
 
 min_version("9.10")
 

@@ -18,13 +18,13 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from restoration.nafnet import build
-from tasklens import jobs
-from tasklens import study as studies
-from tasklens.design_settings import EndToEnd, Task
-from tasklens.layout import SHARP
+from tasklens.pipeline import jobs
+from tasklens.pipeline.layout import SHARP
 from tasklens.recognition.classifiers import Recogniser
-from tasklens.settings import Classifier
-from tasklens.study import Study
+from tasklens.study import study as studies
+from tasklens.study.design_settings import EndToEnd, Task
+from tasklens.study.settings import Classifier
+from tasklens.study.study import Study
 
 RESNET50 = Classifier(model="resnet50", pretrained=True)
 A100 = 2470.0  # pictures/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch

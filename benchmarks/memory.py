@@ -13,15 +13,16 @@ import timing
 import timm
 import torch
 
-from tasklens.checkpoints import NOTHING_KEPT
 from tasklens.design import task
-from tasklens.design.descent import Problem
-from tasklens.design.start import flat, view
-from tasklens.design_settings import Task, Walk
-from tasklens.optics.catalogues import builtin
+from tasklens.design.end_to_end import Problem
+from tasklens.design.start import flat
+from tasklens.materials.catalogues import builtin
+from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.recognition.data import Pictures
-from tasklens.settings import Capture, Constraints, Spec
+from tasklens.recognition.dataset import Pictures
+from tasklens.runtime.checkpoints import NOTHING_KEPT
+from tasklens.study.design_settings import Task, Walk
+from tasklens.study.settings import Capture, Constraints, Spec
 
 LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
 
@@ -34,7 +35,7 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
     pictures = Pictures(images, torch.arange(count), tuple(map(str, range(1000))))
-    problem = Problem(view(spec), limits, Capture(), pictures, seed=0)
+    problem = Problem(view_of_spec(spec), limits, Capture(), pictures, seed=0)
     walk = Walk(steps=1, pixels=(1, 1))  # a single step: `task.design` would judge and refine as well
     settings = Task(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
     before, begin = timing.peak_memory_gib(), time.process_time()

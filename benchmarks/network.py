@@ -17,19 +17,20 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from tasklens.checkpoints import Checkpoint
 from tasklens.design import task
-from tasklens.design.descent import Problem
-from tasklens.design.start import flat, view
-from tasklens.design_settings import Task, Walk
-from tasklens.devices import claim
+from tasklens.design.end_to_end import Problem
+from tasklens.design.start import flat
 from tasklens.imaging import Camera
-from tasklens.optics.catalogues import builtin
+from tasklens.materials.catalogues import builtin
+from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.recognition.data import Pictures
+from tasklens.recognition.dataset import Pictures
 from tasklens.recognition.evaluation import Sight
 from tasklens.recognition.training import fit, parameter_groups
-from tasklens.settings import Capture, Constraints, Spec, Training
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.devices import claim
+from tasklens.study.design_settings import Task, Walk
+from tasklens.study.settings import Capture, Constraints, Spec, Training
 
 FIELDS = 9
 
@@ -77,7 +78,7 @@ def noise(count: int, size: int, device: torch.device) -> Pictures:
 def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: int, rounds: int, device: torch.device):
     """Durations of a step of task-driven design, and of the frozen network alone on as many captures."""
     recogniser, pictures = frozen(Recogniser(network)).to(device), noise(count, size, device)
-    problem = Problem(view(Spec()), Constraints(), Capture(), pictures, seed=0)
+    problem = Problem(view_of_spec(Spec()), Constraints(), Capture(), pictures, seed=0)
     walk = Walk(steps=rounds + 1, pixels=(20, 20))
     settings = Task(
         method="task", images=count, rays=rays, micro_batch=micro_batch, augment=False, start=walk, refine=walk

@@ -14,11 +14,11 @@ import torch
 from timing import alternate, arguments, ratio, report, spread
 from torch import Tensor
 
-from tasklens.optics import materials
+from tasklens.materials import material as materials
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.rays import Rays, launch
-from tasklens.optics.tracing import trace
+from tasklens.optics.tracing.rays import Rays, launch
+from tasklens.optics.tracing.trace import trace
 
 # The three plastic elements of US 8,558,939 B2, without the filter and cover glass, focused by the last space, behind a
 # stop in the plane of the first vertex. Indices at the C, d and F lines from the nd and Vd of its glasses.

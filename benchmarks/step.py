@@ -21,16 +21,17 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.design import least_squares
 from tasklens.design.constraints import penalty
-from tasklens.design.start import Variables, flat, parameter_groups, view
-from tasklens.design_settings import LeastSquares, Rates
+from tasklens.design.start import Variables, flat, parameter_groups
 from tasklens.imaging import Camera
-from tasklens.optics.analysis import trace_fields
-from tasklens.optics.catalogues import builtin
+from tasklens.materials.catalogues import builtin
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.psf import psf
-from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.settings import Constraints, Spec
-from tasklens.study import parse
+from tasklens.study.design_settings import LeastSquares, Rates
+from tasklens.study.settings import Constraints, Spec
+from tasklens.study.study import parse
 
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
 OPTICS = ("rays, PSFs, limits", "their backward", "captures", "captures, backward")
@@ -58,7 +59,7 @@ def timed_steps(
 
     The network sees `judged` captures, which divide their number; its time is scaled to all of them.
     """
-    looks, limits = view(Spec()), Constraints()
+    looks, limits = view_of_spec(Spec()), Constraints()
     recogniser = frozen(Recogniser(network))
     plates = flat((builtin("COC"), builtin("OKP4")), Spec(), limits)
     quick = LeastSquares(method="least_squares", starts=6, evaluations=100)

@@ -7,8 +7,8 @@ import torch
 from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
-from tasklens.devices import half_precision
-from tasklens.settings import Restoration
+from tasklens.runtime.devices import half_precision
+from tasklens.study.settings import Restoration
 
 
 class SimpleGate(nn.Module):

@@ -5,10 +5,10 @@ from pathlib import Path
 import torch
 
 from restoration.nafnet import build
-from tasklens.files import read_tensors
 from tasklens.imaging import Camera
 from tasklens.recognition.evaluation import Sight
-from tasklens.settings import Capture, Restoration
+from tasklens.runtime.files import read_tensors
+from tasklens.study.settings import Capture, Restoration
 
 
 def sight(

@@ -8,12 +8,12 @@ import torch
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from restoration.nafnet import NAFNet, build
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.imaging import Camera, psnr
-from tasklens.progress import Progress
-from tasklens.recognition.data import Pictures
+from tasklens.recognition.dataset import Pictures
 from tasklens.recognition.training import Shuffled
-from tasklens.settings import Restoration
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.progress import Progress
+from tasklens.study.settings import Restoration
 
 _JUDGED = 64  # minival pictures, each at every field
 _GAIN_DB = 0.1  # less than this above the last check with progress is none

@@ -11,8 +11,9 @@ import torch
 from examples import materials
 
 from tasklens.design import least_squares
-from tasklens.design.start import flat, view
-from tasklens.settings import Constraints, Spec
+from tasklens.design.start import flat
+from tasklens.optics.view import view_of_spec
+from tasklens.study.settings import Constraints, Spec
 
 torch.set_num_threads(1)
 
@@ -22,4 +23,4 @@ def start():
     """A random doublet of the right focal length."""
     spec, limits = Spec(kernel=11), Constraints()
     flat_lens = flat(materials("COC", "OKP4"), spec, limits)
-    return least_squares.random_starts(flat_lens, view(spec), limits, 1, numpy.random.default_rng(0))[0]
+    return least_squares.random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]

@@ -6,15 +6,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from tasklens.design.start import view
-from tasklens.optics.analysis import View
-from tasklens.optics.catalogues import PLASTICS, builtin
+from tasklens.materials.catalogues import PLASTICS, builtin
+from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR, Material, model_glass
-from tasklens.optics.rays import Rays, launch
-from tasklens.recognition.data import Pictures
+from tasklens.optics.tracing.rays import Rays, launch
+from tasklens.optics.view import View, view_of_spec
+from tasklens.recognition.dataset import Pictures
 from tasklens.recognition.training import fit
-from tasklens.settings import Spec, Training
+from tasklens.study.settings import Spec, Training
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -76,7 +75,7 @@ def random_lens(seed: int) -> Lens:
 
 def seen_lens() -> tuple[Lens, View]:
     """A short real lens with its stop in front, and a view of three of its fields."""
-    looks = view(Spec(kernel=31))
+    looks = view_of_spec(Spec(kernel=31))
     fields = looks.fields[[0, 4, 8]] * 0.5
     stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
     return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)

@@ -7,11 +7,12 @@ import pytest
 import torch
 from examples import WAVELENGTHS, f64, make_lens, random_lens
 
-from tasklens.optics.aberrations import SeidelSums, field_curvature, seidel_sums
-from tasklens.optics.analysis import View, chief_rays, spot_diagram, trace_fields
+from tasklens.optics.analysis.aberrations import SeidelSums, field_curvature, seidel_sums
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_rays, spot_diagram, trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.paraxial import paraxial, paraxial_ray
-from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.view import View
 
 REFERENCE = WAVELENGTHS[1]
 

@@ -7,11 +7,12 @@ from examples import changed, tiny_study
 from test_jobs import slices
 from test_verdicts import results
 
-from tasklens import claims, jobs
+from tasklens.pipeline import jobs
 from tasklens.report import ablations
 from tasklens.report.verdicts import HOLDS, UNDECIDED
-from tasklens.settings import Capture
-from tasklens.study import StudyError, dump, parse
+from tasklens.study import claims
+from tasklens.study.settings import Capture
+from tasklens.study.study import StudyError, dump, parse
 
 RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "start": {"pixels": [1, 1]}}}}
 WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside": "renormalise"}}}}

@@ -7,8 +7,9 @@ import pytest
 import torch
 from examples import WAVELENGTHS, f64, landed, make_lens, seen_lens
 
-from tasklens.optics.analysis import (
-    View,
+from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
+from tasklens.optics.analysis.pupil import rim, sobol_disc
+from tasklens.optics.analysis.spots import (
     centroid,
     chief_points,
     clear_semi_diameters,
@@ -19,9 +20,8 @@ from tasklens.optics.analysis import (
     spot_diagram,
     trace_fields,
 )
-from tasklens.optics.mtf import airy_radius, diffraction_cutoff, geometric_mtf
-from tasklens.optics.pupil import rim, sobol_disc
-from tasklens.optics.rays import Fate
+from tasklens.optics.tracing.rays import Fate
+from tasklens.optics.view import View
 
 ORIGIN = f64([[0.0, 0.0]])
 ALONG_Y = f64([[0.0, 1.0]])

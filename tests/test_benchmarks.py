@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tasklens.settings import Classifier
+from tasklens.study.settings import Classifier
 
 
 @pytest.mark.parametrize(

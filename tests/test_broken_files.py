@@ -8,8 +8,9 @@ import test_prescription
 import test_zemax
 import yaml
 
-from tasklens.files import FileError
-from tasklens.optics import catalogues, prescription, zemax
+from tasklens.materials import catalogues
+from tasklens.optics.io import prescription, zemax
+from tasklens.runtime.files import FileError
 
 LENS = yaml.safe_dump(prescription.to_dict(test_prescription.random_prescription(6)), sort_keys=False)
 JUNK = (

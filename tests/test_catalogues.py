@@ -3,10 +3,10 @@
 import pytest
 import yaml
 
-from tasklens.files import FileError
-from tasklens.optics import catalogues
-from tasklens.optics.catalogues import builtin
-from tasklens.optics.materials import Material
+from tasklens.materials import catalogues
+from tasklens.materials.catalogues import builtin
+from tasklens.materials.material import Material
+from tasklens.runtime.files import FileError
 
 AGF = """CC a catalogue
 NM CROWN 1 517642 1.5168 64.2 0 0

@@ -14,11 +14,12 @@ import yaml
 from examples import changed, tiny_study
 from test_design import descended, small_network
 
-from tasklens import checkpoints, cli
-from tasklens.checkpoints import Checkpoint, key
-from tasklens.design import descent
-from tasklens.files import FileError
+from tasklens.design import end_to_end as descent
+from tasklens.pipeline import cli
 from tasklens.recognition import evaluation
+from tasklens.runtime import checkpoints
+from tasklens.runtime.checkpoints import Checkpoint, key
+from tasklens.runtime.files import FileError
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
 JOBS = {

@@ -10,10 +10,11 @@ import torch
 from examples import random_pictures, trained_network
 from torch import nn
 
-from tasklens.files import FileError
-from tasklens.recognition import classifiers, data, evaluation, folders
-from tasklens.settings import Classifier, Training
-from tasklens.study import StudyError
+from tasklens.recognition import classifiers, evaluation, folders
+from tasklens.recognition import dataset as data
+from tasklens.runtime.files import FileError
+from tasklens.study.settings import Classifier, Training
+from tasklens.study.study import StudyError
 
 SHARED = Path(__file__).parents[2] / "shared"
 
@@ -63,7 +64,7 @@ def test_classifier_normalises_after_the_optics(model):
 
 
 def test_weights_of_a_file_replace_all_others(tmp_path):
-    from tasklens.files import write_tensors
+    from tasklens.runtime.files import write_tensors
 
     classifier = Classifier(model="test_resnet", training=Training(epochs=1, rate=1e-3))
     first = classifiers.build(classifier, names(4)).eval()

@@ -7,12 +7,12 @@ import torch
 import yaml
 from examples import changed, cooke_triplet, tiny_study
 
-from tasklens import cli
 from tasklens.design import spot
-from tasklens.files import read_tensors
-from tasklens.layout import Layout
-from tasklens.optics import prescription
-from tasklens.optics.prescription import Prescription
+from tasklens.optics.io import prescription
+from tasklens.optics.io.prescription import Prescription
+from tasklens.pipeline import cli
+from tasklens.pipeline.layout import Layout
+from tasklens.runtime.files import read_tensors
 
 LAYOUT = Layout("results/tiny")
 

@@ -7,18 +7,13 @@ import pytest
 import torch
 from examples import f64, materials
 
-from tasklens.design.constraints import (
-    first_order_margins,
-    manufacturing_margins,
-    penalty,
-    shortfall,
-    worst_margin,
-)
-from tasklens.design.start import flat, view
-from tasklens.settings import Constraints, Spec
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, penalty, shortfall, worst_margin
+from tasklens.design.start import flat
+from tasklens.optics.view import view_of_spec
+from tasklens.study.settings import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
-LOOKS = view(SPEC)
+LOOKS = view_of_spec(SPEC)
 
 
 def sphere_sag(radius: float, r: float) -> float:

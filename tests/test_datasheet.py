@@ -7,14 +7,15 @@ import torch
 import yaml
 from examples import f64, make_lens, seen_lens
 
-from tasklens.files import FileError
-from tasklens.optics import prescription
-from tasklens.optics.aberrations import field_curvature, seidel_sums
-from tasklens.optics.analysis import View, centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
-from tasklens.optics.datasheet import figures, seidel_by_surface, view_of
-from tasklens.optics.mtf import geometric_mtf
-from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
+from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, view_of
+from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.io import prescription
+from tasklens.optics.view import View
 from tasklens.report import certificate
+from tasklens.runtime.files import FileError
 
 RAYS = 512
 

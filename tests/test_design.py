@@ -9,21 +9,23 @@ import torch.nn.functional as F
 from examples import changed, random_pictures, tiny_study
 from torch import nn
 
-from tasklens import jobs
-from tasklens.checkpoints import NOTHING_KEPT
-from tasklens.design import descent, methods
+from tasklens.design import end_to_end as descent
+from tasklens.design import methods
 from tasklens.design.divergence import cause
-from tasklens.design.start import Variables, view
-from tasklens.design_settings import EndToEnd, Rates
+from tasklens.design.start import Variables
 from tasklens.imaging import Camera
-from tasklens.optics.analysis import chief_points, clear_semi_diameters, trace_fields
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.psf import psf
-from tasklens.optics.pupil import sobol_disc
-from tasklens.settings import Capture, Constraints, Spec
-from tasklens.study import parse
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline import jobs
+from tasklens.runtime.checkpoints import NOTHING_KEPT
+from tasklens.study.design_settings import EndToEnd, Rates
+from tasklens.study.settings import Capture, Constraints, Spec
+from tasklens.study.study import parse
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
-LOOKS = view(SPEC)
+LOOKS = view_of_spec(SPEC)
 NAMES = ("COC", "OKP4")
 
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from tasklens import devices
-from tasklens.recognition.team import joined
-from tasklens.study import StudyError
+from tasklens.runtime import devices
+from tasklens.runtime.distributed import joined
+from tasklens.study.study import StudyError
 
 CONTEXT = multiprocessing.get_context("fork")
 

@@ -8,7 +8,8 @@ from examples import random_pictures, trained_network
 from torch import nn
 
 from tasklens.imaging import Camera
-from tasklens.recognition import data, evaluation
+from tasklens.recognition import dataset as data
+from tasklens.recognition import evaluation
 
 
 class Brightness(nn.Module):

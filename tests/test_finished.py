@@ -7,10 +7,10 @@ import pytest
 import yaml
 from examples import tiny_study
 
-from tasklens import cli, jobs
-from tasklens.files import read_tensors, write_tensors
-from tasklens.layout import Layout, restored
-from tasklens.study import TABLES, load
+from tasklens.pipeline import cli, jobs
+from tasklens.pipeline.layout import Layout, restored
+from tasklens.runtime.files import read_tensors, write_tensors
+from tasklens.study.study import TABLES, load
 
 VERIFIED = Layout("results/verified")
 

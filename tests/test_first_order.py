@@ -7,13 +7,14 @@ import pytest
 import torch
 from examples import WAVELENGTHS, f64, make_lens, materials, parallel_rays, random_lens
 
-from tasklens.design.start import flat, view
-from tasklens.optics.analysis import chief_points, trace_fields
-from tasklens.optics.catalogues import builtin
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.pupil import bundles, gauss_quadrature, rim, sobol_disc
-from tasklens.optics.tracing import trace
-from tasklens.settings import Constraints, Spec
+from tasklens.design.start import flat
+from tasklens.materials.catalogues import builtin
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import bundles, gauss_quadrature, rim, sobol_disc
+from tasklens.optics.analysis.spots import chief_points, trace_fields
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import view_of_spec
+from tasklens.study.settings import Constraints, Spec
 
 N = builtin("COC").refractive_index(0.5893)
 
@@ -91,7 +92,7 @@ def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
 
 def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
     """With the stop at a thin lens and the image at its focus, chief rays meet the pinhole points exactly."""
-    looks = replace(view(Spec()), wavelengths=(0.5893,))
+    looks = replace(view_of_spec(Spec()), wavelengths=(0.5893,))
     c = 1 / looks.efl / (N - 1)
     lens = make_lens([0, c / 2, -c / 2], [0, 0, looks.efl], ("air", "COC", "air"), semi_diameter=[0.3, 9, 9])
     torch.testing.assert_close(chief_points(lens, looks), looks.fields, rtol=0, atol=1e-14)
@@ -99,7 +100,7 @@ def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
 
 def test_bundles_fill_the_stop():
     """In front of the stop nothing bends: every field's rim rays meet the rim of the stop."""
-    looks = view(Spec())
+    looks = view_of_spec(Spec())
     lens = flat(materials("COC"), Spec(), Constraints())
     record: list = []
     trace_fields(lens, looks, rim(16), record)

@@ -7,11 +7,12 @@ import pytest
 import torch
 from examples import f64, make_lens, random_lens
 
-from tasklens.optics.aberrations import field_curvature
-from tasklens.optics.analysis import View, chief_points, clear_semi_diameters, trace_fields
-from tasklens.optics.illumination import relative_illumination
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.pupil import rim
+from tasklens.optics.analysis.aberrations import field_curvature
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import rim
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
+from tasklens.optics.view import View
 
 
 def looking(tangents) -> View:

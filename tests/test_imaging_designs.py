@@ -10,15 +10,16 @@ from examples import difference, materials
 from tasklens.design import least_squares, spot
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.merit import HEIGHTS, SHORTFALL, Merit
-from tasklens.design.start import Variables, flat, view
-from tasklens.design_settings import LeastSquares, Rates, Spot
-from tasklens.optics.analysis import centroid, rms_spot_radius, trace_fields
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.pupil import sobol_disc
-from tasklens.settings import Constraints, Spec
+from tasklens.design.start import Variables, flat
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
+from tasklens.optics.view import view_of_spec
+from tasklens.study.design_settings import LeastSquares, Rates, Spot
+from tasklens.study.settings import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
-LOOKS = view(SPEC)
+LOOKS = view_of_spec(SPEC)
 PLASTICS = materials("COC", "OKP4")
 
 

@@ -6,10 +6,11 @@ import pytest
 import yaml
 from examples import changed, tiny_study, with_outside
 
-from tasklens import claims, jobs
-from tasklens.layout import SHARP
-from tasklens.optics.catalogues import builtin
-from tasklens.study import TABLES, dump, parse
+from tasklens.materials.catalogues import builtin
+from tasklens.pipeline import jobs
+from tasklens.pipeline.layout import SHARP
+from tasklens.study import claims
+from tasklens.study.study import TABLES, dump, parse
 
 
 def slices(mapping: dict) -> dict[tuple, str]:

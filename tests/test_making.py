@@ -7,10 +7,11 @@ import pytest
 import torch
 from examples import f64, make_lens, materials
 
-from tasklens.optics.analysis import View, centroid, trace_fields
-from tasklens.optics.pupil import sobol_disc
-from tasklens.optics.shapes import shapes
-from tasklens.optics.tolerances import RADIUS, THICKNESS, errors_by_part
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.shapes import shapes
+from tasklens.optics.analysis.spots import centroid, trace_fields
+from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS, errors_by_part
+from tasklens.optics.view import View
 from tasklens.report import making
 
 COC, OKP4, AIR = materials("COC", "OKP4", "air")

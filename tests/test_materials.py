@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tasklens.files import FileError
-from tasklens.optics import catalogues
-from tasklens.optics.catalogues import PLASTICS, builtin
-from tasklens.optics.materials import AIR, C_LINE, D_LINE, F_LINE, G_LINE, Material, from_definitions, model_glass
+from tasklens.materials import catalogues
+from tasklens.materials.catalogues import PLASTICS, builtin
+from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, G_LINE, Material, from_definitions, model_glass
+from tasklens.runtime.files import FileError
 
 GLASS = Path(__file__).parents[2] / "shared" / "data" / "glass"
 with_catalogues = pytest.mark.skipif(not GLASS.exists(), reason="no glass catalogues here")

@@ -7,29 +7,30 @@ import pytest
 import torch
 from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
 
-from tasklens import jobs
-from tasklens.design import methods, outside
-from tasklens.design.start import view
-from tasklens.design_settings import Outside
-from tasklens.files import FileError
-from tasklens.optics import prescription, zemax
-from tasklens.optics.analysis import centroid, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.design import imported as outside
+from tasklens.design import methods
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.prescription import Prescription
-from tasklens.optics.pupil import sobol_disc
-from tasklens.optics.tracing import trace
-from tasklens.settings import Spec
-from tasklens.study import parse
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline import jobs
+from tasklens.runtime.files import FileError
+from tasklens.study.design_settings import Outside
+from tasklens.study.settings import Spec
+from tasklens.study.study import parse
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel=101)
-LOOKS = view(SPEC)
+LOOKS = view_of_spec(SPEC)
 RAYS = 512
 
 
 def fitted(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
     prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
-    return outside.fit(Outside(elements="triplet", file=folder / "given.yaml"), view(spec), spec.f_number, RAYS)
+    return outside.fit(Outside(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number, RAYS)
 
 
 # ---- another size
@@ -143,7 +144,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     assert torch.equal(valid, everything.valid & passes)
     shares = notes["figures"]["valid_fraction"]
     assert shares == pytest.approx(valid.double().mean((1, 2)).tolist()) and shares[-1] < 0.9 < shares[0]
-    energy = evaluation_psf(lens, view(job.spec), RAYS).sum((-2, -1))
+    energy = evaluation_psf(lens, view_of_spec(job.spec), RAYS).sum((-2, -1))
     torch.testing.assert_close(energy, torch.ones_like(energy), rtol=0, atol=1e-12)
     assert notes["figures"]["energy_in_window"] == pytest.approx([1.0] * 9, abs=1e-12)
     again = outside.read(job.lens.design).lens
@@ -206,14 +207,14 @@ def test_a_phone_quadruplet_close_to_the_specification():
     """Made for F/2.2 and an object at 370 mm: at F/2.8 and refocused, sharper than the Airy disc (2 um) everywhere."""
     path = next(path for path in PHONES if path.name.startswith("4P"))
     spec = Spec()
-    lens, notes = outside.fit(phone(path), view(spec), spec.f_number, 4096)
+    lens, notes = outside.fit(phone(path), view_of_spec(spec), spec.f_number, 4096)
     assert notes["file_object_distance_mm"] == 370 and notes["file_efl_mm"] == pytest.approx(2.647, abs=1e-3)
     first_order = paraxial(lens, spec.wavelengths_um[1])
     assert float(first_order.efl) == pytest.approx(2.921, abs=5e-4)
     assert float(first_order.efl / (2 * first_order.entrance_pupil_radius)) == pytest.approx(2.8, rel=1e-12)
     # From 370 mm to infinity the focus moves by EFL^2 / distance, of the scaled lens.
     assert notes["image_plane_shift_mm"] == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
-    rays = trace_fields(lens, view(spec), sobol_disc(4096, 0))
+    rays = trace_fields(lens, view_of_spec(spec), sobol_disc(4096, 0))
     assert rays.valid.all()
     rms = 1e3 * rms_spot_radius(rays, centroid(rays))
     assert 0.5 < float(rms.mean()) < 1.5 and float(rms.max()) < 2.0
@@ -224,7 +225,7 @@ def test_a_phone_quadruplet_close_to_the_specification():
 def test_every_phone_lens_serves(path):
     """Three to eight elements, stops in front and inside: an image of 8 um or better; a few rays miss an inner stop."""
     spec = Spec()
-    lens, _ = outside.fit(phone(path), view(spec), spec.f_number, 256)
-    rays = trace_fields(lens, view(spec), sobol_disc(256, 0))
+    lens, _ = outside.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
+    rays = trace_fields(lens, view_of_spec(spec), sobol_disc(256, 0))
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)

@@ -10,12 +10,13 @@ import torch
 from examples import random_pictures
 from PIL import Image
 
-from tasklens import checkpoints, files
-from tasklens.checkpoints import Checkpoint
-from tasklens.digest import of_folder
-from tasklens.files import FileError
-from tasklens.recognition import data, folders
-from tasklens.settings import Images
+from tasklens.pipeline.digest import of_folder
+from tasklens.recognition import dataset as data
+from tasklens.recognition import folders
+from tasklens.runtime import checkpoints, files
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.files import FileError
+from tasklens.study.settings import Images
 
 
 def made(folder, images: Images, threads: int = 1) -> dict[str, data.Pictures]:

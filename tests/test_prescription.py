@@ -9,10 +9,10 @@ import torch
 import yaml
 from examples import make_lens, materials, random_lens
 
-from tasklens.files import FileError
-from tasklens.optics import prescription
-from tasklens.optics.materials import AIR, Material, model_glass
-from tasklens.optics.prescription import APERTURES, FIELDS, Prescription
+from tasklens.materials.material import AIR, Material, model_glass
+from tasklens.optics.io import prescription
+from tasklens.optics.io.prescription import APERTURES, FIELDS, Prescription
+from tasklens.runtime.files import FileError
 
 TENSORS = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
 

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from tasklens.progress import Progress
+from tasklens.runtime.progress import Progress
 
 
 @pytest.mark.parametrize("first", [1, 51])

@@ -6,9 +6,10 @@ import pytest
 import torch
 from examples import WAVELENGTHS, difference, f64, landed, random_lens
 
-from tasklens.optics.analysis import View, chief_points, trace_fields
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.psf import psf
-from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.view import View
 
 PITCH, K = 2.0, 9  # [um], pixels
 ORIGIN = f64([[0.0, 0.0]])

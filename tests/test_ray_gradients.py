@@ -6,9 +6,9 @@ import pytest
 import torch
 from examples import WAVELENGTHS, difference, f64, parallel_rays, random_lens, random_rays
 
-from tasklens.optics import tracing
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing import linearise, trace
+from tasklens.optics.tracing.trace import linearise, trace
+from tasklens.optics.tracing.trace import trace as tracing
 
 SEEDS = range(4)
 
@@ -91,7 +91,7 @@ def test_tiles_do_not_show(monkeypatch):
         return torch.stack([rays.x, rays.y, rays.path]), torch.autograd.grad(rays.x.square().sum(), leaf)[0]
 
     whole = traced()
-    monkeypatch.setattr(tracing, "_TILE", 12 * 8)
+    monkeypatch.setattr(trace_module, "_TILE", 12 * 8)
     for found, expected in zip(traced(), whole, strict=True):
         exact(found, expected, 1e-14)
 

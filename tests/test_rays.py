@@ -6,11 +6,11 @@ import pytest
 import torch
 from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens, random_rays
 
-from tasklens.optics.aspheres import radial_slope, sag
-from tasklens.optics.catalogues import builtin
+from tasklens.materials.catalogues import builtin
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Fate, launch
-from tasklens.optics.tracing import trace
+from tasklens.optics.tracing.aspheres import radial_slope, sag
+from tasklens.optics.tracing.rays import Fate, launch
+from tasklens.optics.tracing.trace import trace
 
 SEEDS = range(4)
 

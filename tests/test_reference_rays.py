@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from tasklens.materials.material import AIR
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.rays import launch
-from tasklens.optics.tracing import trace
+from tasklens.optics.tracing.rays import launch
+from tasklens.optics.tracing.trace import trace
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference" / "rays.json"
 LENSES = json.loads(REFERENCE.read_text())["lenses"] if REFERENCE.exists() else []

@@ -7,7 +7,7 @@ from examples import random_pictures
 from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet, build
 from tasklens.imaging import Camera, psnr
-from tasklens.settings import Restoration
+from tasklens.study.settings import Restoration
 
 
 def small(seed: int = 0) -> NAFNet:

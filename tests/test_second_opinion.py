@@ -13,13 +13,14 @@ import torch
 from examples import WAVELENGTHS, f64, materials, random_lens
 
 from tasklens.design import least_squares
-from tasklens.design.start import flat, view
-from tasklens.design_settings import LeastSquares
-from tasklens.optics.analysis import View, trace_fields
+from tasklens.design.start import flat
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.pupil import sobol_disc
-from tasklens.settings import Constraints, Spec
+from tasklens.optics.view import View, view_of_spec
+from tasklens.study.design_settings import LeastSquares
+from tasklens.study.settings import Constraints, Spec
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # it draws; nothing is drawn here
 pytest.importorskip("optiland", reason="the second-opinion extra is not installed")
@@ -87,6 +88,8 @@ def test_a_finished_design():
     """A doublet by least squares, up to the corner of the paper's field."""
     spec, limits = Spec(), Constraints()
     settings = LeastSquares(method="least_squares", starts=6, evaluations=100)
-    lens = least_squares.design(flat(materials("COC", "OKP4"), spec, limits), view(spec), limits, settings, 0, [])
+    lens = least_squares.design(
+        flat(materials("COC", "OKP4"), spec, limits), view_of_spec(spec), limits, settings, 0, []
+    )
     assert lens.alpha.any()
-    assert_same_image_points(lens, view(spec))
+    assert_same_image_points(lens, view_of_spec(spec))

@@ -4,15 +4,12 @@ import pytest
 import torch
 from examples import f64, materials, random_lens
 
-from tasklens.design.constraints import (
-    manufacturing_margins,
-    worst_margin,
-)
+from tasklens.design.constraints import manufacturing_margins, worst_margin
 from tasklens.design.schedule import cosine
 from tasklens.design.start import Variables, flat, parameter_groups
-from tasklens.design_settings import Rates
-from tasklens.optics.paraxial import paraxial
-from tasklens.settings import Constraints, Spec
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.study.design_settings import Rates
+from tasklens.study.settings import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel=11), Constraints()
 

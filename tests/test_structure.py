@@ -10,30 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from tasklens import digest, files
+from tasklens.pipeline import digest
+from tasklens.runtime import files
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglob("*.py"))
 
 # From the ground up: a module imports only from its own floor (its own package) and from the floors below.
 FLOORS = [
-    ("tasklens.files", "tasklens.progress", "tasklens.digest", "tasklens.devices"),
-    ("tasklens.checkpoints", "tasklens.optics.materials", "tasklens.optics.zemax_text"),
-    ("tasklens.optics.catalogues",),
-    ("tasklens.settings",),
-    ("tasklens.design_settings",),
-    ("tasklens.ablations", "tasklens.feasibility"),
+    ("tasklens.runtime", "tasklens.materials", "tasklens.pipeline.digest"),
     ("tasklens.study",),
-    ("tasklens.layout",),
-    ("tasklens.jobs",),
-    ("tasklens.claims", "tasklens.arguments"),
+    ("tasklens.optics.lens", "tasklens.optics.view"),
+    ("tasklens.optics.tracing",),
     ("tasklens.optics",),
     ("tasklens.imaging",),
     ("tasklens.recognition",),
     ("tasklens.design",),
     ("tasklens.report", "restoration"),
-    ("tasklens.stages",),
-    ("tasklens.cli",),
+    ("tasklens.pipeline",),
 ]
 
 
@@ -79,14 +73,14 @@ def test_modules_of_a_room_do_not_import_in_a_circle():
 
 def test_only_the_stages_that_measure_import_restoration():
     users = {name_of(path) for path in MODULES if any(name.startswith("restoration") for name in imports_of(path))}
-    assert {user for user in users if not user.startswith("restoration")} == {"tasklens.stages.measure"}
+    assert {user for user in users if not user.startswith("restoration")} == {"tasklens.pipeline.stages.measure"}
 
 
 @pytest.mark.parametrize("module", ["cli", "study", "jobs", "claims", "layout", "digest", "files"])
 def test_parsing_a_study_needs_no_torch(module):
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
-    code = f"import sys, tasklens.{module}; print([m for m in {heavy!r} if m in sys.modules])"
+    code = f"import sys; import tasklens.{module}; print([m for m in {heavy!r} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
 
@@ -149,7 +143,7 @@ STAGES = (
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# Far rays", "# Rays that are far"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/stages/measure.py", '"""trace the PSF', '"""calculate the PSF'),
+        ("tasklens/pipeline/stages/measure.py", '"""trace the PSF', '"""calculate the PSF'),
     ],
 )
 def test_words_do_not_change_a_digest(copy, path, old, new):
@@ -174,8 +168,8 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation", "comparison"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
-        ("tasklens/stages/measure.py", "grid.float()", "grid", {"psf"}),
-        ("tasklens/stages/report.py", "Panel(lens,", "Panel(lens.upper(),", {"figure", "comparison"}),
+        ("tasklens/pipeline/stages/measure.py", "grid.float()", "grid", {"psf"}),
+        ("tasklens/pipeline/stages/report.py", "Panel(lens,", "Panel(lens.upper(),", {"figure", "comparison"}),
         (
             "tasklens/report/bootstrap.py",
             "RESAMPLES = 10_000",
@@ -224,7 +218,7 @@ def test_a_failing_writer_leaves_things_as_they_were(tmp_path, before):
 
 def test_a_killed_writer_leaves_nothing_that_looks_finished(tmp_path):
     code = (
-        "import os, sys; from pathlib import Path; from tasklens.files import replacing\n"
+        "import os, sys; from pathlib import Path; from tasklens.runtime.files import replacing\n"
         "with replacing(Path(sys.argv[1])) as temporary:\n"
         "    temporary.write_text('half'); os.kill(os.getpid(), 9)"
     )

@@ -8,9 +8,9 @@ import pytest
 import yaml
 from examples import changed, tiny_study, with_outside
 
-from tasklens.optics.catalogues import PLASTICS, builtin
-from tasklens.settings import Spec
-from tasklens.study import StudyError, dump, load, parse
+from tasklens.materials.catalogues import PLASTICS, builtin
+from tasklens.study.settings import Spec
+from tasklens.study.study import StudyError, dump, load, parse
 
 CONFIGS = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
 CONFIGS = [path for path in CONFIGS if "format: 1" in path.read_text()]  # the others are laid over the default study

@@ -8,11 +8,11 @@ import pytest
 import yaml
 from examples import changed, tiny_study
 
-from tasklens import jobs
-from tasklens import layout as layouts
-from tasklens.layout import SHARP, Layout, restored
+from tasklens.pipeline import jobs
+from tasklens.pipeline import layout as layouts
+from tasklens.pipeline.layout import SHARP, Layout, restored
 from tasklens.report import tables
-from tasklens.study import TABLES, dump, parse
+from tasklens.study.study import TABLES, dump, parse
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
 ACCURACY = {

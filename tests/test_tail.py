@@ -7,16 +7,16 @@ import pytest
 import torch
 from examples import f64, landed, make_lens
 
-from tasklens.design.start import view
-from tasklens.jobs import TailJob
-from tasklens.layout import Layout
-from tasklens.optics import tail as tails_of
-from tasklens.optics.analysis import distances
-from tasklens.optics.datasheet import figures
-from tasklens.optics.pupil import sobol_disc
-from tasklens.optics.tail import RADII_UM, encircled_energy, tail
+from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import distances
+from tasklens.optics.analysis.spots import tail as tails_of
+from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline.jobs import TailJob
+from tasklens.pipeline.layout import Layout
 from tasklens.report import tails
-from tasklens.settings import Spec
+from tasklens.study.settings import Spec
 
 ORIGIN = f64([[0.0, 0.0]])
 
@@ -27,7 +27,7 @@ def measured(monkeypatch, points, valid=None, centre=(0.0, 0.0)) -> tuple[dict, 
     rays = landed(x[None, None], y[None, None], valid)
     monkeypatch.setattr(tails_of, "trace_fields", lambda *given: rays)
     monkeypatch.setattr(tails_of, "chief_points", lambda *given: f64([centre]) / 1e3)
-    by_field, curve = tail(None, view(Spec()), len(points))
+    by_field, curve = tail(None, view_of_spec(Spec()), len(points))
     return by_field[0], pandas.DataFrame(curve)
 
 
@@ -86,7 +86,7 @@ def test_encircled_energy_is_a_count():
 
 def test_figures_agree_with_the_lens_file():
     """By the same rays: energy in the window and RMS about the chief ray."""
-    looks = view(Spec())
+    looks = view_of_spec(Spec())
     lens = make_lens([0, 0.7, 0], [0.1, 0.4, 2.6], ("air", "COC", "air"), semi_diameter=[0.5, torch.inf, torch.inf])
     by_field, curve = tail(lens, looks, 256)
     expected = figures(lens, looks, 256)

@@ -8,18 +8,19 @@ import torch
 from examples import changed, materials, random_pictures, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
 
-from tasklens import jobs
-from tasklens.design import descent, least_squares, methods, spot, task
+from tasklens.design import end_to_end as descent
+from tasklens.design import least_squares, methods, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import RaySpace, within_limits
 from tasklens.design.start import flat
-from tasklens.design_settings import Rates, Spot, Task, Walk
-from tasklens.optics.analysis import chief_points, clear_semi_diameters, trace_fields
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.psf import psf
-from tasklens.optics.pupil import sobol_disc
+from tasklens.pipeline import jobs
 from tasklens.recognition.training import fit
-from tasklens.settings import Capture, Constraints, Spec, Training
-from tasklens.study import parse
+from tasklens.study.design_settings import Rates, Spot, Task, Walk
+from tasklens.study.settings import Capture, Constraints, Spec, Training
+from tasklens.study.study import parse
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})

@@ -11,11 +11,11 @@ import torch
 import yaml
 from examples import changed, tiny_study
 
-from tasklens import cli
-from tasklens.files import read_tensors
-from tasklens.recognition import team
-from tasklens.recognition.team import Team
-from tasklens.study import StudyError
+from tasklens.pipeline import cli
+from tasklens.runtime import distributed as team
+from tasklens.runtime.distributed import Team
+from tasklens.runtime.files import read_tensors
+from tasklens.study.study import StudyError
 
 VIT = {
     "model": "vit_tiny_patch16_224",  # without batch norms, whose statistics on a CPU are of each share alone
@@ -44,7 +44,7 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     expected = {name: value.clone() for name, value in read_tensors(weights)[0].items()}
     for path in (metrics, weights):
         path.unlink()
-    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.cli"]
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.pipeline.cli"]
     done = subprocess.run([sys.executable, *torchrun, *job], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("fine-tune small  step 1/") == 1

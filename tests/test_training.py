@@ -7,9 +7,9 @@ import torch
 from examples import random_pictures, small_network, trained_network
 from torch import nn
 
-from tasklens import checkpoints
 from tasklens.recognition import evaluation, training
-from tasklens.settings import Training
+from tasklens.runtime import checkpoints
+from tasklens.study.settings import Training
 
 
 def test_training_is_deterministic():

@@ -8,13 +8,14 @@ import pytest
 import yaml
 from examples import changed, tiny_study
 
-from tasklens import claims, jobs
-from tasklens.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
-from tasklens.files import FileError
-from tasklens.layout import SHARP, Layout, restored
+from tasklens.pipeline import jobs
+from tasklens.pipeline.layout import SHARP, Layout, restored
 from tasklens.report import regimes, verdicts
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
-from tasklens.study import dump, parse
+from tasklens.runtime.files import FileError
+from tasklens.study import claims
+from tasklens.study.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
+from tasklens.study.study import dump, parse
 
 PICTURES, FIELDS = 200, 9
 DOUBLET = ["COC", "OKP4"]

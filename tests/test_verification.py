@@ -7,10 +7,10 @@ import pytest
 import yaml
 from examples import tiny_study
 
-from tasklens import jobs
-from tasklens.layout import SHARP, Layout, restored
+from tasklens.pipeline import jobs
+from tasklens.pipeline.layout import SHARP, Layout, restored
 from tasklens.report import tables, verification
-from tasklens.study import parse
+from tasklens.study.study import parse
 
 FIELDS, PICTURES = 9, 40
 LENS = "singlet-imaging1"

@@ -13,11 +13,11 @@ import pytest
 import yaml
 from examples import changed, make_lens, tiny_study
 
-from tasklens import jobs
-from tasklens.design_settings import EndToEnd
-from tasklens.optics import zemax
-from tasklens.optics.prescription import Prescription
-from tasklens.study import Study, load, parse
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.pipeline import jobs
+from tasklens.study.design_settings import EndToEnd
+from tasklens.study.study import Study, load, parse
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))

@@ -6,12 +6,12 @@ import pytest
 import torch
 from examples import f64, parallel_rays
 
-from tasklens.files import FileError
-from tasklens.optics import zemax
-from tasklens.optics.catalogues import builtin
-from tasklens.optics.materials import AIR, model_glass
-from tasklens.optics.prescription import FIELDS
-from tasklens.optics.tracing import trace
+from tasklens.materials.catalogues import builtin
+from tasklens.materials.material import AIR, model_glass
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import FIELDS
+from tasklens.optics.tracing.trace import trace
+from tasklens.runtime.files import FileError
 
 TEXT = """VERS 190513 80 123457 L123457
 MODE SEQ

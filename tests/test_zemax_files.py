@@ -16,13 +16,13 @@ import torch
 import yaml
 from examples import f64
 
-from tasklens.files import FileError
-from tasklens.optics import prescription, zemax
-from tasklens.optics.materials import AIR, C_LINE, D_LINE, F_LINE, Material
-from tasklens.optics.paraxial import paraxial
-from tasklens.optics.prescription import Prescription
-from tasklens.optics.rays import launch
-from tasklens.optics.tracing import trace
+from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.tracing.rays import launch
+from tasklens.optics.tracing.trace import trace
+from tasklens.runtime.files import FileError
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 FILES = sorted(path for path in DATA.glob("lenses/*/source/*") if path.suffix.lower() == ".zmx")

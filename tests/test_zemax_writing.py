@@ -8,10 +8,10 @@ import torch
 import yaml
 from examples import f64, make_lens, materials
 
-from tasklens.files import FileError
-from tasklens.optics import zemax
-from tasklens.optics.materials import AIR, Material, model_glass
-from tasklens.optics.prescription import FIELDS, Prescription
+from tasklens.materials.material import AIR, Material, model_glass
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import FIELDS, Prescription
+from tasklens.runtime.files import FileError
 
 MINE = Material("MINE", "conrady", (1.5, 0.01, 0.002), (0.4, 0.8), "maker")
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis import View, chief_points, clear_semi_diameters, distortion
-from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.materials.material import AIR
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, distortion
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR
-from tasklens.optics.paraxial import paraxial
-from tasklens.settings import Constraints
+from tasklens.optics.tracing.aspheres import radial_slope, sag
+from tasklens.optics.view import View
+from tasklens.study.settings import Constraints
 
 _HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # parts of the semi-diameter at which limits are checked
 _BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty ends with the limit kept

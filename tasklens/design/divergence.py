@@ -3,8 +3,9 @@
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis import View, trace_fields
+from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
 
 
 def cause(lens: Lens, view: View, pupil: Tensor, losses: Tensor) -> str:

@@ -14,16 +14,16 @@ import numpy
 import torch
 from scipy.optimize import least_squares
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.merit import SHORTFALL, Merit
 from tasklens.design.start import ORDERS, Variables
-from tasklens.design_settings import LeastSquares
-from tasklens.optics.analysis import View
+from tasklens.materials.material import AIR
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR
-from tasklens.optics.paraxial import paraxial
-from tasklens.progress import Progress
-from tasklens.settings import Constraints
+from tasklens.optics.view import View
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.progress import Progress
+from tasklens.study.design_settings import LeastSquares
+from tasklens.study.settings import Constraints
 
 _SPACES = 0.35  # a random start draws its element and air thicknesses below this part of the focal length
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget

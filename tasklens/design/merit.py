@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, shortfall
-from tasklens.optics.analysis import View
+from tasklens.optics.analysis.pupil import bundles, gauss_quadrature
 from tasklens.optics.lens import Lens
-from tasklens.optics.pupil import bundles, gauss_quadrature
-from tasklens.optics.rays import Rays
-from tasklens.optics.tracing import linearise
-from tasklens.settings import Constraints
+from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.tracing.trace import linearise
+from tasklens.optics.view import View
+from tasklens.study.settings import Constraints
 
 HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as parts of the largest: near the nine
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays

@@ -7,18 +7,21 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.design import descent, least_squares, outside, spot, task
+from tasklens.design import end_to_end as descent
+from tasklens.design import imported as outside
+from tasklens.design import least_squares, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import within_limits
-from tasklens.design.start import flat, view
-from tasklens.design_settings import EndToEnd, LeastSquares, Outside, Spot, Task
-from tasklens.jobs import DesignJob
-from tasklens.optics.analysis import OUTLINE, chief_points, clear_semi_diameters
-from tasklens.optics.datasheet import figures
+from tasklens.design.start import flat
+from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import OUTLINE, chief_points, clear_semi_diameters
 from tasklens.optics.lens import Lens
-from tasklens.optics.pupil import sobol_disc
-from tasklens.recognition.data import Pictures
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline.jobs import DesignJob
+from tasklens.recognition.dataset import Pictures
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.study.design_settings import EndToEnd, LeastSquares, Outside, Spot, Task
 
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first pictures again
 _APERTURE = 1.02  # clear aperture of a lens from a file that gives none, over what light uses of it
@@ -44,7 +47,7 @@ def design(
     Returns:
         The lens with its clear apertures, and the notes for its file: spec, origin, figures, margins.
     """
-    settings, looks = job.lens.design, view(job.spec)
+    settings, looks = job.lens.design, view_of_spec(job.spec)
     if isinstance(settings, Outside):
         lens, fitted = outside.fit(settings, looks, job.spec.f_number, job.rays)
         used = clear_semi_diameters(lens, looks, torch.cat([OUTLINE, sobol_disc(job.rays, seed=0)]))
@@ -99,7 +102,7 @@ def finished(lens: Lens, clear: Tensor, job: DesignJob, origin: dict) -> tuple[L
 
     A ray beyond them is lost: classifiers bend the rims of lenses, and a few rays of the pupil's outline go far astray.
     """
-    looks = view(job.spec)
+    looks = view_of_spec(job.spec)
     margins = manufacturing_margins(lens, job.constraints, torch.minimum(clear, lens.semi_diameter))
     margins |= first_order_margins(lens, job.constraints, looks, chief_points(lens, looks))
     name, value = worst_margin(margins)

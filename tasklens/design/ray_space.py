@@ -18,10 +18,10 @@ from torch import Tensor
 
 from tasklens.design.merit import Merit
 from tasklens.design.start import Variables
-from tasklens.design_settings import Rates
-from tasklens.optics.analysis import View
 from tasklens.optics.lens import Lens
-from tasklens.settings import Constraints
+from tasklens.optics.view import View
+from tasklens.study.design_settings import Rates
+from tasklens.study.settings import Constraints
 
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}

@@ -5,17 +5,18 @@ import sys
 
 import torch
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
 from tasklens.design.constraints import penalty
 from tasklens.design.divergence import cause
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.start import Variables, parameter_groups
-from tasklens.design_settings import Spot
-from tasklens.optics.analysis import View, centroid, trace_fields
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.pupil import sobol_disc
-from tasklens.progress import Progress
-from tasklens.settings import Constraints
+from tasklens.optics.view import View
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.progress import Progress
+from tasklens.study.design_settings import Spot
+from tasklens.study.settings import Constraints
 
 
 def design(

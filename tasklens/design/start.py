@@ -6,22 +6,17 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from tasklens.design_settings import Rates
-from tasklens.optics.analysis import View, clear_semi_diameters
+from tasklens.materials.material import AIR, Material
+from tasklens.optics.analysis.spots import clear_semi_diameters
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR, Material
-from tasklens.settings import FLAT_TRACK, Constraints, Spec
+from tasklens.optics.view import View
+from tasklens.study.design_settings import Rates
+from tasklens.study.settings import FLAT_TRACK, Constraints, Spec
 
 ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
 
 _BACK = 0.35  # its last space, in focal lengths: plates far from the stop can act on the fields one by one
 _AIR = 0.5  # its air spaces, in plate thicknesses
-
-
-def view(spec: Spec) -> View:
-    """The nine fields, three colours and the pixels of a specification."""
-    fields = torch.tensor(spec.fields_mm, dtype=torch.float64)
-    return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel)
 
 
 def flat(plastics: tuple[Material, ...], spec: Spec, constraints: Constraints) -> Lens:

@@ -14,20 +14,20 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torchvision.transforms.v2 import TrivialAugmentWide
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.design.descent import Problem, loss_at_psf, sharp
 from tasklens.design.divergence import cause
+from tasklens.design.end_to_end import Problem, loss_at_psf, sharp
 from tasklens.design.ray_space import Local, RaySpace
 from tasklens.design.schedule import cosine, geometric
-from tasklens.design_settings import Task, Walk
 from tasklens.imaging import Camera
-from tasklens.optics.analysis import centroid, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.pupil import sobol_disc
-from tasklens.progress import Progress
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import Shuffled
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.progress import Progress
+from tasklens.study.design_settings import Task, Walk
 
 _LEEWAY = 0.05  # by which a step may lengthen the shortfall of the limits [mm]; a longer one is halved
 _HALVINGS = 5  # at most

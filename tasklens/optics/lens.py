@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from tasklens.optics.materials import AIR, Material
+from tasklens.materials.material import AIR, Material
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from timm.models import load_checkpoint
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from tasklens.devices import half_precision
-from tasklens.files import FileError
-from tasklens.settings import Classifier
-from tasklens.study import StudyError
+from tasklens.runtime.devices import half_precision
+from tasklens.runtime.files import FileError
+from tasklens.study.settings import Classifier
+from tasklens.study.study import StudyError
 
 
 class Recogniser(nn.Module):

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.devices import send
 from tasklens.imaging import Camera, psnr
-from tasklens.progress import Progress
 from tasklens.recognition.classifiers import Recogniser, parameters_m
-from tasklens.recognition.data import Pictures
+from tasklens.recognition.dataset import Pictures
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.devices import send
+from tasklens.runtime.progress import Progress
 
 _WORST = 0.01  # share of the pictures, those with the lowest PSNR, that `worst_psnr_db` is about
 _BATCH = 64  # pictures rendered at once, and captures per forward pass of a network

@@ -10,9 +10,9 @@ import torch
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.files import FileError, temporary_of, writing_tensors
-from tasklens.progress import Progress
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.files import FileError, temporary_of, writing_tensors
+from tasklens.runtime.progress import Progress
 
 Image.MAX_IMAGE_PIXELS = None  # Pillow's guard against strangers' files; these are the user's own, of any size
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")

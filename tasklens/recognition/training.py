@@ -8,12 +8,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, SequentialLR
 
-from tasklens.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.devices import send
-from tasklens.progress import Progress
-from tasklens.recognition.data import Pictures
-from tasklens.recognition.team import ALONE, Team
-from tasklens.settings import Training
+from tasklens.recognition.dataset import Pictures
+from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.devices import send
+from tasklens.runtime.distributed import ALONE, Team
+from tasklens.runtime.progress import Progress
+from tasklens.study.settings import Training
 
 
 def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict]:

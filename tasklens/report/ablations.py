@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.claims import AblationJob
-from tasklens.files import write_text
-from tasklens.layout import Layout
+from tasklens.pipeline.layout import Layout
 from tasklens.report import verdicts
 from tasklens.report.tables import lens_values, measured_values
+from tasklens.runtime.files import write_text
+from tasklens.study.claims import AblationJob
 
 _NOTE = """\
 Study `{study}`. Difference: accuracy less that of `{base}` [points], with its 95 % interval over test pictures{seeds};

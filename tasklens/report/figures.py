@@ -12,12 +12,13 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.patches import Circle
 
-from tasklens.files import replacing
-from tasklens.optics.analysis import View, centroid, ray_fans, spot_diagram, trace_fields
-from tasklens.optics.aspheres import sag
+from tasklens.materials.material import AIR
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.materials import AIR
-from tasklens.optics.pupil import sobol_disc
+from tasklens.optics.tracing.aspheres import sag
+from tasklens.optics.view import View
+from tasklens.runtime.files import replacing
 
 _SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
 _COLOURS = ("tab:blue", "tab:green", "tab:red")

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 
 import pandas
 
-from tasklens.optics.shapes import Shape
-from tasklens.optics.tolerances import RADIUS, THICKNESS
+from tasklens.optics.analysis.shapes import Shape
+from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS
 
 ROBUST = 2.0  # a lens is robust whose spot grows to no more than this many times its design value
 _SHOWN = 3  # of the most sensitive parts

@@ -5,11 +5,11 @@ from statistics import mean
 
 import pandas
 
-from tasklens.claims import VerdictsJob
-from tasklens.files import write_text
-from tasklens.layout import Layout
+from tasklens.pipeline.layout import Layout
 from tasklens.report import verdicts
 from tasklens.report.tables import lens_file, lens_values
+from tasklens.runtime.files import write_text
+from tasklens.study.claims import VerdictsJob
 
 _NOTE = """\
 Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens of the seed by minival [points],

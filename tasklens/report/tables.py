@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.files import write_text
-from tasklens.jobs import TableJob
-from tasklens.layout import PAPER, SHARP, Layout
+from tasklens.pipeline.jobs import TableJob
+from tasklens.pipeline.layout import PAPER, SHARP, Layout
+from tasklens.runtime.files import write_text
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {

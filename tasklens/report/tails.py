@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.files import write_text
-from tasklens.jobs import TailJob
-from tasklens.layout import Layout
+from tasklens.pipeline.jobs import TailJob
+from tasklens.pipeline.layout import Layout
+from tasklens.runtime.files import write_text
 
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached

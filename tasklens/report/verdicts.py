@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy
 import pandas
 
-from tasklens.claims import FLAT_FAILS, Claim, VerdictsJob
-from tasklens.files import write_text
-from tasklens.layout import SHARP, Layout
-from tasklens.report import bootstrap, pictures
+from tasklens.pipeline.layout import SHARP, Layout
+from tasklens.report import bootstrap
+from tasklens.report import predictions as pictures
 from tasklens.report.tables import lens_values, measured_values
+from tasklens.runtime.files import write_text
+from tasklens.study.claims import FLAT_FAILS, Claim, VerdictsJob
 
 LEAST_SEEDS = 5  # three decide nothing: t(2) = 4.30
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"

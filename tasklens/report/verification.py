@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.jobs import TableJob, VerificationJob
-from tasklens.layout import SHARP, Layout
-from tasklens.report import pictures
+from tasklens.pipeline.jobs import TableJob, VerificationJob
+from tasklens.pipeline.layout import SHARP, Layout
+from tasklens.report import predictions as pictures
 from tasklens.report.tables import lens_file
 
 ROUNDING = 1e-6  # [mm or a fraction] by which a margin may be negative

@@ -19,7 +19,7 @@ def tasklens_of(wildcards):
     """The command line, once for every process."""
     count = processes(wildcards)
     # Snakemake sets the threads of a job to its cores, here those of all its processes.
-    team = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {count} -m tasklens.cli"
+    team = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {count} -m tasklens.pipeline.cli"
     return "tasklens" if count == 1 else team
 
 

@@ -1,0 +1,111 @@
+"""Lenses from outside: as their file has them, but for size, stop and focus, which the specification sets."""
+
+import math
+from dataclasses import replace
+
+import torch
+
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import rim, sobol_disc
+from tasklens.optics.analysis.spots import centroid, chief_rays, rms_spot_radius, trace_fields
+from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.rays import Fate, Rays
+from tasklens.optics.view import View
+from tasklens.runtime.files import FileError
+from tasklens.study.design_settings import Outside
+
+
+def fit(settings: Outside, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
+    """The lens of a file, made to fit a specification.
+
+    It is scaled to the focal length of `view`, its stop set to the F-number, and refocused for objects at infinity.
+    Its own clear apertures are scaled with it and go on stopping light.
+
+    Args:
+        settings: where the lens is.
+        view: fields, colours and focal length.
+        f_number: focal length over diameter of the entrance pupil.
+        rays: pupil points per field and wavelength for the focus.
+
+    Returns:
+        The lens, and what was done to it: the file with its EFL [mm] and object distance [mm, None = infinity], the
+        scale, and the shift of the image plane after that [mm].
+
+    Raises:
+        FileError: the file cannot be read, or its lens cannot serve the specification.
+    """
+    name = str(settings.file)
+    found = read(settings)
+    try:
+        found.lens.refractive_indices(view.wavelengths)
+    except ValueError as error:
+        raise FileError(f"{name}: {error}") from None
+    efl = float(paraxial(found.lens, view.reference).efl)
+    if not 0 < efl < math.inf:
+        raise FileError(f"{name}: a lens with a focal length of {efl:.4g} mm forms no image")
+    scale = view.efl / efl
+    lens = found.lens.scaled(scale)
+    lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, ("f_number", f_number), view.reference)
+    _check_light(lens, view, f_number, name)
+    focused = refocused(lens, view, rays)
+    return focused, {
+        "file": name,
+        "file_efl_mm": efl,
+        "file_object_distance_mm": None if math.isinf(found.object_distance_mm) else found.object_distance_mm,
+        "scale": scale,
+        "image_plane_shift_mm": float(focused.thickness[-1] - lens.thickness[-1]),
+    }
+
+
+def read(settings: Outside) -> Prescription:
+    """What the file says; raises FileError."""
+    if settings.file.suffix.lower() == ".zmx":
+        return zemax.read(settings.file, settings.catalogues)
+    return prescription.read(settings.file)[0]
+
+
+def refocused(lens: Lens, view: View, rays: int) -> Lens:
+    """The lens with its image plane where the mean over fields of the RMS spot radius about the centroid is least.
+
+    Rays are straight behind the lens, so that each RMS is the norm of an affine function of the shift: the mean is
+    convex, with one minimum.
+    """
+    from scipy.optimize import minimize_scalar
+
+    traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
+
+    def mean_rms(shift: float) -> float:
+        moved = replace(traced, x=traced.x + shift * traced.l / traced.n, y=traced.y + shift * traced.m / traced.n)
+        return float(rms_spot_radius(moved, centroid(moved)).mean())
+
+    thickness = lens.thickness.clone()
+    thickness[-1] += minimize_scalar(mean_rms, bracket=(0.0, 0.01 * view.efl)).x
+    return replace(lens, thickness=thickness)
+
+
+def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
+    """The whole beam on the axis passes, but for what the stop cuts, and the chief ray of every field."""
+    on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
+    beam = trace_fields(lens, on_axis, rim(64))
+    lost = ~beam.valid & (beam.lost_at != lens.stop)
+    if lost.any():
+        where = _loss(beam, lost)
+        raise FileError(f"{name}: not fast enough for F/{f_number:g}: the beam on the axis loses light {where}")
+    chief = chief_rays(lens, view)
+    if not chief.valid.all():
+        field = int((~chief.valid).flatten().nonzero()[0])
+        angle = math.degrees(math.atan(float(view.radii[field]) / view.efl))
+        where = _loss(chief, ~chief.valid)
+        raise FileError(f"{name}: does not cover the field: at {angle:.1f} degrees the chief ray is lost {where}")
+
+
+def _loss(rays: Rays, lost: torch.Tensor) -> str:
+    """Where and why the first of the lost rays ended."""
+    surface, fate = f"surface {int(rays.lost_at[lost][0])} (the first is 0)", Fate(int(rays.fate[lost][0]))
+    return {
+        Fate.MISSED: f"where it misses {surface}",
+        Fate.OUTSIDE: f"at the clear aperture of {surface}",
+        Fate.REFLECTED: f"by total reflection at {surface}",
+    }[fate]

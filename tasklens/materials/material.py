@@ -1,0 +1,169 @@
+"""Optical materials: a dispersion formula, its coefficients, and the wavelengths that they were fitted to.
+
+The formulas are those of Zemax's glass catalogues (OpticStudio user's guide, "The Glass Dispersion Formulas"), in the
+order of their numbers there, and `model` for a glass of which only nd, Vd and dPgF are known.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from tasklens.runtime.files import FileError, number
+
+G_LINE, F_LINE, D_LINE, C_LINE = 0.4358343, 0.4861327, 0.5875618, 0.6562725  # [um]
+
+Index = Callable[[tuple[float, ...], float], float]
+
+
+def _powers(*powers: int) -> Index:
+    """n^2 = sum_i c_i w^p_i."""
+    return lambda c, w: math.sqrt(sum(a * w**p for a, p in zip(c, powers, strict=True)))
+
+
+def _sellmeier(c: tuple[float, ...], w: float) -> float:
+    """n^2 = 1 + sum_i K_i w^2 / (w^2 - L_i); c = K_1, L_1, K_2, L_2 .."""
+    return math.sqrt(1 + sum(k * w * w / (w * w - l) for k, l in zip(c[::2], c[1::2], strict=True)))
+
+
+def _herzberger(c: tuple[float, ...], w: float) -> float:
+    """n = c0 + c1 L + c2 L^2 + c3 w^2 + c4 w^4 + c5 w^6, L = 1 / (w^2 - 0.028)."""
+    l = 1 / (w * w - 0.028)
+    return c[0] + c[1] * l + c[2] * l**2 + c[3] * w**2 + c[4] * w**4 + c[5] * w**6
+
+
+def _model(c: tuple[float, ...], w: float) -> float:
+    """Conrady's n = a + b / w + e / w^3.5 through three numbers: nd, Vd and dPgF.
+
+    nF - nC = (nd - 1) / Vd and ng - nF = (nF - nC) (0.6438 - 0.001682 Vd + dPgF), the normal line through K7 and F2
+    (Schott TIE-29). OpticStudio's own formula for its model glass is not published; it claims 1e-4 in the visible,
+    and this one keeps that on Schott's catalogue (90 % of the glasses, with their own dPgF).
+    """
+    nd, vd, dpgf = c
+    if not vd:
+        return nd  # as Zemax means it: no dispersion
+    dispersion = (nd - 1) / vd
+    partial = 0.6438 - 0.001682 * vd + dpgf
+    u = {line: 1 / line for line in (G_LINE, F_LINE, D_LINE, C_LINE)}
+    v = {line: line**-3.5 for line in u}
+    u_fc, v_fc = u[F_LINE] - u[C_LINE], v[F_LINE] - v[C_LINE]
+    u_gf, v_gf = u[G_LINE] - u[F_LINE], v[G_LINE] - v[F_LINE]
+    scale = dispersion / (u_fc * v_gf - u_gf * v_fc)
+    b, e = scale * (v_gf - partial * v_fc), scale * (partial * u_fc - u_gf)
+    return nd + b * (1 / w - u[D_LINE]) + e * (w**-3.5 - v[D_LINE])
+
+
+# Name: number of coefficients, and index as a function of the coefficients and the wavelength w [um].
+FORMULAS: dict[str, tuple[int, Index]] = {
+    "schott": (6, _powers(0, 2, -2, -4, -6, -8)),
+    "sellmeier_1": (6, _sellmeier),
+    "herzberger": (6, _herzberger),
+    "sellmeier_2": (
+        5,
+        lambda c, w: math.sqrt(1 + c[0] + c[1] * w * w / (w * w - c[2] ** 2) + c[3] / (w * w - c[4] ** 2)),
+    ),
+    "conrady": (3, lambda c, w: c[0] + c[1] / w + c[2] / w**3.5),
+    "sellmeier_3": (8, _sellmeier),
+    "handbook_1": (4, lambda c, w: math.sqrt(c[0] + c[1] / (w * w - c[2]) - c[3] * w * w)),
+    "handbook_2": (4, lambda c, w: math.sqrt(c[0] + c[1] * w * w / (w * w - c[2]) - c[3] * w * w)),
+    "sellmeier_4": (5, lambda c, w: math.sqrt(c[0] + w * w * (c[1] / (w * w - c[2]) + c[3] / (w * w - c[4])))),
+    "extended": (8, _powers(0, 2, -2, -4, -6, -8, -10, -12)),
+    "sellmeier_5": (10, _sellmeier),
+    "extended_2": (8, _powers(0, 2, -2, -4, -6, -8, 4, 6)),
+    "extended_3": (9, _powers(0, 2, 4, -2, -4, -6, -8, -10, -12)),
+    "model": (3, _model),
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """A medium of a lens.
+
+    Attributes:
+        name: by which elements and lens files call it.
+        formula: one of `FORMULAS`.
+        coefficients: of that formula, for wavelengths in um.
+        range_um: shortest and longest wavelength of the fit.
+        source: where the coefficients are from.
+    """
+
+    name: str
+    formula: str
+    coefficients: tuple[float, ...]
+    range_um: tuple[float, float]
+    source: str = ""
+
+    def __post_init__(self):
+        if self.formula not in FORMULAS:
+            raise ValueError(f"{self.name}: unknown formula {self.formula!r}; expected one of {', '.join(FORMULAS)}")
+        count = FORMULAS[self.formula][0]
+        if len(self.coefficients) != count:
+            raise ValueError(f"{self.name}: {self.formula} has {count} coefficients, got {len(self.coefficients)}")
+        if not 0 <= self.range_um[0] < self.range_um[1]:
+            raise ValueError(f"{self.name}: expected a range of rising wavelengths, got {self.range_um}")
+
+    def covers(self, wavelength: float) -> bool:
+        """Whether the coefficients were fitted at `wavelength` [um]."""
+        return self.range_um[0] <= wavelength <= self.range_um[1]
+
+    def refractive_index(self, wavelength: float) -> float:
+        """Index at `wavelength` [um].
+
+        Raises:
+            ValueError: a wavelength outside the fitted range, or coefficients that give no index there.
+        """
+        if not self.covers(wavelength):
+            low, high = self.range_um
+            raise ValueError(f"{self.name}: wavelength {wavelength} um is outside the fitted range {low} to {high} um")
+        try:
+            return FORMULAS[self.formula][1](self.coefficients, wavelength)
+        except (ValueError, ArithmeticError):
+            raise ValueError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
+
+    def definition(self) -> dict:
+        """The material as it stands in a YAML file below its name."""
+        return {
+            "formula": self.formula,
+            "coefficients": list(self.coefficients),
+            "range_um": list(self.range_um),
+            "source": self.source,
+        }
+
+
+AIR = Material("air", "schott", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, math.inf))
+
+
+def model_glass(nd: float, vd: float, dpgf: float, label: str = "") -> Material:
+    """The glass of which only nd, Vd and dPgF are known, for the visible; `label` begins its name, without spaces."""
+    numbers = "/".join(repr(value) for value in (nd, vd, dpgf)[: 3 if dpgf else 2])
+    return Material(f"{label} {numbers}".strip(), "model", (nd, vd, dpgf), (0.38, 0.78), "nd, Vd and dPgF")
+
+
+def from_definitions(content: object, where: str) -> dict[str, Material]:
+    """Materials by name, as a YAML file defines them.
+
+    Raises:
+        FileError: anything but complete definitions; `where` and the material's name begin its message.
+    """
+    if not isinstance(content, Mapping):
+        raise FileError(f"{where}: expected materials by name, found {type(content).__name__}")
+    return {name: _defined(name, entry, where) for name, entry in content.items()}
+
+
+def _defined(name: object, entry: object, where: str) -> Material:
+    if not isinstance(name, str) or not name or name == AIR.name:
+        raise FileError(f"{where}: {name!r} cannot be the name of a material")
+    where = f"{where}: {name}"
+    known = ("formula", "coefficients", "range_um", "source")
+    if not isinstance(entry, Mapping) or not set(known[:3]) <= set(entry) <= set(known):
+        raise FileError(f"{where}: expected the keys {', '.join(known)}, found {entry!r}")
+    for key in ("coefficients", "range_um"):
+        if not isinstance(entry[key], list | tuple):
+            raise FileError(f"{where}: {key}: expected a list of numbers, found {entry[key]!r}")
+    if len(entry["range_um"]) != 2:
+        raise FileError(f"{where}: range_um: expected two wavelengths, found {entry['range_um']!r}")
+    coefficients = tuple(number(value, f"{where}: coefficients") for value in entry["coefficients"])
+    low, high = (number(value, f"{where}: range_um") for value in entry["range_um"])
+    try:
+        return Material(name, str(entry["formula"]), coefficients, (low, high), str(entry.get("source", "")))
+    except ValueError as error:
+        raise FileError(f"{where.removesuffix(name)}{error}") from None

@@ -1,0 +1,143 @@
+"""Third-order aberrations surface by surface, and the field curvature of the real chief rays.
+
+Sign conventions: a positive lens alone has S_I, S_IV and C_I > 0 (undercorrected), and S_V > 0 is a barrel. Third-order
+terms refer to the paraxial image plane and to the largest field of the view, turned onto +y.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, vertex_curvature
+from tasklens.optics.analysis.spots import chief_rays
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.aspheres import sag
+from tasklens.optics.view import View
+
+
+@dataclass(frozen=True)
+class SeidelSums:
+    """Contributions (S,) of the surfaces to the wavefront aberration at the edge of pupil and field [mm].
+
+    W(px, py) = S_I p^4 / 8 + S_II p^2 py / 2 + S_III py^2 / 2 + (S_III + S_IV) p^2 / 4 + S_V py / 2,  p^2 = px^2 + py^2
+
+    and the wavefront of the shortest wavelength less that of the longest, C_I p^2 / 2 + C_II py. A ray misses its
+    paraxial image point by (dW / dpx, dW / dpy) / (n' u'), n' u' the last reduced angle of the marginal ray.
+
+    Attributes:
+        spherical, coma, astigmatism, petzval, distortion: S_I .. S_V.
+        axial_colour, lateral_colour: C_I, C_II.
+    """
+
+    spherical: Tensor
+    coma: Tensor
+    astigmatism: Tensor
+    petzval: Tensor
+    distortion: Tensor
+    axial_colour: Tensor
+    lateral_colour: Tensor
+
+
+def seidel_sums(lens: Lens, view: View) -> SeidelSums:
+    """Seidel sums of the middle wavelength, and the colour between the shortest and the longest.
+
+    With the marginal ray (y, u), the chief ray (yb, ub), A = n (c y + u), B = n (c yb + ub), H = B y - A yb, D the
+    difference over the surface, and c = curvature + 2 alpha_2 of its vertex:
+
+        S_I = -A^2 y D(u / n) + a y^4,   S_II = -A B y D(u / n) + a y^3 yb,   S_III = -B^2 y D(u / n) + a y^2 yb^2
+        S_IV = -H^2 c D(1 / n),   S_V = -B (B^2 y D(1 / n^2) - (H + B y) yb c D(1 / n)) + a y yb^3
+        C_I = A y D(dn / n),   C_II = B y D(dn / n)
+
+    a = D(n) (8 alpha_4 + (1 + k) curvature^3 - c^3) is the r^4 term of the surface less that of the sphere that
+    osculates its vertex, times 8 D(n): with alpha_2 that sphere is not the one of `curvature`.
+
+    Source: Welford, Aberrations of Optical Systems (1986), chapters 8 and 10.
+    """
+    wavelengths = (view.reference, min(view.wavelengths), max(view.wavelengths))
+    n, shortest, longest = lens.refractive_indices(wavelengths).unbind(-1)
+    dispersion = (shortest - longest) / n
+    first_order = paraxial(lens, view.reference)
+    tangent = view.tangents.norm(dim=-1).max()
+    height = torch.stack([first_order.entrance_pupil_radius, -tangent * first_order.entrance_pupil_z])
+    heights, angles = paraxial_ray(lens, n, height, torch.stack([torch.zeros_like(tangent), tangent]) * n[0])
+    (y, yb), (nu, nub) = heights.unbind(-1), angles[:-1].unbind(-1)
+    c = vertex_curvature(lens)
+    a, b = n[:-1] * c * y + nu, n[:-1] * c * yb + nub
+    invariant = b * y - a * yb
+
+    bend = (angles[:, 0] / n**2).diff()
+    petzval, square = (1 / n).diff(), (1 / n**2).diff()
+    fourth = lens.alpha[:, 1] if lens.alpha.shape[1] > 1 else torch.zeros_like(c)
+    aspheric = n.diff() * (8 * fourth + (1 + lens.conic) * lens.curvature**3 - c**3)
+    return SeidelSums(
+        spherical=-(a**2) * y * bend + aspheric * y**4,
+        coma=-a * b * y * bend + aspheric * y**3 * yb,
+        astigmatism=-(b**2) * y * bend + aspheric * y**2 * yb**2,
+        petzval=-(invariant**2) * c * petzval,
+        distortion=-b * (b**2 * y * square - (invariant + b * y) * yb * c * petzval) + aspheric * y * yb**3,
+        axial_colour=a * y * dispersion.diff(),
+        lateral_colour=b * y * dispersion.diff(),
+    )
+
+
+def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
+    """Tangential and sagittal focus of the rays next to each chief ray, at the middle wavelength.
+
+    Coddington's equations along the real chief ray, for the distance h of a neighbour from it and its angle w:
+
+        tangential: h' = h cos(i') / cos(i),   n' w' = n w cos(i) / cos(i') - h c_t K / (cos(i) cos(i'))
+        sagittal:   h' = h,                    n' w' = n w - h c_s K,           K = n' cos(i') - n cos(i)
+
+    and h + w D over the distance D to the next surface. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2))
+    are the curvatures of the surface in and across the meridian, where the chief ray meets it.
+
+    Returns:
+        (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
+        neighbours that leave in parallel, NaN where the chief ray is lost.
+
+    Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
+    """
+    turned = view.in_meridian()
+    record: list = []
+    image = chief_rays(lens, turned, record)
+    index = lens.refractive_indices((view.reference,))[:, 0]
+    n = torch.rsqrt(1 + turned.tangents[:, 1].square())
+    m = turned.tangents[:, 1] * n
+    tangential = sagittal = (torch.ones_like(n), torch.zeros_like(n))
+    z = torch.zeros_like(n)  # of the point before, from the vertex of the surface
+    for i, rays in enumerate(record):
+        distance = (rays.z[:, 0, 0] - z) / n
+        y = rays.y[:, 0, 0]
+        along, across, cosine = _local_curvatures(lens, i, y)
+        before = (n - m * across * y) * cosine
+        m, n = rays.m[:, 0, 0], rays.n[:, 0, 0]
+        behind = (n - m * across * y) * cosine
+        strength = index[i + 1] * behind - index[i] * before
+        h, w = _moved(tangential, distance)
+        w = (index[i] * w * before / behind - h * along * strength / (before * behind)) / index[i + 1]
+        tangential = (h * behind / before, w)
+        h, w = _moved(sagittal, distance)
+        sagittal = (h, (index[i] * w - h * across * cosine * strength) / index[i + 1])
+        z = rays.z[:, 0, 0] - lens.thickness[i]
+
+    def focus(ray: tuple[Tensor, Tensor]) -> Tensor:
+        h, w = _moved(ray, -z / n)
+        return torch.where(image.valid[:, 0, 0], -h / w * n, torch.nan)
+
+    return focus(tangential), focus(sagittal)
+
+
+def _moved(ray: tuple[Tensor, Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
+    h, w = ray
+    return h + w * distance, w
+
+
+def _local_curvatures(lens: Lens, surface: int, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Tangential curvature c_t, s'(r) / r, and 1 / sqrt(1 + s'^2) of a surface at heights y."""
+    shape = lens.curvature[surface], lens.conic[surface], lens.alpha[surface]
+    u = y * y
+    slope, change = torch.func.jvp(lambda u: sag(u, *shape)[1], (u,), (torch.ones_like(u),))  # ds/du, d2s/du2
+    across = 2 * slope
+    cosine = torch.rsqrt(1 + u * across**2)
+    return (across + 4 * u * change) * cosine**3, across, cosine

@@ -1,0 +1,119 @@
+"""Every optical figure of a finished lens as plain numbers: what its file says and its table shows."""
+
+import torch
+
+from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import (
+    centroid,
+    chief_rays,
+    distortion,
+    encircled_energy_radius,
+    rms_spot_radius,
+    trace_fields,
+)
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.runtime.files import FileError
+
+
+def view_of(lens: Lens, content: dict, name: str) -> View:
+    """The view that the `spec` of a lens file describes.
+
+    Raises:
+        FileError: the spec is absent, incomplete, or asks for what the lens' media do not know; `name` begins it.
+    """
+    spec = content.get("spec")
+    if not isinstance(spec, dict):
+        raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel)")
+    try:
+        view = View(
+            torch.tensor(spec["fields_mm"], dtype=torch.float64).reshape(-1, 2),
+            float(spec["efl_mm"]),
+            tuple(map(float, spec["wavelengths_um"])),
+            float(spec["pixel_pitch_um"]),
+            int(spec["kernel"]),
+        )
+        lens.refractive_indices(view.wavelengths)
+    except KeyError as error:
+        raise FileError(f"{name}: its spec has no {error.args[0]}") from error
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise FileError(f"{name}: its spec cannot be used: {error}") from error
+    if not len(view.fields) or not view.wavelengths:
+        raise FileError(f"{name}: its spec has no fields or no wavelengths")
+    return view
+
+
+def figures(lens: Lens, view: View, rays: int) -> dict:
+    """Optical figures of a lens; the unit ends each name, a list has one entry per field.
+
+    Of `rays` pupil points per field and wavelength. Energies are shares of the launched rays: `valid_fraction` of them
+    arrive, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF starts at the valid
+    fraction; `energy_in_window` is of those that no clear aperture stops, as a PSF is. The RMS radii are those of the
+    rays that arrive. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at
+    the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
+    """
+    lens = lens.detached()
+    return _of_the_lens(lens, view) | {"rays": rays} | _by_field(lens, view, rays)
+
+
+def _of_the_lens(lens: Lens, view: View) -> dict:
+    first_order = paraxial(lens, view.reference)
+    f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
+    return {
+        "efl_mm": float(first_order.efl),
+        "bfl_mm": float(first_order.bfl),
+        "image_distance_mm": float(lens.thickness[-1]),
+        "track_mm": float(lens.thickness.sum()),
+        "f_number": f_number,
+        "entrance_pupil_z_mm": float(first_order.entrance_pupil_z),
+        "entrance_pupil_diameter_mm": float(2 * first_order.entrance_pupil_radius),
+        "airy_radius_um": airy_radius(f_number, view.reference),
+        "diffraction_cutoff_per_mm": diffraction_cutoff(f_number, view.reference),
+        "nyquist_per_mm": _nyquist(view),
+        "seidel_um": {name: sum(values) for name, values in seidel_by_surface(lens, view).items()},
+    }
+
+
+def seidel_by_surface(lens: Lens, view: View) -> dict[str, list[float]]:
+    """Contributions of the surfaces to each Seidel sum and to the colour [um]."""
+    return {name: (1e3 * values.detach()).tolist() for name, values in vars(seidel_sums(lens, view)).items()}
+
+
+def _nyquist(view: View) -> float:
+    """Frequency [cycles/mm] of a grating whose lines are one pixel wide."""
+    return 1e3 / (2 * view.pixel_pitch)
+
+
+def _by_field(lens: Lens, view: View, rays: int) -> dict:
+    traced, chief_ray = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_rays(lens, view)
+    middle, chief = centroid(traced), torch.cat([chief_ray.x[:, 0], chief_ray.y[:, 0]], -1)
+    offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
+    inside = traced.valid & (torch.maximum(*offset) < view.kernel * view.pixel_pitch / 2e3)
+    quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)
+    mtf_tangential, mtf_sagittal = geometric_mtf(traced, view.directions, quarter_and_half)
+    focus_tangential, focus_sagittal = field_curvature(lens, view)
+    found = {
+        "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
+        "valid_fraction": traced.valid.double().mean((1, 2)),
+        "energy_in_window": inside.double().sum((1, 2)) / (~traced.stopped).double().sum((1, 2)).clamp(min=1),
+        "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
+        "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
+        "radius_50_um": 1e3 * encircled_energy_radius(traced, middle, 0.5),
+        "radius_80_um": 1e3 * encircled_energy_radius(traced, middle, 0.8),
+        "mtf_tangential_quarter_nyquist": mtf_tangential[:, 0],
+        "mtf_sagittal_quarter_nyquist": mtf_sagittal[:, 0],
+        "mtf_tangential_half_nyquist": mtf_tangential[:, 1],
+        "mtf_sagittal_half_nyquist": mtf_sagittal[:, 1],
+        "distortion_percent": 100 * distortion(view.fields, chief),
+        "focus_tangential_um": 1e3 * focus_tangential,
+        "focus_sagittal_um": 1e3 * focus_sagittal,
+        "relative_illumination": relative_illumination(lens, view),
+    }
+    about_chief = ("rms_chief_ray_um", "distortion_percent")
+    lost = ~chief_ray.valid[:, 0, 0]
+    found |= {name: torch.where(lost, torch.nan, found[name]) for name in about_chief}
+    return {name: values.tolist() for name, values in found.items()}

@@ -1,0 +1,51 @@
+"""Geometric MTF: the contrast that the ray distribution leaves of a grating, without diffraction."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.tracing.rays import Rays
+
+
+def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) -> tuple[Tensor, Tensor]:
+    """Polychromatic geometric MTF, tangential and sagittal.
+
+    MTF(f) = |(1 / N) sum_i exp(-2 pi i f s_i)|  over the N launched rays of all wavelengths, with equal weights
+
+    s is the coordinate of a ray along the field (tangential: the lines of the grating lie across the field) or across
+    it (sagittal). A lost ray adds nothing to the sum and stays in N: the MTF begins at the valid fraction, and no
+    contrast is gained by losing rays. Divided by the valid fraction it is the MTF of the arriving light. It knows no
+    diffraction and no pixel: it says nothing near `diffraction_cutoff` and beyond.
+
+    Args:
+        rays: on the image plane, (F, W, N).
+        directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
+        frequencies: K of them [cycles/mm].
+
+    Returns:
+        (F, K) tangential and (F, K) sagittal MTF, from 0 to 1.
+
+    Source: Smith, Modern Optical Engineering (2008): the transform of the line spread function.
+    """
+    ex, ey = (directions[:, k, None, None, None] for k in (0, 1))
+    x, y = (torch.where(rays.valid, v, 0.0)[..., None] for v in (rays.x, rays.y))
+    scale = 2 * math.pi * torch.as_tensor(frequencies, dtype=rays.x.dtype)
+
+    def modulus(coordinate: Tensor) -> Tensor:
+        phase = scale * coordinate
+        parts = (torch.where(rays.valid[..., None], f(phase), 0.0).mean((1, 2)) for f in (torch.cos, torch.sin))
+        return torch.hypot(*parts)
+
+    return modulus(ex * x + ey * y), modulus(ex * y - ey * x)
+
+
+def diffraction_cutoff(f_number: float, wavelength: float) -> float:
+    """Frequency 1 / (lambda N) [cycles/mm] at which the MTF of any lens of this F-number ends; wavelength in um."""
+    return 1e3 / (wavelength * abs(f_number))
+
+
+def airy_radius(f_number: float, wavelength: float) -> float:
+    """Radius 1.22 lambda N [um] of the first dark ring of a perfect lens; wavelength in um."""
+    return 1.21966989 * wavelength * abs(f_number)

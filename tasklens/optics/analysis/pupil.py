@@ -1,0 +1,65 @@
+"""Which rays to trace: points on the pupil, and the collimated bundles of the fields."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.rays import Rays, launch
+
+
+def sobol_disc(count: int, seed: int) -> Tensor:
+    """(count, 2) points of a scrambled Sobol sequence, uniform over the unit disc."""
+    engine = torch.quasirandom.SobolEngine(2, scramble=True, seed=seed)
+    u, v = engine.draw(count, dtype=torch.float64).unbind(-1)
+    radius, angle = torch.sqrt(u), 2 * math.pi * v
+    return torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], -1)
+
+
+def rim(count: int) -> Tensor:
+    """(count, 2) points evenly around the unit circle."""
+    angle = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
+    return torch.stack([torch.cos(angle), torch.sin(angle)], -1)
+
+
+def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
+    """Points on the half disc x > 0 and their weights, which sum to 1, for an integrand even in x.
+
+    Gauss-Legendre in rho^2 and equal steps in angle (Forbes 1988, J. Opt. Soc. Am. A 5, 1943): exact for
+    polynomials of degree 4 rings - 2 in rho.
+
+    Returns:
+        (rings * arms, 2) points of the unit disc, (rings * arms,) weights.
+    """
+    import numpy
+
+    node, weight = numpy.polynomial.legendre.leggauss(rings)
+    radius = torch.from_numpy(numpy.sqrt((node + 1) / 2))
+    angle = (torch.arange(arms, dtype=torch.float64) + 0.5) * math.pi / arms - math.pi / 2
+    points = torch.stack([radius[:, None] * torch.cos(angle), radius[:, None] * torch.sin(angle)], -1)
+    weights = torch.from_numpy(weight / 2)[:, None].expand(rings, arms) / arms
+    return points.reshape(-1, 2), weights.reshape(-1)
+
+
+def bundles(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
+    """Collimated bundles that fill the paraxial entrance pupil, at the first vertex plane.
+
+    Args:
+        lens: its stop sets the entrance pupil, at the middle wavelength.
+        tangents: (F, 2) direction tangents (l / n, m / n) of the fields.
+        pupil: (N, 2) points of the unit disc.
+        wavelengths: W of them [um].
+
+    Returns:
+        Rays of shape (F, W, N).
+    """
+    first_order = paraxial(lens, wavelengths[len(wavelengths) // 2])
+    tangents, pupil = tangents.to(lens.dtype), pupil.to(lens.dtype)
+    n = torch.rsqrt(1 + tangents.square().sum(-1))
+    tx, ty = tangents[:, 0, None, None], tangents[:, 1, None, None]
+    n = n[:, None, None].expand(len(tangents), len(wavelengths), len(pupil))
+    x = pupil[:, 0] * first_order.entrance_pupil_radius - tx * first_order.entrance_pupil_z
+    y = pupil[:, 1] * first_order.entrance_pupil_radius - ty * first_order.entrance_pupil_z
+    return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)

@@ -1,0 +1,68 @@
+"""The tail of a PSF as numbers: how much of its light lies outside what radius.
+
+Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are shares of
+the launched rays: a lost ray lies outside of every radius.
+"""
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import (
+    chief_points,
+    distances,
+    encircled_energy_radius,
+    rms_spot_radius,
+    trace_fields,
+)
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.view import View
+
+TAIL = 3.0  # core radii; the light outside of them is the tail
+RADII_UM = [round(10 ** (k / 20), 3) for k in range(-20, 61)]  # of the curves: 20 a decade, 0.1 um to 1 mm
+
+
+def encircled_energy(rays: Rays, centre: Tensor, radii: Tensor) -> Tensor:
+    """(F, R) share of the launched rays within each of `radii` [mm] of `centre` (F, 2).
+
+    Args:
+        radii: (R,) for all fields, or (F, R).
+    """
+    ordered = distances(rays, centre).flatten(1).sort(1).values
+    wanted = radii.expand(len(ordered), -1).contiguous()
+    return torch.searchsorted(ordered, wanted, right=True).double() / ordered.shape[1]
+
+
+def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
+    """The tail of each field, and its curve of encircled energy; of `rays` pupil points per field and wavelength.
+
+    Returns:
+        A row per field: `core_radius_um` and `radius_80_um` encircle 50 % and 80 % of the light, `tail_energy` is the
+        share outside 3 core radii (NaN where the core is infinite), `outside_window` that outside the square of the PSF
+        window, `rms_um` the RMS distance of the rays that arrive.
+        And rows (field, radius_um, fraction) of the curve.
+    """
+    traced, centre = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_points(lens, view)
+    core = encircled_energy_radius(traced, centre, 0.5)
+    offset = torch.stack([traced.x, traced.y], -1) - centre[:, None, None]
+    inside = traced.valid & (offset.abs().amax(-1) < view.kernel * view.pixel_pitch / 2e3)
+    tail_energy = 1 - encircled_energy(traced, centre, TAIL * core[:, None])[:, 0]
+    found = {
+        "core_radius_um": 1e3 * core,
+        "radius_80_um": 1e3 * encircled_energy_radius(traced, centre, 0.8),
+        "tail_energy": torch.where(core.isfinite(), tail_energy, torch.nan),
+        "outside_window": 1 - inside.double().mean((1, 2)),
+        "rms_um": 1e3 * rms_spot_radius(traced, centre),
+    }
+    columns = {name: values.tolist() for name, values in found.items()}
+    by_field = [
+        {"field": field} | {name: values[field] for name, values in columns.items()} for field in range(len(core))
+    ]
+    curves = encircled_energy(traced, centre, torch.tensor(RADII_UM, dtype=torch.float64) / 1e3).tolist()
+    curve = [
+        {"field": field, "radius_um": radius, "fraction": fraction}
+        for field, fractions in enumerate(curves)
+        for radius, fraction in zip(RADII_UM, fractions, strict=True)
+    ]
+    return by_field, curve

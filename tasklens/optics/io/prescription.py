@@ -1,0 +1,216 @@
+"""What a lens file says, and lenses as YAML files that a person can read: lossless to the last bit of float64."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import yaml
+
+from tasklens.materials.material import AIR, Material, from_definitions
+from tasklens.optics.lens import Lens
+from tasklens.runtime.files import FileError, number, write_text
+
+FORMAT = 2
+APERTURES = ("entrance_pupil_diameter_mm", "f_number")
+FIELDS = ("angle_deg", "object_height_mm", "paraxial_image_height_mm", "real_image_height_mm")
+
+_KEYS = ("curvature", "conic", "thickness", "medium", "semi_diameter")
+_ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # as far as Zemax's extended asphere goes
+
+
+@dataclass(frozen=True)
+class Prescription:
+    """A lens and how it is meant to be used; what a file leaves out is None.
+
+    Attributes:
+        lens: its stop's semi-diameter follows from `aperture`, where there is one.
+        title: of the file.
+        comments: one per surface.
+        aperture: one of `APERTURES` and its value; None where the stop's semi-diameter itself is given.
+        fields: one of `FIELDS` and the points (x, y).
+        wavelengths_um: in the file's order.
+        primary: index of the reference wavelength.
+        object_distance_mm: from the object to the first surface; the lens' image distance is in focus for it.
+    """
+
+    lens: Lens
+    title: str = ""
+    comments: tuple[str, ...] | None = None
+    aperture: tuple[str, float] | None = None
+    fields: tuple[str, tuple[tuple[float, float], ...]] | None = None
+    wavelengths_um: tuple[float, ...] | None = None
+    primary: int | None = None
+    object_distance_mm: float = math.inf
+
+
+def to_dict(prescription: Prescription) -> dict:
+    """The prescription as plain values: lengths in mm, alpha_2j in mm^(1 - 2j).
+
+    Raises:
+        FileError: two of its materials have the same name.
+    """
+    lens = prescription.lens
+    materials: dict[str, Material] = {AIR.name: AIR}
+    surfaces = []
+    for i, medium in enumerate(lens.media):
+        if materials.setdefault(medium.name, medium) != medium:
+            raise FileError(f"surface {i}: another material is called {medium.name} as well; rename one")
+        alpha = {f"alpha_{2 * j}": a for j, a in enumerate(lens.alpha[i].double().tolist(), 1)}
+        semi = float(lens.semi_diameter[i])
+        surface = {
+            "curvature": float(lens.curvature[i]),
+            "conic": float(lens.conic[i]),
+            **alpha,
+            "thickness": float(lens.thickness[i]),
+            "medium": medium.name,
+            "semi_diameter": semi if math.isfinite(semi) else None,
+        }
+        if prescription.comments is not None and prescription.comments[i]:
+            surface["comment"] = prescription.comments[i]
+        surfaces.append(surface)
+    use: dict = {}
+    if prescription.aperture is not None:
+        use["aperture"] = dict([prescription.aperture])
+    if prescription.fields is not None:
+        kind, points = prescription.fields
+        use["fields"] = {kind: [list(point) for point in points]}
+    if prescription.wavelengths_um is not None:
+        use["wavelengths_um"] = list(prescription.wavelengths_um)
+        use["primary"] = prescription.primary
+    if math.isfinite(prescription.object_distance_mm):
+        use["object_distance_mm"] = prescription.object_distance_mm
+    return {
+        "format": FORMAT,
+        "units": "mm",
+        **({"title": prescription.title} if prescription.title else {}),
+        **use,
+        "materials": {name: material.definition() for name, material in materials.items() if material != AIR},
+        "stop": lens.stop,
+        "surfaces": surfaces,
+    }
+
+
+def from_dict(content: object, name: str = "lens file") -> Prescription:
+    """The prescription in plain values; the last thickness is the image distance.
+
+    Raises:
+        FileError: another format, a missing or unknown key, a value that is none; `name` and the surface begin its
+            message.
+    """
+    if not isinstance(content, Mapping):
+        raise FileError(f"{name}: expected a lens of format {FORMAT}, found {type(content).__name__}")
+    if content.get("format") != FORMAT:
+        raise FileError(f"{name}: format {content.get('format')!r}, expected {FORMAT}")
+    if content.get("units") != "mm":
+        raise FileError(f"{name}: units {content.get('units')!r}, expected 'mm'")
+    materials = from_definitions(_part(content, "materials", Mapping, name), f"{name}: materials")
+    surfaces = _part(content, "surfaces", list, name)
+    if not surfaces:
+        raise FileError(f"{name}: surfaces: expected at least one")
+    stop = _index(_part(content, "stop", int, name), len(surfaces), f"{name}: stop")
+    read = [_surface(surface, f"{name}: surface {i}") for i, surface in enumerate(surfaces)]
+    orders = max((j for surface in read for j in surface if isinstance(j, int)), default=0)
+    media = []
+    for i, surface in enumerate(surfaces):
+        medium = surface["medium"]
+        if medium != AIR.name and (not isinstance(medium, str) or medium not in materials):
+            known = ", ".join([AIR.name, *materials])
+            raise FileError(f"{name}: surface {i}: unknown medium {medium!r}; the file defines {known}")
+        media.append(AIR if medium == AIR.name else materials[medium])
+
+    def tensor(values: list) -> torch.Tensor:
+        return torch.tensor(values, dtype=torch.float64)
+
+    lens = Lens(
+        curvature=tensor([surface["curvature"] for surface in read]),
+        conic=tensor([surface["conic"] for surface in read]),
+        alpha=tensor([[surface.get(j, 0.0) for j in range(1, orders + 1)] for surface in read]),
+        thickness=tensor([surface["thickness"] for surface in read]),
+        semi_diameter=tensor([surface["semi_diameter"] for surface in read]),
+        media=tuple(media),
+        stop=stop,
+    )
+    comments = tuple(str(surface.get("comment", "")) for surface in surfaces)
+    comments = comments if any(comments) else None
+    return Prescription(lens, str(content.get("title", "")), comments, **_use(content, name))
+
+
+def _part(content: Mapping, key: str, kind: type, where: str):
+    if key not in content:
+        raise FileError(f"{where}: has no {key}")
+    if not isinstance(content[key], kind) or isinstance(content[key], bool):
+        expected = {list: "a list", Mapping: "keys and values", int: "an integer"}[kind]
+        raise FileError(f"{where}: {key}: expected {expected}, found {content[key]!r}")
+    return content[key]
+
+
+def _index(value: int, count: int, where: str) -> int:
+    if not 0 <= value < count:
+        raise FileError(f"{where}: expected 0 .. {count - 1}, found {value}")
+    return value
+
+
+def _surface(surface: object, where: str) -> dict:
+    """The numbers of a surface by key, those of alpha_2j by j."""
+    if not isinstance(surface, Mapping):
+        raise FileError(f"{where}: expected keys and values, found {surface!r}")
+    for key in _KEYS:
+        if key not in surface:
+            raise FileError(f"{where} has no {key}")
+    numbers = {}
+    for key, value in surface.items():
+        if key == "semi_diameter" and value is None:
+            numbers[key] = math.inf
+        elif key in _ORDERS or (key in _KEYS and key != "medium"):
+            numbers[_ORDERS.get(key, key)] = number(value, f"{where}: {key}")
+        elif key not in ("medium", "comment"):
+            raise FileError(f"{where} has an unknown key {key!r}")
+    if numbers["semi_diameter"] < 0:
+        raise FileError(f"{where}: semi_diameter: expected null or at least 0, found {surface['semi_diameter']!r}")
+    return numbers
+
+
+def _use(content: Mapping, name: str) -> dict:
+    """Aperture, fields, wavelengths and object distance, as far as the file has them."""
+    found: dict = {}
+    for key, kinds in (("aperture", APERTURES), ("fields", FIELDS)):
+        if key in content:
+            entry = _part(content, key, Mapping, name)
+            if len(entry) != 1 or next(iter(entry)) not in kinds:
+                raise FileError(f"{name}: {key}: expected one of {', '.join(kinds)}, found {entry!r}")
+            found[key] = next(iter(entry.items()))
+    if "aperture" in found:
+        kind, value = found["aperture"]
+        found["aperture"] = kind, number(value, f"{name}: aperture")
+    if "fields" in found:
+        kind, points = found["fields"]
+        if not isinstance(points, list) or not all(isinstance(point, list) and len(point) == 2 for point in points):
+            raise FileError(f"{name}: fields: expected a list of [x, y], found {points!r}")
+        found["fields"] = kind, tuple(tuple(number(v, f"{name}: fields") for v in point) for point in points)
+    if "wavelengths_um" in content:
+        wavelengths = _part(content, "wavelengths_um", list, name)
+        found["wavelengths_um"] = tuple(number(value, f"{name}: wavelengths_um") for value in wavelengths)
+        found["primary"] = _index(_part(content, "primary", int, name), len(wavelengths), f"{name}: primary")
+    if "object_distance_mm" in content:
+        distance = number(content["object_distance_mm"], f"{name}: object_distance_mm")
+        if not distance > 0:
+            raise FileError(f"{name}: object_distance_mm: expected a positive number, found {distance}")
+        found["object_distance_mm"] = distance
+    return found
+
+
+def write(path: Path, prescription: Prescription, notes: Mapping) -> None:
+    """Write a lens file; `notes` (spec, what made it, figures) follow the prescription."""
+    write_text(path, yaml.safe_dump(to_dict(prescription) | dict(notes), sort_keys=False, allow_unicode=True))
+
+
+def read(path: Path) -> tuple[Prescription, dict]:
+    """The prescription in a file, and everything that the file says; raises FileError as `from_dict` does."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise FileError(f"{path}: not valid YAML: {error}") from None
+    return from_dict(content, str(path)), content

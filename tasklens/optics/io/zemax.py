@@ -1,0 +1,233 @@
+"""Zemax lens files (.zmx): what of them a rotationally symmetric sequential lens of even aspheres needs.
+
+Read are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model glasses,
+object distance, aperture, fields, wavelengths, title and comments. What would change the lens and is not read is an
+error; what only serves Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit
+functions) is passed over.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from tasklens.materials.catalogues import collect
+from tasklens.materials.zemax_text import Line, decimal, read_lines
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.io.prescription import FIELDS, Prescription
+from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
+from tasklens.optics.lens import Lens
+from tasklens.runtime.files import FileError, replacing
+
+_UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
+_INFINITY = 1e10  # Zemax's own limit for an object at infinity
+_APERTURES = {"ENPD": "entrance_pupil_diameter_mm", "FNUM": "f_number"}
+_WAVELENGTHS = 24  # as many as Zemax can have
+
+
+def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
+    """Radius of the stop [mm] whose paraxial image in front of the lens has the diameter D that `aperture` states.
+
+    D / (2 r) with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is EFL / D.
+    """
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[lens.stop] = 1.0
+    found = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
+    kind, value = aperture
+    diameter = abs(float(found.efl)) / value if kind == "f_number" else value
+    return diameter / (2 * float(found.entrance_pupil_radius))
+
+
+def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
+    """The prescription in a Zemax lens file.
+
+    Glasses are looked up in `catalogues` (.agf or our YAML), those that the file names in GCAT first and in its order,
+    then among the built-in plastics.
+
+    A surface clips rays where the file makes Zemax clip them: by a circular or floating aperture, or a semi-diameter
+    that is fixed or picked up; automatic semi-diameters only follow the rays. The radius of the stop follows from the
+    aperture (`stop_radius`, at the primary wavelength), or is its semi-diameter where that is the aperture.
+
+    Raises:
+        FileError: naming the file, the line and what is wrong or not supported.
+    """
+    system, blocks = _split(read_lines(path), path)
+    if "MODE" in system and system["MODE"].words[:1] != ["SEQ"]:
+        raise system["MODE"].error(f"expected a sequential file (SEQ), found {system['MODE'].text!r}")
+    if "MNUM" in system and system["MNUM"].integer(0) > 1:
+        raise system["MNUM"].error(f"{system['MNUM'].integer(0)} configurations; save the file with one")
+    unit = _UNITS.get((system["UNIT"].words or [""])[0]) if "UNIT" in system else 1.0
+    if unit is None:
+        raise system["UNIT"].error(f"expected one of {', '.join(_UNITS)}, found {system['UNIT'].text!r}")
+    _check_ends(blocks)
+    inner = blocks[1:-1]
+    stops = [i for i, block in enumerate(inner) if "STOP" in block.lines]
+    if len(stops) != 1:
+        raise FileError(f"{path}: expected STOP on one surface between object and image, found it on {len(stops)}")
+    named = system["GCAT"].text.upper().split() if "GCAT" in system else []
+    ranked = sorted(catalogues, key=lambda file: [*named, file.stem.upper()].index(file.stem.upper()))
+    searched = ", ".join([*(file.name for file in ranked), "the built-in plastics"])
+    lens = to_lens(inner, stops[0], unit, collect(ranked), searched)
+
+    wavelengths, primary = _wavelengths(system, path)
+    aperture = _aperture(system, unit, path)
+    if aperture is None:
+        radius = unit * inner[lens.stop].line("DIAM").number(0)
+    else:
+        try:
+            radius = stop_radius(lens, aperture, wavelengths[primary])
+        except ValueError as error:  # a wavelength at which a glass has no index
+            raise FileError(f"{path}: {error}") from None
+    if not 0 < radius < math.inf:
+        raise FileError(f"{path}: the aperture makes the radius of the stop {radius} mm")
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[lens.stop] = radius
+    comments = tuple(block.lines["COMM"].text if "COMM" in block.lines else "" for block in inner)
+    return Prescription(
+        lens=replace(lens, semi_diameter=semi_diameter),
+        title=system["NAME"].text if "NAME" in system else "",
+        comments=comments if any(comments) else None,
+        aperture=aperture,
+        fields=_fields(system, unit, path),
+        wavelengths_um=wavelengths,
+        primary=primary,
+        object_distance_mm=_object_distance(blocks[0], unit),
+    )
+
+
+def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]:
+    """Lines of the system by keyword (wavelengths as WAVM 1, WAVM 2 ..), and the surfaces: their lines are indented."""
+    system: dict[str, Line] = {}
+    blocks: list[Block] = []
+    for line in lines:
+        if line.keyword == "SURF":
+            if line.integer(0) != len(blocks):
+                raise line.error(f"expected surface {len(blocks)}, found {line.text!r}")
+            blocks.append(Block(line, {}, {}))
+        elif line.indented and blocks:
+            if line.keyword in ("PARM", "XDAT"):
+                blocks[-1].numbered[line.keyword, line.integer(0)] = line
+            else:
+                blocks[-1].lines[line.keyword] = line
+        else:
+            system.setdefault(f"WAVM {line.integer(0)}" if line.keyword == "WAVM" else line.keyword, line)
+    if len(blocks) < 3:
+        raise FileError(f"{path}: expected SURF of an object, a surface and an image at least, found {len(blocks)}")
+    return system, blocks
+
+
+def _check_ends(blocks: list[Block]) -> None:
+    """The object is in air, the image a plane."""
+    first, last = blocks[0], blocks[-1]
+    if "GLAS" in first.lines:
+        raise first.lines["GLAS"].error("the object is not in air")
+    if last.number("CURV", 0.0) or any(line.number(1) for line in last.numbered.values()):
+        raise last.head.error("the image surface is curved; only a plane is read")
+
+
+def _object_distance(block: Block, unit: float) -> float:
+    """From the object to the first surface [mm]."""
+    line = block.line("DISZ")
+    distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
+    if not distance > 0:
+        raise line.error(f"expected INFINITY or a positive distance of the object, found {line.text!r}")
+    return unit * distance if distance < _INFINITY else math.inf
+
+
+def _aperture(system: dict[str, Line], unit: float, path: Path) -> tuple[str, float] | None:
+    """The system aperture; None where it floats by the size of the stop."""
+    if "FLOA" in system:
+        return None
+    for keyword, kind in _APERTURES.items():
+        if keyword in system:
+            value = system[keyword].number(0) * (unit if keyword == "ENPD" else 1.0)
+            if not value > 0:
+                raise system[keyword].error(f"expected a positive number, found {system[keyword].text!r}")
+            return kind, value
+    raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
+
+
+def _fields(system: dict[str, Line], unit: float, path: Path) -> tuple[str, tuple[tuple[float, float], ...]]:
+    for keyword in ("FTYP", "XFLN", "YFLN"):
+        if keyword not in system:
+            raise FileError(f"{path}: no fields: {keyword} is missing")
+    line = system["FTYP"]  # type, telecentric, number of fields, number of wavelengths
+    kind, count = line.integer(0), line.integer(2)
+    if not 0 <= kind < len(FIELDS) or count < 1:
+        raise line.error(f"expected a type 0 .. {len(FIELDS) - 1} and at least one field, found {line.text!r}")
+    scale = 1.0 if FIELDS[kind] == "angle_deg" else unit
+    points = ((scale * system["XFLN"].number(i), scale * system["YFLN"].number(i)) for i in range(count))
+    return FIELDS[kind], tuple(points)
+
+
+def _wavelengths(system: dict[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
+    """Wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
+    count = system["FTYP"].integer(3) if "FTYP" in system else 0
+    listed = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
+    if count > 0 and all(f"WAVM {i}" in system for i in range(1, count + 1)):
+        found = tuple(system[f"WAVM {i}"].number(1) for i in range(1, count + 1))
+    elif count > 0 and listed is not None:
+        found = tuple(listed.number(i) for i in range(count))
+    else:
+        raise FileError(f"{path}: expected {max(count, 1)} wavelengths, as FTYP says, in WAVM, WAVL or WAVN")
+    primary = system["PWAV"].integer(0) if "PWAV" in system else 1
+    if not 1 <= primary <= count:
+        raise system["PWAV"].error(f"expected one of the {count} wavelengths, found {primary}")
+    return found, primary - 1
+
+
+def write(path: Path, prescription: Prescription) -> None:
+    """Write a Zemax lens file; `read` gives every number back to the last bit.
+
+    A glass is written by its name, which OpticStudio looks up in its own catalogues.
+
+    Raises:
+        FileError: no fields or wavelengths, more than Zemax can have, an aperture that does not fit the stop, or a text
+            or name that the file cannot hold.
+    """
+    text = "\r\n".join(_lines(prescription, str(path))) + "\r\n"
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode("ascii" if text.isascii() else "utf-16"))
+
+
+def _lines(prescription: Prescription, name: str) -> list[str]:
+    lens, wavelengths = prescription.lens, prescription.wavelengths_um
+    comments = prescription.comments or ("",) * len(lens.media)
+    if not prescription.fields or not wavelengths or len(wavelengths) > _WAVELENGTHS:
+        raise FileError(f"{name}: a Zemax file needs fields, and 1 to {_WAVELENGTHS} wavelengths")
+    for text in (prescription.title, *comments):
+        if len(text.splitlines()) > 1 or text != text.strip():
+            raise FileError(f"{name}: a title or comment is one line without spaces around it, found {text!r}")
+    radii = lens.semi_diameter.tolist()
+    aperture = "FLOA"
+    if prescription.aperture is not None:
+        kind, value = prescription.aperture
+        expected = stop_radius(lens, prescription.aperture, wavelengths[prescription.primary])
+        if not math.isclose(radii[lens.stop], expected, rel_tol=1e-9):
+            raise FileError(f"{name}: {kind} {value} asks for a stop of {expected} mm, the lens has {radii[lens.stop]}")
+        aperture = {v: k for k, v in _APERTURES.items()}[kind] + f" {decimal(value)}"
+        radii[lens.stop] = math.inf  # Zemax finds it, as `read` does
+    elif not math.isfinite(radii[lens.stop]):
+        raise FileError(f"{name}: the lens has neither an aperture nor a radius of its stop")
+    kind, points = prescription.fields
+    catalogues = dict.fromkeys(Path(m.source).stem for m in lens.media if m.source.lower().endswith(".agf"))
+    zeros = " 0" * len(points)
+    lines = [
+        "VERS 190513 80 123457 L123457",
+        "MODE SEQ",
+        f"NAME {prescription.title}".strip(),
+        "UNIT MM X W X CM MR CPMM",
+    ]
+    lines += [aperture, "ENVD 20 1 0", *([f"GCAT {' '.join(catalogues)}"] if catalogues else [])]
+    lines += [f"FTYP {FIELDS.index(kind)} 0 {len(points)} {len(wavelengths)} 0 0 0 {len(points)}"]
+    lines += [f"{axis} {' '.join(decimal(point[i]) for point in points)}" for i, axis in enumerate(("XFLN", "YFLN"))]
+    lines += [f"FWGN{' 1' * len(points)}", *(f"{key}{zeros}" for key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"))]
+    lines += [f"WAVM {i} {decimal(wavelength)} 1" for i, wavelength in enumerate(wavelengths, 1)]
+    lines += [f"PWAV {prescription.primary + 1}"]
+    distance = prescription.object_distance_mm
+    distance = decimal(distance) if math.isfinite(distance) else "INFINITY"
+    lines += ["SURF 0", "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', f"  DISZ {distance}", '  DIAM 0 0 0 0 1 ""']
+    for i, comment in enumerate(comments):
+        lines += [f"SURF {i + 1}", *to_lines(lens, i, comment, radii[i])]
+    image = f"SURF {len(lens.media) + 1}"
+    return [*lines, image, "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', "  DISZ 0", '  DIAM 0 0 0 0 1 ""', "MNUM 1 1"]

@@ -1,0 +1,172 @@
+"""The surfaces of Zemax lens files: from their lines to a lens, and back."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+
+from tasklens.materials.material import AIR, Material, model_glass
+from tasklens.materials.zemax_text import Line, decimal
+from tasklens.optics.lens import Lens
+from tasklens.runtime.files import FileError
+
+_BLANK = "___BLANK"  # stands where a model glass has no name
+_TERMS = 8  # of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
+_MOST_TERMS = 240  # of an extended asphere
+_RHO = (1e-3, 1e3)  # its normalisation radius: beyond, powers of it leave the floating-point range
+_NOT_ROUND = ("SQAP", "SQOB", "ELAP", "ELOB", "UDAD", "UDAO", "OBSC", "SPID")  # apertures and obscurations
+
+
+@dataclass(frozen=True)
+class Block:
+    """The lines of one surface: the last of each keyword, and the numbered ones (PARM, XDAT) by their number."""
+
+    head: Line
+    lines: dict[str, Line]
+    numbered: dict[tuple[str, int], Line]
+
+    def line(self, keyword: str) -> Line:
+        """The line of `keyword`; raises FileError where there is none."""
+        if keyword not in self.lines:
+            raise self.head.error(f"surface {self.head.text} has no {keyword}")
+        return self.lines[keyword]
+
+    def number(self, keyword: str, default: float) -> float:
+        """First number behind `keyword`, or `default`."""
+        return self.lines[keyword].number(0) if keyword in self.lines else default
+
+
+def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, Material], searched: str) -> Lens:
+    """The lens between object and image.
+
+    Args:
+        blocks: its surfaces.
+        stop: index of the stop among them.
+        unit: the file's unit of length [mm].
+        glasses: materials by name; `searched` says in a message where they are from.
+    """
+    aspheres = [_asphere(block, unit) for block in blocks]
+    orders = max(len(coefficients) for coefficients in aspheres)
+    media: list[Material] = []
+    for block in blocks:
+        media.append(_medium(block, media, glasses, searched))
+
+    def column(values) -> torch.Tensor:
+        return torch.tensor(list(values), dtype=torch.float64)
+
+    return Lens(
+        curvature=column(block.line("CURV").number(0) / unit for block in blocks),
+        conic=column(block.number("CONI", 0.0) for block in blocks),
+        alpha=column([*a, *[0.0] * (orders - len(a))] for a in aspheres).reshape(len(blocks), orders),
+        thickness=column(unit * block.line("DISZ").number(0) for block in blocks),
+        semi_diameter=column(unit * _clear_radius(block) for block in blocks),
+        media=tuple(media),
+        stop=stop,
+    )
+
+
+def _asphere(block: Block, unit: float) -> list[float]:
+    """Coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)]."""
+    kind = block.lines["TYPE"].text if "TYPE" in block.lines else "STANDARD"
+    given = {key: line.number(1) for key, line in block.numbered.items()}
+    if kind == "STANDARD":
+        found = []
+    elif kind == "EVENASPH":
+        found = [given.get(("PARM", j), 0.0) for j in range(1, _TERMS + 1)]
+    elif kind == "XASPHERE":
+        # XDAT 1: number of terms; XDAT 2: the radius rho in sum_j a_j (r / rho)^2j; XDAT 3 and on: a_j
+        terms, rho = int(given.get(("XDAT", 1), 0)), given.get(("XDAT", 2), 0.0)
+        if terms and not (terms <= _MOST_TERMS and _RHO[0] < rho < _RHO[1]):
+            raise block.lines["TYPE"].error(f"{terms} terms (XDAT 1) over a normalisation radius of {rho} (XDAT 2)")
+        found = [given.get(("XDAT", 2 + j), 0.0) / rho ** (2 * j) for j in range(1, terms + 1)]
+    else:
+        raise block.lines["TYPE"].error(f"{kind} is not read; STANDARD, EVENASPH and XASPHERE are")
+    while found and not found[-1]:
+        found.pop()
+    return [value / unit ** (2 * j - 1) for j, value in enumerate(found, 1)]
+
+
+def _clear_radius(block: Block) -> float:
+    """Radius beyond which Zemax stops rays, in the file's unit; infinite where it does not."""
+    for keyword in _NOT_ROUND:
+        if keyword in block.lines:
+            raise block.lines[keyword].error("only round clear apertures (CLAP, FLAP) are read")
+    for keyword in ("CLAP", "FLAP"):
+        if keyword in block.lines:
+            line = block.lines[keyword]
+            if line.number(0):
+                raise line.error("the aperture has a hole; only full circles are read")
+            return line.number(1)
+    line = block.lines.get("DIAM")
+    fixed = line is not None and len(line.words) > 1 and line.integer(1) in (1, 2)  # by hand, or picked up
+    return line.number(0) if fixed else math.inf
+
+
+def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material], searched: str) -> Material:
+    """What is behind a surface.
+
+    GLAS: a name, how it is solved for (0 not, 1 model, 2 picked up from the next number's surface, 3 to be substituted,
+    4 with an offset), nd, Vd, dPgF. The name of a model glass is only a label: it may also be a catalogue's.
+    """
+    if "GLAS" not in block.lines:
+        return AIR
+    line = block.lines["GLAS"]
+    name, solve = (line.words or [""])[0], line.integer(1) if len(line.words) > 1 else 0
+    if name == "MIRROR":
+        raise line.error("mirrors are not read")
+    if not 0 <= solve <= 3:
+        raise line.error("a glass with an index offset is not read")
+    if solve == 2:
+        source = line.integer(2)
+        if not 1 <= source <= len(before):
+            raise line.error(f"picked up from surface {source}, which is not in front of it")
+        return before[source - 1]
+    if solve == 1 or name == _BLANK:
+        nd, vd, dpgf = line.number(3), line.number(4), line.number(5) if len(line.words) > 5 else 0.0
+        if nd < 1 or vd < 0:
+            raise line.error(f"no model glass has nd = {nd} and Vd = {vd}")
+        return model_glass(nd, vd, dpgf, "" if name == _BLANK else name)
+    if name not in glasses:
+        raise line.error(f"unknown glass {name!r}; searched in {searched}. Give its catalogue, or define it in YAML")
+    return glasses[name]
+
+
+def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
+    """The lines of surface `index` of a lens [mm]; `radius` is infinite where nothing clips.
+
+    Raises:
+        FileError: a name that no glass can have in Zemax.
+    """
+    alpha = lens.alpha[index].tolist()
+    while alpha and not alpha[-1]:
+        alpha.pop()
+    lines = [f"  COMM {comment}"] if comment else []
+    if index == lens.stop:
+        lines.append("  STOP")
+    kind = "STANDARD" if not alpha else "EVENASPH" if len(alpha) <= _TERMS else "XASPHERE"
+    lines += [f"  TYPE {kind}", f'  CURV {decimal(float(lens.curvature[index]))} 0 0 0 0 ""']
+    if kind == "EVENASPH":
+        filled = [*alpha, *[0.0] * (_TERMS - len(alpha))]
+        lines += [f"  PARM {j} {decimal(value)}" for j, value in enumerate(filled, 1)]
+    elif kind == "XASPHERE":
+        lines += [f'  XDAT {k} {decimal(v)} 0 0 1 0 0 ""' for k, v in enumerate((float(len(alpha)), 1.0, *alpha), 1)]
+    lines.append(f"  DISZ {decimal(float(lens.thickness[index]))}")
+    if lens.media[index] != AIR:
+        lines.append(f"  GLAS {_glass(lens.media[index], index)}")
+    lines.append(f"  CONI {decimal(float(lens.conic[index]))}")
+    if math.isfinite(radius):
+        lines += [f'  DIAM {decimal(radius)} 1 0 0 1 ""', f"  FLAP 0 {decimal(radius)} 0"]
+    else:
+        lines.append('  DIAM 0 0 0 0 1 ""')
+    return lines
+
+
+def _glass(material: Material, index: int) -> str:
+    if material.formula == "model":
+        numbers = " ".join(decimal(value) for value in material.coefficients)
+        label = material.name.split()[0] if " " in material.name else _BLANK
+        return f"{label} 1 0 {numbers} 0 0 0 0 0"
+    if " " in material.name or material.name in ("MIRROR", _BLANK):
+        raise FileError(f"surface {index}: Zemax cannot have a glass called {material.name!r}; rename it")
+    return f"{material.name} 0 0 1.5 40 0 0 0 0 0 0"  # the numbers are not used: the catalogue has them

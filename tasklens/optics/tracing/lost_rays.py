@@ -1,0 +1,43 @@
+"""Rays that are lost on the way: which, where and why."""
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.tracing.rays import Fate
+from tasklens.optics.tracing.refraction import Bundle
+
+
+class Losses:
+    """Which rays were lost, where and why; lost rays run on along the axis, where nothing happens to them."""
+
+    def __init__(self, fate: Tensor, lost_at: Tensor):
+        self.fate, self.lost_at = fate, lost_at
+        self.alive: Tensor | None = None  # None while nothing is lost: the common case pays for nothing
+        self.last: tuple[Tensor, ...]  # x, y, z and path where a ray was lost
+
+    def add(self, lost: Tensor, fate: Fate, surface: int, rays: Bundle, path: Tensor) -> Bundle:
+        """Note that rays are lost where they are now, and park them."""
+        self.fate = torch.where(lost, torch.tensor(fate, dtype=torch.int8), self.fate)
+        self.lost_at = torch.where(lost, torch.tensor(surface, dtype=torch.int8), self.lost_at)
+        return self.park(lost, rays, path)
+
+    def park(self, lost: Tensor, rays: Bundle, path: Tensor) -> Bundle:
+        """Put rays on the axis."""
+        now = (*rays[:3], path)
+        if self.alive is None:
+            self.alive, self.last = ~lost, now
+        else:
+            self.alive = self.alive & ~lost
+            self.last = tuple(torch.where(lost, v, old) for v, old in zip(now, self.last, strict=True))
+        axis = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        return Bundle(*(torch.where(lost, on_axis, v) for on_axis, v in zip(axis, rays, strict=True)))
+
+    def where_lost(self, *now: Tensor) -> tuple[Tensor, ...]:
+        """(x, y, z, path), for lost rays those of their last point."""
+        if self.alive is None:
+            return now
+        return tuple(torch.where(self.alive, v, old) for v, old in zip(now, self.last, strict=True))
+
+    def masked(self, values: Tensor) -> Tensor:
+        """The values, zero for a lost ray."""
+        return values if self.alive is None else torch.where(self.alive, values, 0.0)

@@ -1,0 +1,264 @@
+"""Sequential ray tracing in which every ray has a fate and every number a gradient."""
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import torch
+import torch.autograd.forward_ad as fwAD
+from torch import Tensor
+
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.intersection import GRAZING, Surface, distance, surfaces
+from tasklens.optics.tracing.lost_rays import Losses
+from tasklens.optics.tracing.rays import Fate, Rays
+from tasklens.optics.tracing.refraction import Bundle, Crossing, cross, pull, push
+
+_TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
+
+
+class _Notes:
+    """What a `_Sequence` is told beside tensors, and what it keeps for its derivatives."""
+
+    def __init__(self, semi_diameters: list[float], record: list[Rays] | None, keep: bool, to_index: bool):
+        self.semi_diameters = semi_diameters
+        self.record = record
+        self.to_index = to_index
+        self.crossings: list[Crossing | None] | None = [] if keep else None  # None: a plane that bends nothing
+        self.losses: Losses
+        self.surfaces: list[Surface]
+        self.last: tuple[Tensor, ...]  # l, m, n and t from the last surface to the image plane
+
+
+class _Sequence(torch.autograd.Function):
+    """Rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): the loop over `cross`, `push` and `pull`."""
+
+    @staticmethod
+    def forward(notes: _Notes, fate, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
+        notes.losses = losses = Losses(fate, lost_at)
+        notes.surfaces = surfaces(curvature, conic, alpha)
+        rays = Bundle(x, y, z, l, m, n)
+        if bool(fate.any()):
+            rays = losses.park(fate != Fate.HIT, rays, path)
+        if float(rays.n.min()) <= GRAZING:  # along the first surface or away from it
+            rays = losses.add(rays.n <= GRAZING, Fate.MISSED, 0, rays, path)
+        index, space = indices.unbind(), thickness.unbind()
+        for i, (surface, semi_diameter) in enumerate(zip(notes.surfaces, notes.semi_diameters, strict=True)):
+            media = (index[i], index[i + 1])
+            crossing = None
+            if surface.plane and not notes.to_index and torch.equal(*media):
+                rays = _through(rays, path, i, semi_diameter, media[0], losses)
+            else:
+                rays, path, crossing = _onward(rays, path, i, surface, semi_diameter, media, losses)
+            if notes.crossings is not None:
+                notes.crossings.append(crossing)
+            if notes.record is not None:
+                at, so_far = (rays, path) if crossing is not None else _on_plane(rays, path, media[0])
+                x, y, z, so_far = losses.where_lost(*at[:3], so_far)
+                notes.record.append(Rays(x, y, z, *rays[3:], so_far, losses.fate, losses.lost_at))
+            del crossing  # or its memory would not serve the next one
+            rays = rays._replace(z=rays.z - space[i])
+        x, y, z, l, m, n = rays
+        t = -z / n
+        x, y, path = torch.addcmul(x, t, l), torch.addcmul(y, t, m), torch.addcmul(path, index[-1], t)
+        x, y, _, path = losses.where_lost(x, y, z, path)
+        notes.last = (l.detach(), m.detach(), n.detach(), t)
+        return x, y, l, m, n, path, losses.fate, losses.lost_at
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.notes, ctx.orders = inputs[0], inputs[13].shape[1]
+        ctx.save_for_backward(inputs[10])
+        ctx.save_for_forward(inputs[10])
+        ctx.mark_non_differentiable(*output[6:])
+        ctx.set_materialize_grads(False)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, *gradients):
+        notes, (indices,) = ctx.notes, ctx.saved_tensors
+        zero, index = indices.new_zeros(()), indices.unbind()
+        b_x, b_y, b_l, b_m, b_n, b_path = (zero if g is None else notes.losses.masked(g) for g in gradients[:6])
+        wanted = notes.to_index
+        l, m, n, t = notes.last
+        tau = torch.addcmul(torch.addcmul(b_path * index[-1], b_x, l), b_y, m) / n
+        b_l, b_m, b_n = torch.addcmul(b_l, t, b_x), torch.addcmul(b_m, t, b_y), torch.addcmul(b_n, t, tau, value=-1)
+        rays = Bundle(b_x, b_y, -tau, b_l, b_m, b_n)
+        b_index = [_over_rays(t * b_path, index[-1])] if wanted else []
+        b_shapes, b_spaces = [], []
+        for i in reversed(range(len(notes.surfaces))):
+            crossing = notes.crossings[i]
+            b_spaces.append(-rays.z.sum())
+            if crossing is None:
+                b_shapes.append(None)
+                continue
+            rays, b_shape, b_mu = pull(rays, b_path * index[i], crossing, notes.surfaces[i], wanted)
+            b_shapes.append(b_shape)
+            if wanted:
+                b_ratio = b_mu / index[i + 1]
+                b_index[-1] = b_index[-1] - _over_rays(b_ratio * crossing.mu, index[i])
+                b_index.append(_over_rays(b_ratio + crossing.t * b_path, index[i]))
+        none = (zero, zero, indices.new_zeros(ctx.orders))
+        b_curvature, b_conic, b_alpha = (torch.stack(v[::-1]) for v in zip(*(b or none for b in b_shapes), strict=True))
+        b_path = None if gradients[5] is None else b_path
+        b_indices = torch.stack(b_index[::-1]) if wanted else None
+        return None, None, None, *rays, b_path, b_indices, b_curvature, b_conic, b_alpha, torch.stack(b_spaces[::-1])
+
+    @staticmethod
+    def jvp(ctx, _notes, _fate, _lost_at, *changes):
+        (indices,) = ctx.saved_tensors
+        *rays, path, d_indices, curvature, conic, alpha, thickness = changes
+        return *_pushed(ctx.notes, indices, rays, path, d_indices, curvature, conic, alpha, thickness), None, None
+
+
+def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, conic, alpha, thickness, record=None):
+    """Small changes of rays (..., F, W, N) and surfaces (..., S) carried to the image plane; None stands for zero.
+
+    Those of x and y behind every surface are appended to `record`.
+    """
+    zero, index = indices.new_zeros(()), indices.unbind()
+    rays, d_path = Bundle(*(zero if v is None else v for v in rays)), zero if d_path is None else d_path
+
+    def at(change: Tensor | None, i: int) -> Tensor:
+        return zero if change is None else change[..., i, None, None, None]
+
+    for i, (crossing, surface) in enumerate(zip(notes.crossings, notes.surfaces, strict=True)):
+        if crossing is not None:
+            before, behind = (zero, zero) if d_indices is None else (d_indices[i], d_indices[i + 1])
+            coefficients = torch.zeros_like(surface.orders) if alpha is None else alpha[..., i, :]
+            shape = (at(curvature, i), at(conic, i), coefficients)
+            rays, dt = push(rays, (before - crossing.mu * behind) / index[i + 1], shape, crossing, surface)
+            d_path = d_path + before * crossing.t + index[i] * dt
+        if record is not None:
+            record.append((rays.x, rays.y))
+        rays = rays._replace(z=rays.z - at(thickness, i))
+    dx, dy, dz, dl, dm, dn = rays
+    l, m, n, t = notes.last
+    dt = -(dz + t * dn) / n
+    d_path = d_path + (zero if d_indices is None else d_indices[-1]) * t + index[-1] * dt
+    ends = (dx + t * dl + dt * l, dy + t * dm + dt * m, dl, dm, dn, d_path)
+    return tuple(notes.losses.masked(v) for v in ends)
+
+
+def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
+    """The gradient at an index (W, 1) from that at each ray."""
+    return gradient.sum_to_size(1, *index.shape)[0]
+
+
+def _onward(
+    rays: Bundle, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: Losses
+) -> tuple[Bundle, Tensor, Crossing]:
+    """Rays before surface i, z from its vertex, to behind it, and their optical path; the lost are noted and parked."""
+    x, y, z, l, m, n = rays
+    t = z / n  # back to the vertex plane
+    x, y = torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1)
+    beyond, u, h, met = distance(x, y, l, m, n, surface)
+    if met is not None:
+        *_, l, m, n = losses.add(~met, Fate.MISSED, i, rays, path)
+        x, y = torch.where(met, x, 0.0), torch.where(met, y, 0.0)
+    t, x, y, z = beyond - t, torch.addcmul(x, beyond, l), torch.addcmul(y, beyond, m), beyond * n
+    path = torch.addcmul(path, media[0], t)
+    behind, squared, crossing = cross(x, y, z, l, m, n, t, u, h, media[0] / media[1], surface)
+    limit = _limit(semi_diameter)
+    if limit < math.inf and float(u.max()) > limit:
+        behind = losses.add(u > limit, Fate.OUTSIDE, i, behind, path)
+    if not (float(squared.min()) > GRAZING**2 and float(behind.n.min()) > GRAZING):
+        lost = (squared <= GRAZING**2) | (behind.n <= GRAZING)
+        behind = losses.add(lost, Fate.REFLECTED, i, behind, path)
+    return behind, path, crossing
+
+
+def _through(rays: Bundle, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: Losses) -> Bundle:
+    """Rays at a plane in one medium, such as a stop in air: as before it, but for those that its aperture stops."""
+    limit = _limit(semi_diameter)
+    if limit < math.inf:
+        at, so_far = _on_plane(rays, path, index)
+        u = torch.addcmul(at.x * at.x, at.y, at.y)
+        if float(u.max()) > limit:
+            stopped = u > limit
+            return Bundle(*map(partial(torch.where, stopped), losses.add(stopped, Fate.OUTSIDE, i, at, so_far), rays))
+    return rays
+
+
+def _on_plane(rays: Bundle, path: Tensor, index: Tensor) -> tuple[Bundle, Tensor]:
+    """Rays and their paths where they cross the plane z = 0."""
+    x, y, z, l, m, n = rays
+    t = z / n
+    at = Bundle(torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1), torch.zeros_like(n), l, m, n)
+    return at, torch.addcmul(path, index, t, value=-1)
+
+
+def _limit(semi_diameter: float) -> float:
+    """Largest x^2 + y^2 that passes an aperture: rays on the rim do."""
+    return semi_diameter * semi_diameter * (1 + 2e-6)
+
+
+def _carries_derivative(values: Tensor) -> bool:
+    return (torch.is_grad_enabled() and values.requires_grad) or fwAD.unpack_dual(values).tangent is not None
+
+
+def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -> Rays:
+    """Trace rays through every surface of a lens to its image plane.
+
+    Differentiable, in backward and in forward mode, in the rays, the indices and every parameter of the lens but its
+    apertures. A lost ray stays at the last point that it reached, turned along the axis; it carries no gradient.
+
+    Args:
+        lens: S surfaces.
+        rays: as launched, of a shape that broadcasts with (..., W, N).
+        indices: (S + 1, W) refractive indices, as from `Lens.refractive_indices`.
+        record: if given, the Rays behind every surface are appended to it, without gradient.
+
+    Returns:
+        The rays on the image plane, z = 0.
+    """
+    size = torch.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))
+
+    stack = (-1, *size[-2:])
+
+    def batch(values: Tensor) -> Tensor:
+        return values.expand(size).reshape(stack)
+
+    start = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
+    start = [batch(v) for v in start]
+    fields = len(start[0])
+    tile = fields if record is not None else max(1, _TILE // (size[-2] * size[-1] * start[2].element_size()))
+    shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
+    to_index = _carries_derivative(indices)
+    keep = to_index or any(_carries_derivative(v) for v in (*shape, *start))
+    semi_diameters = lens.semi_diameter.tolist()
+    ends = []
+    for first in range(0, fields, tile):  # rays do not know of each other
+        notes = _Notes(semi_diameters, record, keep, to_index)
+        ends.append(_Sequence.apply(notes, *(v[first : first + tile] for v in start), indices[..., None], *shape))
+    ends = [torch.cat(v) if len(v) > 1 else v[0] for v in zip(*ends, strict=True)]
+    if record is not None:
+        record[:] = [Rays(*(v.reshape(size) for v in vars(at).values())) for at in record]
+    x, y, l, m, n, path, fate, lost_at = (v.reshape(size) for v in ends)
+    return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at)
+
+
+def linearise(
+    lens: Lens, rays: Rays, indices: Tensor, record: list | None = None
+) -> tuple[Rays, Callable[..., Bundle]]:
+    """Trace rays (F, W, N) as `trace` does but without a graph, and give the derivative along changes of the lens.
+
+    Returns:
+        The rays on the image plane, and the function that takes V changes of the lens at once, `curvature`, `conic` and
+        `thickness` (V, S), `alpha` (V, S, M), where a missing one is zero, to those of the rays there, (V, F, W, N).
+        The rays start as they are, whatever the lens. Its second argument, a list, receives the changes of x and y
+        behind every surface, of a shape that broadcasts with those.
+    """
+    notes = _Notes(lens.semi_diameter.tolist(), record, keep=True, to_index=False)
+    parts = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
+    shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
+    with torch.no_grad():
+        x, y, l, m, n, path, fate, lost_at = _Sequence.forward(notes, *parts, indices[..., None], *shape)
+
+    def derivative(changes: Mapping[str, Tensor], behind: list | None = None) -> Bundle:
+        kinds = (changes.get(name) for name in ("curvature", "conic", "alpha", "thickness"))
+        with torch.no_grad():
+            dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds, behind)
+        return Bundle(dx, dy, torch.zeros_like(dx), dl, dm, dn)
+
+    return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at), derivative

@@ -1,0 +1,80 @@
+"""Several processes that train one network together, each on its share of every batch, as `torchrun` starts them."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+
+import torch
+from timm.layers import convert_sync_batchnorm
+from torch import nn
+from torch.nn.parallel import DistributedDataParallel
+
+from tasklens.runtime.devices import CPU, claim, claim_several
+from tasklens.study.study import StudyError
+
+
+@dataclass(frozen=True)
+class Team:
+    """Which of how many processes this one is, and where it computes; the first also writes."""
+
+    rank: int = 0
+    size: int = 1
+    device: torch.device = CPU
+
+    @property
+    def first(self) -> bool:
+        return self.rank == 0
+
+    def share(self, batch: int) -> slice:
+        """Which of the `batch` pictures of a step are this process'.
+
+        Raises:
+            StudyError: the shares would differ in size, and the mean of their gradients would not be that of the batch.
+        """
+        if batch % self.size:
+            raise StudyError(f"fine_tuning.batch: {batch} is no multiple of the {self.size} processes of a classifier")
+        return slice(self.rank, None, self.size)
+
+    def together(self, network: nn.Module) -> nn.Module:
+        """The network, so that a backward pass leaves the mean of all processes' gradients in its parameters.
+
+        Batch norms take the statistics of all shares on GPUs, and of their own on CPUs, for which torch has no other.
+        """
+        if self.size == 1:
+            return network
+        if self.device != CPU:
+            network = convert_sync_batchnorm(network)  # torch's own loses the activation in some of timm's batch norms
+        return DistributedDataParallel(network)
+
+
+ALONE = Team()
+
+
+@contextmanager
+def joined() -> Iterator[Team]:
+    """The team that `torchrun` has started, each process with a GPU of its own if there is one, or this one alone.
+
+    Raises:
+        StudyError: the machine has GPUs, but fewer than the team has processes.
+    """
+    if "WORLD_SIZE" not in os.environ:
+        yield Team(device=claim())
+        return
+    count = torch.cuda.device_count()
+    if 0 < count < int(os.environ["WORLD_SIZE"]):
+        raise StudyError(f"processes: those of a classifier want a GPU each, {os.environ['WORLD_SIZE']}; found {count}")
+    waiting = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
+    backends = "cpu:gloo,cuda:nccl" if count else "gloo"
+    torch.distributed.init_process_group(backends, timeout=waiting)
+    try:
+        rank, size = torch.distributed.get_rank(), torch.distributed.get_world_size()
+        # The first process claims the GPUs of all: one by one, two teams could wait for each other.
+        devices = claim_several(size) if rank == 0 else size * [CPU]
+        torch.distributed.broadcast_object_list(devices, device=CPU)
+        if devices[rank] != CPU:
+            torch.cuda.set_device(devices[rank])
+        yield Team(rank, size, devices[rank])
+    finally:
+        torch.distributed.destroy_process_group()

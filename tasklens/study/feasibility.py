@@ -1,0 +1,40 @@
+"""Whether lenses of a specification can be made at all: what a study is asked before its first job; no torch here."""
+
+from tasklens.materials.material import Material
+from tasklens.study.settings import FLAT_TRACK, Constraints, Spec
+
+
+def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
+    """Raise ValueError unless the plastics cover the colours, the kernel suits the pictures, and flat plates have room.
+
+    Args:
+        name: of the elements.
+        size: side of the pictures [pixels].
+    """
+    for material in plastics:
+        for wavelength in spec.wavelengths_um:
+            if not material.covers(wavelength):
+                low, high = material.range_um
+                raise ValueError(
+                    f"spec.wavelengths_um: {wavelength} um is outside the {low} to {high} um in which the "
+                    f"coefficients of {material.name} hold"
+                )
+    if spec.kernel // 2 >= size:
+        raise ValueError(
+            f"spec.kernel: half of {spec.kernel} must be less than images.size = {size}, since borders are reflected"
+        )
+    if limits.min_centre_thickness >= limits.max_centre_thickness:
+        raise ValueError(
+            f"constraints.min_centre_thickness: {limits.min_centre_thickness} mm must be less than "
+            f"max_centre_thickness = {limits.max_centre_thickness} mm"
+        )
+    elements = len(plastics)
+    least = limits.stop_distance + limits.min_back_focus
+    least += elements * limits.min_centre_thickness + (elements - 1) * limits.min_air_gap
+    available = min(limits.max_track, FLAT_TRACK * spec.efl_mm)
+    if least >= available:
+        raise ValueError(
+            f"constraints: a {name} takes at least {least:.2f} mm from stop to image, more than the "
+            f"{available:.2f} mm of max_track = {limits.max_track} and of {FLAT_TRACK} focal lengths; a flat start "
+            "would have a negative thickness"
+        )
