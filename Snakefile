@@ -7,13 +7,13 @@ import sys
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
-from tasklens.study import claims
-from tasklens.runtime import files
 from tasklens.pipeline import jobs
+from tasklens.pipeline.digest import code_digest
+from tasklens.pipeline.forecast import Durations
+from tasklens.pipeline.stage import SEED, STAGES, flatten, results
+from tasklens.runtime import files
+from tasklens.study import claims, names
 from tasklens.study import study as studies
-from tasklens.pipeline.digest import code, of_folder
-from tasklens.pipeline.layout import PAPER, SHARP, Layout, restored
-from tasklens.study.design_settings import Outside
 
 min_version("9.10")
 
@@ -27,10 +27,13 @@ try:
 except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
-layout = Layout.of(study)
+STUDY = f"{results(study)}/study.yaml"  # the study with every default, which jobs read
+durations = Durations(study.name, results(study))
+LENSES = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
+
 # `tasklens` is that of the Python that runs Snakemake, also where its environment is not activated.
 # What a job frees stays with it: given back to the system, every page of the next array would be faulted in again, a fifth
-# of a training's time with pictures of 64 pixels, half of an evaluation's with 224.
+# of a training's time with images of 64 pixels, half of an evaluation's with 224.
 shell.prefix(
     f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH"
     " MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=2147483647; "
@@ -38,124 +41,72 @@ shell.prefix(
 
 
 wildcard_constraints:
-    lens="|".join([*study.lenses, *study.variants, SHARP]),
+    lens="|".join([*study.lenses, *study.variants, names.SHARP]),
     classifier="|".join(study.classifiers),
+    measured_name="|".join([*study.classifiers, *map(names.restored, study.classifiers)]),
     seed="|".join(map(str, study.seeds)),
     table="|".join(studies.TABLES),
     elements="|".join(study.elements),
     ablation="|".join(study.ablations),
 
 
-localrules:
-    tables,
-    backbones,
-    end_to_end,
-    restoration,
-    figures,
-    figure3,
-    certificates,
-    ablations,
+TABLES = {name: [jobs.table.output(study, "csv", table=name)] for name in studies.TABLES}
+ABLATIONS = {f"ablation_{name}": [jobs.ablation.output(study, "csv", ablation=name)] for name in study.ablations}
+TARGETS = {  # what a person asks for; the first is the default
+    "tables": [
+        *sum((TABLES[name] for name in study.tables), []),
+        jobs.verdicts.output(study, "csv"),
+        jobs.psf_tail.output(study, "csv"),
+    ],
+    **TABLES,
+    "backbones": TABLES["table2"],  # the single ablations of the paper's section 5
+    "end_to_end": TABLES["table3"],
+    "restoration": TABLES["table4"],
+    "figures": [jobs.figure.output(study, "figure", **lens) for lens in LENSES],
+    "figure3": [
+        jobs.comparison.output(study, "figure", elements=study.lens(claim.lens).elements, seed=seed)
+        for claim in claims.regime_claims(study).claims
+        for seed in study.seeds
+    ],
+    "certificates": [jobs.certificate.output(study, "page", **lens) for lens in LENSES],
+    "ablations": sum(ABLATIONS.values(), []),
+    **ABLATIONS,
+}
 
-
-rule tables:
-    input:
-        [layout.table(name, "csv") for name in (*study.tables, "verdicts", "psf_tail")],
-
-
-rule backbones:
-    input:
-        layout.table("table2", "csv"),
-
-
-rule end_to_end:
-    input:
-        layout.table("table3", "csv"),
-
-
-rule restoration:
-    input:
-        layout.table("table4", "csv"),
-
-
-rule figures:
-    input:
-        [layout.figure(lens, seed) for lens in study.lenses for seed in study.seeds],
-
-
-rule figure3:
-    input:
-        [
-            layout.comparison(claim.lens.partition("-")[0], seed)
-            for claim in claims.regimes(study).claims
-            for seed in study.seeds
-        ],
-
-
-rule certificates:
-    input:
-        [layout.certificate(lens, seed) for lens in study.lenses for seed in study.seeds],
-
-
-rule ablations:
-    input:
-        [layout.ablation(name, "csv") for name in study.ablations],
-
-
-for name in study.ablations:
+for target, paths in TARGETS.items():
 
     rule:
         name:
-            f"ablation_{name}"
+            target
         input:
-            layout.ablation(name, "csv"),
+            paths,
         localrule: True
 
 
-for name in studies.TABLES:
-
-    rule:
-        name:
-            name
-        input:
-            layout.table(name, "csv"),
-        localrule: True
+include: "workflow/rules/jobs.smk"
 
 
-include: "workflow/rules/inputs.smk"
-include: "workflow/rules/data.smk"
-include: "workflow/rules/design.smk"
-include: "workflow/rules/psf.smk"
-include: "workflow/rules/classify.smk"
-include: "workflow/rules/restore.smk"
-include: "workflow/rules/report.smk"
-include: "workflow/rules/verify.smk"
-
-
-made = []  # the tables of this run, shown at its end
+shown = []  # the tables of this run, printed at its end
 
 
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
-    files.write_if_changed(layout.study, studies.dump(study))
+    files.write_if_changed(STUDY, studies.dump(study))
     running = list(workflow.dag.needrun_jobs())
     networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
-    if networks or study.outside:
-        shell("tasklens check {layout.study} {networks} > /dev/null")
-    shown = [path for job in running for path in job.output if path.startswith(f"{layout.root}/tables/")]
-    shown = [path for path in shown if path.endswith(".md")]
+    if networks or study.imported:
+        shell("tasklens check {STUDY} {networks} > /dev/null")
+    found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
-        shown = [path for path in shown if path != layout.table("verdicts", "md")]
-    made.extend(sorted(shown))
-    planned = [job for job in running if job.rule.name in study.minutes]
-    total = sum(study.minutes[job.rule.name] for job in planned)
-    cores = workflow.cores or 1  # a cluster has none
-    print(f"Study {study.name}: {len(planned)} jobs, about {total / cores:.0f} minutes on {cores} cores.")
+        found.discard(jobs.verdicts.output(study, "md"))
+    shown.extend(sorted(path for path in found if path.endswith(".md")))
+    print(durations.forecast([job.rule.name for job in running if job.rule.name in STAGES], workflow.cores or 1))
 
 
 onsuccess:
-    for path in made:
+    for path in shown:
         print(open(path).read())
 
 
 onerror:
-    print(f"Tables of what has finished: tasklens table {layout.study} table1 --partial")
+    print(f"Tables of what has finished: tasklens table {STUDY} table1 --partial")

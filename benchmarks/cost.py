@@ -2,7 +2,7 @@
 
 Operations of a network forward, two per multiply-add, are counted on tensors without memory; with the backward pass to
 its input it takes twice as many, to its weights three times. A study file says how often each happens. A table is
-charged with what the tables before it have not made already. One GPU trains ResNet50 with --throughput pictures a
+charged with what the tables before it have not made already. One GPU trains ResNet50 with --throughput images a
 second, and is taken to do all other networks at the same rate of operations. Rays, captures, and designs by image
 quality alone are left out, and so is the check of a restoration while it trains.
 """
@@ -14,32 +14,32 @@ from itertools import product
 import timing
 import timm
 import torch
+from tasklens.pipeline.layout import SHARP
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from restoration.nafnet import build
 from tasklens.pipeline import jobs
-from tasklens.pipeline.layout import SHARP
-from tasklens.recognition.classifiers import Recogniser
+from tasklens.recognition.classifiers import Classifier
 from tasklens.study import study as studies
-from tasklens.study.design_settings import EndToEnd, Task
-from tasklens.study.settings import Classifier
+from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
+from tasklens.study.settings import ClassifierSettings
 from tasklens.study.study import Study
 
-RESNET50 = Classifier(model="resnet50", pretrained=True)
-A100 = 2470.0  # pictures/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch
+RESNET50 = ClassifierSettings(model="resnet50", pretrained=True)
+A100 = 2470.0  # images/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch
 FORWARD, TO_INPUT, TO_WEIGHTS = 1, 2, 3  # operations of a pass, in those of a forward pass
 
 
 def operations(network: nn.Module, size: int) -> float:
-    """Operations of a forward pass of a picture of `size` pixels through a network on the meta device."""
+    """Operations of a forward pass of an image of `size` pixels through a network on the meta device."""
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         network(torch.zeros(1, 3, size, size, device="meta"))
     return float(counter.get_total_flops())
 
 
 class Cost:
-    """Operations of the jobs of a study, with `train` and `test` pictures where the study takes all of a folder."""
+    """Operations of the jobs of a study, with `train` and `test` images where the study takes all of a folder."""
 
     def __init__(self, study: Study, train: int, test: int):
         self.study, self.fields = study, len(study.spec.fields_mm)
@@ -51,16 +51,16 @@ class Cost:
         with torch.device("meta"):
             if classifier is None:
                 return operations(build(self.study.restoration), size)
-            return operations(recogniser(self.study.classifier(classifier)), size)
+            return operations(classifier(self.study.classifier(classifier)), size)
 
     def design(self, lens: str) -> float:
         """Of designing a lens under a classifier; of nothing, by image quality alone."""
         settings, size = self.study.lens(lens).design, self.study.images.size
         total, supervisor = 0.0, self.study.supervisor
-        if isinstance(settings, Task):
+        if isinstance(settings, TaskDrivenSettings):
             steps = settings.starts * settings.start.steps + settings.refine.steps
             total += self.fields * steps * settings.images * TO_INPUT * self.forward(supervisor, settings.size or size)
-        together = settings if isinstance(settings, EndToEnd) else getattr(settings, "polish", None)
+        together = settings if isinstance(settings, EndToEndSettings) else getattr(settings, "polish", None)
         if together is not None:
             captures = self.fields * together.steps * together.images
             total += captures * TO_WEIGHTS * self.forward(supervisor, together.size or size)
@@ -79,11 +79,11 @@ class Cost:
     def restore(self) -> float:
         """Of training a restoration for all its steps."""
         settings = self.study.restoration
-        return settings.steps * settings.batch * TO_WEIGHTS * self.forward(None, self.study.images.size)
+        return settings.steps * settings.batch_size * TO_WEIGHTS * self.forward(None, self.study.images.size)
 
 
-def recogniser(classifier: Classifier) -> Recogniser:
-    return Recogniser(timm.create_model(classifier.model, **classifier.arguments)).eval()
+def classifier(classifier: ClassifierSettings) -> Classifier:
+    return Classifier(timm.create_model(classifier.model, **classifier.arguments)).eval()
 
 
 def charged(study: Study, cost: Cost) -> dict[tuple, tuple[str, float]]:
@@ -105,20 +105,20 @@ def charged(study: Study, cost: Cost) -> dict[tuple, tuple[str, float]]:
 def main(arguments: list[str] | None = None) -> None:
     parser = timing.arguments(__doc__)
     parser.add_argument("study", nargs="?", default="config/imagenet.yaml", help="a study file")
-    parser.add_argument("--train", type=int, default=1_281_167, help="pictures in the folders, ImageNet's by default")
+    parser.add_argument("--train", type=int, default=1_281_167, help="images in the folders, ImageNet's by default")
     parser.add_argument("--test", type=int, default=50_000)
-    parser.add_argument("--throughput", type=float, default=A100, help="pictures/s of training ResNet50 at 224 pixels")
+    parser.add_argument("--throughput", type=float, default=A100, help="images/s of training ResNet50 at 224 pixels")
     options = parser.parse_args(arguments)
     study = studies.load(options.study)
     cost = Cost(study, options.train, options.test)
     with torch.device("meta"):
-        rate = TO_WEIGHTS * options.throughput * operations(recogniser(RESNET50), 224)
+        rate = TO_WEIGHTS * options.throughput * operations(classifier(RESNET50), 224)
     hours = defaultdict(list)
     for (kind, *_), (table, count) in charged(study, cost).items():
         hours[table, kind] += len(study.seeds) * [count / rate / 3600]
     rows = [(*key, len(each), f"{sum(each):.3g}") for key, each in sorted(hours.items())]
     rows.append(("all", "", sum(map(len, hours.values())), f"{sum(map(sum, hours.values())):.3g}"))
-    title = f"Study {study.name}, at {options.throughput:g} pictures a second ({rate / 1e12:.3g} TFLOP/s)"
+    title = f"Study {study.name}, at {options.throughput:g} images a second ({rate / 1e12:.3g} TFLOP/s)"
     timing.report(title, ("table", "jobs", "count", "GPU-hours"), rows, options.save)
 
 

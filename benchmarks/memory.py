@@ -1,6 +1,6 @@
 """Peak memory of one task-driven step at the paper's size, in a process of its own for each size of micro-batch.
 
-64 pictures of 224 pixels at nine fields are 576 captures; the supervisor is ResNet50 with random weights, frozen. The
+64 images of 224 pixels at nine fields are 576 captures; the supervisor is ResNet50 with random weights, frozen. The
 step is the design's own. It takes about 3 minutes of a core per micro-batch.
 """
 
@@ -18,11 +18,11 @@ from tasklens.design.end_to_end import Problem
 from tasklens.design.start import flat
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
-from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.recognition.dataset import Pictures
-from tasklens.runtime.checkpoints import NOTHING_KEPT
-from tasklens.study.design_settings import Task, Walk
-from tasklens.study.settings import Capture, Constraints, Spec
+from tasklens.recognition.classifiers import Classifier, frozen
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.checkpoints import NO_CHECKPOINT
+from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
+from tasklens.study.settings import CaptureSettings, Constraints, Spec
 
 LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
 
@@ -31,16 +31,16 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     """Memory before and in one step with micro-batches of `captures` [GiB], and its processor time [s]."""
     resource.setrlimit(resource.RLIMIT_DATA, (LIMIT_GIB << 30, LIMIT_GIB << 30))
     spec, limits, count, size = Spec(), Constraints(), 2 if tiny else 64, 64 if tiny else 224
-    recogniser = Recogniser(timm.create_model("test_resnet" if tiny else "resnet50"))
+    classifier = Classifier(timm.create_model("test_resnet" if tiny else "resnet50"))
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
-    pictures = Pictures(images, torch.arange(count), tuple(map(str, range(1000))))
-    problem = Problem(view_of_spec(spec), limits, Capture(), pictures, seed=0)
-    walk = Walk(steps=1, pixels=(1, 1))  # a single step: `task.design` would judge and refine as well
-    settings = Task(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
+    dataset = ImageDataset(images, torch.arange(count), tuple(map(str, range(1000))))
+    problem = Problem(view_of_spec(spec), limits, CaptureSettings(), dataset, seed=0)
+    walk = RaySpaceSettings(steps=1, pixels=(1, 1))  # a single step: `task.design` would judge and refine as well
+    settings = TaskDrivenSettings(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    task._walk(plates, frozen(recogniser), problem, settings, walk, generator, [], "memory", NOTHING_KEPT)
+    task._walk(plates, frozen(classifier), problem, settings, walk, generator, [], "memory", NO_CHECKPOINT)
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
             found = process.submit(measure, captures, options.tiny).result()
         rows.append((captures, f"{found['before']:.2f}", f"{found['peak']:.2f}", f"{found['seconds']:.0f}"))
     columns = ("captures at once", "before the step [GiB]", "peak [GiB]", "processor time [s]")
-    timing.report("Memory of one step: 64 pictures x 9 fields, ResNet50, 224 px", columns, rows, options.save)
+    timing.report("Memory of one step: 64 images x 9 fields, ResNet50, 224 px", columns, rows, options.save)
 
 
 if __name__ == "__main__":

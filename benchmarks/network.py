@@ -23,14 +23,14 @@ from tasklens.design.start import flat
 from tasklens.imaging import Camera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
-from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.recognition.dataset import Pictures
-from tasklens.recognition.evaluation import Sight
+from tasklens.recognition.classifiers import Classifier, frozen
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import fit, parameter_groups
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
-from tasklens.study.design_settings import Task, Walk
-from tasklens.study.settings import Capture, Constraints, Spec, Training
+from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
+from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
 
 FIELDS = 9
 
@@ -69,30 +69,30 @@ def timed(function: Callable[[], object], rounds: int, device: torch.device) -> 
     return clock.steps
 
 
-def noise(count: int, size: int, device: torch.device) -> Pictures:
+def noise(count: int, size: int, device: torch.device) -> ImageDataset:
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
-    return Pictures(images, torch.arange(count) % 10, tuple(map(str, range(10))), device)
+    return ImageDataset(images, torch.arange(count) % 10, tuple(map(str, range(10))), device)
 
 
 def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: int, rounds: int, device: torch.device):
     """Durations of a step of task-driven design, and of the frozen network alone on as many captures."""
-    recogniser, pictures = frozen(Recogniser(network)).to(device), noise(count, size, device)
-    problem = Problem(view_of_spec(Spec()), Constraints(), Capture(), pictures, seed=0)
-    walk = Walk(steps=rounds + 1, pixels=(20, 20))
-    settings = Task(
+    classifier, dataset = frozen(Classifier(network)).to(device), noise(count, size, device)
+    problem = Problem(view_of_spec(Spec()), Constraints(), CaptureSettings(), dataset, seed=0)
+    walk = RaySpaceSettings(steps=rounds + 1, pixels=(20, 20))
+    settings = TaskDrivenSettings(
         method="task", images=count, rays=rays, micro_batch=micro_batch, augment=False, start=walk, refine=walk
     )
     plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
-    task._walk(plates, recogniser, problem, settings, walk, torch.Generator().manual_seed(0), [], "design", clock)
-    captures, labels = torch.rand(FIELDS * count, 3, size, size, device=device), pictures.labels.to(device)
+    task._walk(plates, classifier, problem, settings, walk, torch.Generator().manual_seed(0), [], "design", clock)
+    captures, labels = torch.rand(FIELDS * count, 3, size, size, device=device), dataset.labels.to(device)
     labels = labels.repeat(FIELDS)
 
     def alone() -> None:
         parts = math.ceil(len(captures) / micro_batch)  # as a design does, of one size
         for part, label in zip(captures.chunk(parts), labels.chunk(parts), strict=True):
             part.requires_grad_()
-            F.cross_entropy(recogniser(part), label).backward()
+            F.cross_entropy(classifier(part), label).backward()
             part.grad = None
 
     return clock.steps, timed(alone, rounds, device)
@@ -100,17 +100,17 @@ def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: in
 
 def fine_tuning(network: nn.Module, batch: int, size: int, rounds: int, device: torch.device):
     """Durations of a step of fine-tuning on captures, and of one of bare training."""
-    recogniser, pictures, clock = Recogniser(network).to(device), noise(4 * batch, size, device), Clock(device)
+    classifier, dataset, clock = Classifier(network).to(device), noise(4 * batch, size, device), Clock(device)
     psf = torch.rand(FIELDS, 3, 51, 51, device=device)
-    sight = Sight(Camera(psf / psf.sum((-2, -1), keepdim=True)))
-    training = Training(epochs=(rounds + 1) / 4, rate=1e-5, batch=batch)
-    fit(recogniser, pictures, training, 0, "fine-tuning", sight.one_field, clock)
-    images, labels = pictures.batch(torch.arange(batch))
-    optimizer = torch.optim.AdamW(parameter_groups(recogniser, 0.05), lr=1e-5)
-    recogniser.train()
+    pipeline = CapturePipeline(Camera(psf / psf.sum((-2, -1), keepdim=True)))
+    training = TrainingSettings(epochs=(rounds + 1) / 4, learning_rate=1e-5, batch_size=batch)
+    fit(classifier, dataset, training, 0, "fine-tuning", pipeline.one_field, clock)
+    images, labels = dataset.batch(torch.arange(batch))
+    optimizer = torch.optim.AdamW(parameter_groups(classifier, 0.05), lr=1e-5)
+    classifier.train()
 
     def bare() -> None:
-        loss = F.cross_entropy(recogniser(images), labels)
+        loss = F.cross_entropy(classifier(images), labels)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -142,15 +142,15 @@ def main(arguments: list[str] | None = None) -> None:
         cases = [("resnet18", small, 64, 8, 128, 64)]  # the default study's
         cases += [(name, {}, 224, 2, 256, 16) for name in options.models]
     rows = []
-    for name, given, size, pictures, rays, batch in cases:
+    for name, given, size, dataset, rays, batch in cases:
         for what in ("design", "fine-tuning"):
             network = timm.create_model(name, num_classes=10, **given)
             if what == "design":
-                ours, alone = design(network, pictures, size, rays, batch, options.rounds, device)
+                ours, alone = design(network, dataset, size, rays, batch, options.rounds, device)
             else:
                 ours, alone = fine_tuning(network, batch, size, options.rounds, device)
             ratio = statistics.median(ours) / statistics.median(alone)
-            load = f"{FIELDS * pictures} captures" if what == "design" else f"batch of {batch}"
+            load = f"{FIELDS * dataset} captures" if what == "design" else f"batch of {batch}"
             rows.append(
                 (
                     name,

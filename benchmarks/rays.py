@@ -61,7 +61,7 @@ def read(dtype: torch.dtype) -> tuple[Lens, Tensor]:
     return lens, torch.tensor([AIR, *(s[3] for s in SURFACES)], dtype=dtype)
 
 
-def bundles(count: int, dtype: torch.dtype) -> Rays:
+def collimated_rays(count: int, dtype: torch.dtype) -> Rays:
     """Rays (9, 3, count) that fill the stop, from z = 0."""
     k = torch.arange(count, dtype=torch.float64) + 0.5
     radius, angle = STOP_RADIUS * torch.sqrt(k / count), math.pi * (1 + 5**0.5) * k
@@ -80,10 +80,10 @@ def mean_squared_spot(x: Tensor, y: Tensor) -> Tensor:
 def ours(dtype: torch.dtype, train: int, evaluate: int) -> dict[str, Callable[[], object]]:
     """Our loads by name."""
     lens, indices = read(dtype)
-    rays, many = bundles(train, dtype), bundles(evaluate, dtype)
+    rays, many = collimated_rays(train, dtype), collimated_rays(evaluate, dtype)
     values = {name: getattr(lens, name) for name in NAMES}
     points = torch.tensor(FIELDS_DEG, dtype=torch.float64)
-    centre = trace(lens, bundles(1, dtype), indices)
+    centre = trace(lens, collimated_rays(1, dtype), indices)
     centre = torch.stack([centre.x[:, 1, 0], centre.y[:, 1, 0]], -1)
     upstream = torch.rand(len(points), 3, 51, 51, dtype=dtype, generator=torch.Generator().manual_seed(0))
 
@@ -161,7 +161,7 @@ def optilands(precision: str, train: int, evaluate: int) -> dict[str, Callable[[
 
     def starts(count: int) -> list[Tensor]:
         """Positions, directions and wavelengths: its surfaces stand at z = 0, so rays start before them."""
-        rays = bundles(count, torch.float64)
+        rays = collimated_rays(count, torch.float64)
         back = -1 / rays.n
         wavelength = torch.tensor(WAVELENGTHS, dtype=torch.float64)[:, None].expand(rays.x.shape)
         values = (rays.x + back * rays.l, rays.y + back * rays.m, back * rays.n, rays.l, rays.m, rays.n, wavelength)

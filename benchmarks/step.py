@@ -1,6 +1,6 @@
 """Where the time of a task-driven step goes: rays and PSFs, captures, network; and the optics' share of it.
 
-Two steps: the default study's; and the paper's (ResNet50 with random weights, 64 pictures of 224 px at nine fields),
+Two steps: the default study's; and the paper's (ResNet50 with random weights, 64 images of 224 px at nine fields),
 in which the network sees 18 of the 576 captures and its time is multiplied by 32. The rest is timed whole. The step is
 `descend`'s, taken apart here so that each part can be timed.
 """
@@ -28,8 +28,8 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.psf import psf
 from tasklens.optics.view import view_of_spec
-from tasklens.recognition.classifiers import Recogniser, frozen
-from tasklens.study.design_settings import LeastSquares, Rates
+from tasklens.recognition.classifiers import Classifier, frozen
+from tasklens.study.design_settings import LearningRates, LeastSquaresSettings
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.study import parse
 
@@ -52,23 +52,21 @@ class Clock:
         self.times[part].append(time.process_time() - begin)
 
 
-def timed_steps(
-    network: nn.Module, pictures: int, pixels: int, rays: int, judged: int, rounds: int
-) -> dict[str, float]:
+def timed_steps(network: nn.Module, dataset: int, pixels: int, rays: int, judged: int, rounds: int) -> dict[str, float]:
     """Median processor time [s] of each part of a step of a doublet, after one step of warm-up.
 
     The network sees `judged` captures, which divide their number; its time is scaled to all of them.
     """
     looks, limits = view_of_spec(Spec()), Constraints()
-    recogniser = frozen(Recogniser(network))
+    classifier = frozen(Classifier(network))
     plates = flat((builtin("COC"), builtin("OKP4")), Spec(), limits)
-    quick = LeastSquares(method="least_squares", starts=6, evaluations=100)
+    quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     lens = least_squares.design(plates, looks, limits, quick, 0, [])  # no ray is lost: lost ones cost time
-    variables, rates = Variables.stepped(lens, looks, Rates()), Rates()
+    variables, rates = Variables.stepped(lens, looks, LearningRates()), LearningRates()
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
     optimizer = torch.optim.AdamW(parameter_groups(values, rates))
-    sharp = torch.randint(0, 256, (pictures, 3, pixels, pixels), dtype=torch.uint8)
-    repeats = pictures * len(looks.fields) // judged
+    sharp = torch.randint(0, 256, (dataset, 3, pixels, pixels), dtype=torch.uint8)
+    repeats = dataset * len(looks.fields) // judged
     labels = torch.zeros(judged, dtype=torch.long)
     augment = TrivialAugmentWide()
     for step in range(rounds + 1):
@@ -77,7 +75,7 @@ def timed_steps(
         with clock("rays, PSFs, limits"):
             lens = variables.assemble(values)
             traced = trace_fields(lens, looks, sobol_disc(rays, step))
-            grid = psf(traced, looks.fields, looks.pixel_pitch, looks.kernel)
+            grid = psf(traced, looks.fields, looks.pixel_pitch, looks.kernel_size)
             bounds = penalty(lens, limits, looks)
         with clock("augmentation"):
             images = torch.stack([augment(image) for image in sharp]).float() / 255
@@ -86,7 +84,7 @@ def timed_steps(
             captures = Camera(leaf).grid(images)
         seen = captures.detach().flatten(0, 1)[:judged].requires_grad_()
         with clock(NETWORK):
-            F.cross_entropy(recogniser(seen), labels).backward()
+            F.cross_entropy(classifier(seen), labels).backward()
         upstream = seen.grad.repeat(repeats, 1, 1, 1).reshape(captures.shape)
         with clock("captures, backward"):
             captures.backward(upstream)
@@ -116,13 +114,13 @@ def main(arguments: list[str] | None = None) -> None:
     study = parse(yaml.safe_load(STUDY.read_text()))
     supervisor, design = study.classifiers[study.supervisor], study.designs["tasklens"]
     network = timm.create_model(supervisor.model, num_classes=10, **supervisor.arguments)
-    pictures = 1 if options.tiny else design.images
-    times = timed_steps(network, pictures, study.images.size, design.rays, 9 * pictures, options.rounds)
-    title = f"Default study: {pictures} pictures x 9 fields, {supervisor.model}, {study.images.size} px"
-    timing.report(title, columns, rows_of(times, 9 * pictures), options.save)
+    dataset = 1 if options.tiny else design.images
+    times = timed_steps(network, dataset, study.images.size, design.rays, 9 * dataset, options.rounds)
+    title = f"Default study: {dataset} images x 9 fields, {supervisor.model}, {study.images.size} px"
+    timing.report(title, columns, rows_of(times, 9 * dataset), options.save)
     if not options.tiny:
         times = timed_steps(timm.create_model("resnet50"), 64, 224, 256, 18, max(1, options.rounds // 3))
-        timing.report("Paper: 64 pictures x 9 fields, ResNet50, 224 px", columns, rows_of(times, 576), options.save)
+        timing.report("Paper: 64 images x 9 fields, ResNet50, 224 px", columns, rows_of(times, 576), options.save)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
 from tasklens.runtime.devices import half_precision
-from tasklens.study.settings import Restoration
+from tasklens.study.settings import RestorationSettings
 
 
 class SimpleGate(nn.Module):
@@ -91,6 +91,6 @@ class NAFNet(nn.Module):
         return self.ending(x)
 
 
-def build(settings: Restoration) -> NAFNet:
+def build(settings: RestorationSettings) -> NAFNet:
     """The untrained network that `settings` describe."""
     return NAFNet(settings.width, settings.encoder, settings.middle, settings.decoder)

@@ -9,38 +9,38 @@ from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from restoration.nafnet import NAFNet, build
 from tasklens.imaging import Camera, psnr
-from tasklens.recognition.dataset import Pictures
+from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import Shuffled
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.study.settings import Restoration
+from tasklens.study.settings import RestorationSettings
 
-_JUDGED = 64  # minival pictures, each at every field
+_JUDGED = 64  # minival images, each at every field
 _GAIN_DB = 0.1  # less than this above the last check with progress is none
 _DROP = 0.1  # of the rate, at the first check without progress; the second such check says: converged
 
 
 def train(
-    settings: Restoration,
-    pictures: Pictures,
-    minival: Pictures,
+    settings: RestorationSettings,
+    dataset: ImageDataset,
+    minival: ImageDataset,
     camera: Camera,
     seed: int,
     history: list[dict],
-    checkpoint: Checkpoint = NOTHING_KEPT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> NAFNet:
-    """A NAFNet that restores captures of `camera`, each at a random field, to their sharp pictures.
+    """A NAFNet that restores captures of `camera`, each at a random field, to their sharp images.
 
     The loss is the negative PSNR of each image; AdamW with betas (0.9, 0.9) and gradients clipped at a norm of 0.01, as
-    the authors of NAFNet train it. Every `settings.check` steps the mean PSNR of 64 minival pictures at all fields is
+    the authors of NAFNet train it. Every `settings.check` steps the mean PSNR of 64 minival images at all fields is
     taken. Where it is not 0.1 dB above the last check that was progress, the rate drops to a tenth; at the second such
     check the training has converged.
 
     Args:
         settings: network, rate, and the most steps.
-        pictures, minival: sharp pictures to train with and to judge by.
+        images, minival: sharp images to train with and to judge by.
         camera: the lens.
-        seed: of the network, of the order of the pictures and of their fields.
+        seed: of the network, of the order of the images and of their fields.
         history: receives a row per check: step, rate, PSNR [dB], and whether the training has converged by then.
         checkpoint: of the job, for its part `restoration`.
 
@@ -52,18 +52,18 @@ def train(
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    network = build(settings).to(pictures.device)
+    network = build(settings).to(dataset.device)
     betas = (0.9, 0.9)
-    optimizer = torch.optim.AdamW(network.parameters(), settings.rate, betas, weight_decay=0.0, fused=True)
+    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, betas, weight_decay=0.0, fused=True)
     plateau = ReduceLROnPlateau(optimizer, "max", _DROP, patience=0, threshold=_GAIN_DB, threshold_mode="abs")
     progress = Progress("restoration", settings.steps)
-    order = Shuffled(len(pictures), settings.batch, generator)
+    order = Shuffled(len(dataset), settings.batch_size, generator)
     best, found = -torch.inf, {}
     part = checkpoint.part("restoration", history, network=network, optimizer=optimizer, plateau=plateau, order=order)
     if part.state is not None:
         best, found = part.state["best"], part.state["found"]
     for step in range(part.step + 1, settings.steps + 1):
-        images, _ = pictures.batch(order.next())
+        images, _ = dataset.batch(order.next())
         fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
         quality = psnr(network(camera.single(images, fields)), images).mean()
         if not torch.isfinite(quality):
@@ -81,11 +81,11 @@ def train(
                 best, found = judged, copy.deepcopy(network.state_dict())
             rate = optimizer.param_groups[0]["lr"]
             plateau.step(judged)
-            converged = optimizer.param_groups[0]["lr"] < settings.rate * _DROP
+            converged = optimizer.param_groups[0]["lr"] < settings.learning_rate * _DROP
             history.append({"step": step, "rate": rate, "psnr_db": judged, "converged": converged})
             if converged:
                 break
-        part.keep(step, best=best, found=found)
+        part.save(step, best=best, found=found)
     if not history[-1]["converged"]:
         print(f"restoration: not converged within {settings.steps} steps", file=sys.stderr, flush=True)
     network.load_state_dict(found)
@@ -93,7 +93,7 @@ def train(
 
 
 @torch.no_grad()
-def _judge(network: NAFNet, minival: Pictures, camera: Camera) -> float:
-    """Mean PSNR [dB] over pictures and fields."""
+def _judge(network: NAFNet, minival: ImageDataset, camera: Camera) -> float:
+    """Mean PSNR [dB] over images and fields."""
     images, _ = minival.batch(torch.arange(min(_JUDGED, len(minival))))
     return float(torch.stack([psnr(network(captures), images).mean() for captures in camera.grid(images)]).mean())

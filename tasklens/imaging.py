@@ -1,6 +1,6 @@
-"""From pictures and PSFs to captures: convolution by the fast Fourier transform.
+"""From images and PSFs to captures: convolution by the fast Fourier transform.
 
-capture = picture * PSF + (1 - sum(PSF)) mean(picture)
+capture = image * PSF + (1 - sum(PSF)) mean(image)
 
 The second term is the light that misses the PSF window: it reaches the sensor as a uniform veil, and the mean flux is
 conserved. Borders are reflected.

@@ -21,6 +21,6 @@ torch.set_num_threads(1)
 @pytest.fixture(scope="session")
 def start():
     """A random doublet of the right focal length."""
-    spec, limits = Spec(kernel=11), Constraints()
+    spec, limits = Spec(kernel_size=11), Constraints()
     flat_lens = flat(materials("COC", "OKP4"), spec, limits)
     return least_squares.random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]

@@ -11,9 +11,9 @@ from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
-from tasklens.recognition.dataset import Pictures
+from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
-from tasklens.study.settings import Spec, Training
+from tasklens.study.settings import Spec, TrainingSettings
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -75,7 +75,7 @@ def random_lens(seed: int) -> Lens:
 
 def seen_lens() -> tuple[Lens, View]:
     """A short real lens with its stop in front, and a view of three of its fields."""
-    looks = view_of_spec(Spec(kernel=31))
+    looks = view_of_spec(Spec(kernel_size=31))
     fields = looks.fields[[0, 4, 8]] * 0.5
     stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
     return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
@@ -100,7 +100,7 @@ def landed(x, y, valid=None) -> Rays:
     """Rays that meet the image plane at (x, y), any shape; lost where not `valid`."""
     x, y = f64(x), f64(y)
     rays = launch(x, y, torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x), torch.ones_like(x))
-    return rays if valid is None else replace(rays, fate=(~valid).to(torch.int8))
+    return rays if valid is None else replace(rays, status=(~valid).to(torch.int8))
 
 
 def difference(function: Callable[[Tensor], Tensor], x: Tensor, step: float) -> Tensor:
@@ -116,13 +116,13 @@ def difference(function: Callable[[Tensor], Tensor], x: Tensor, step: float) -> 
     return stacked.reshape(*stacked.shape[:-1], *x.shape)
 
 
-def random_pictures(count: int, size: int, classes: int, seed: int) -> Pictures:
-    """Pictures of noise, each class brighter than the one before."""
+def random_images(count: int, size: int, classes: int, seed: int) -> ImageDataset:
+    """Images of noise, each class brighter than the one before."""
     generator = torch.Generator().manual_seed(seed)
     labels = torch.arange(count) % classes
     noise = torch.randint(0, 128, (count, 3, size, size), generator=generator)
     bright = labels[:, None, None, None] * (127 // max(1, classes - 1))
-    return Pictures((noise + bright).byte(), labels, tuple(f"class{k}" for k in range(classes)))
+    return ImageDataset((noise + bright).byte(), labels, tuple(f"class{k}" for k in range(classes)))
 
 
 def small_network(seed: int) -> nn.Module:
@@ -133,10 +133,10 @@ def small_network(seed: int) -> nn.Module:
 
 
 def trained_network(seed: int, **settings) -> nn.Module:
-    """The small network after training on random pictures of three classes."""
+    """The small network after training on random images of three classes."""
     network = small_network(0)
-    settings = Training(**({"epochs": 4, "rate": 1e-2, "batch": 10} | settings))
-    fit(network, random_pictures(60, 16, 3, seed=1), settings, seed, "test")
+    settings = TrainingSettings(**({"epochs": 4, "rate": 1e-2, "batch": 10} | settings))
+    fit(network, random_images(60, 16, 3, seed=1), settings, seed, "test")
     return network
 
 
@@ -179,7 +179,7 @@ def tiny_study() -> dict:
 
 def with_outside(**catalogues) -> dict:
     """The tiny study and a lens from outside; a study does not look into its file."""
-    return changed(tiny_study(), "outside.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})
+    return changed(tiny_study(), "imported.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})
 
 
 def changed(study: dict, key: str, value) -> dict:

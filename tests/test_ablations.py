@@ -11,11 +11,11 @@ from tasklens.pipeline import jobs
 from tasklens.report import ablations
 from tasklens.report.verdicts import HOLDS, UNDECIDED
 from tasklens.study import claims
-from tasklens.study.settings import Capture
+from tasklens.study.settings import CaptureSettings
 from tasklens.study.study import StudyError, dump, parse
 
 RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "start": {"pixels": [1, 1]}}}}
-WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside": "renormalise"}}}}
+WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside_window": "renormalise"}}}}
 
 
 def with_ablation(ablation: dict) -> dict:
@@ -37,7 +37,7 @@ def test_a_variant_is_its_design_changed_in_what_it_names():
 def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
     study = parse(with_ablation(WINDOW))
     lens = "singlet-tasklens_mine_renormalised"
-    renormalised = Capture(outside="renormalise")
+    renormalised = CaptureSettings(outside_window="renormalise")
     assert jobs.design(study, lens, 0).capture == renormalised
     assert jobs.fine_tune(study, lens, "small", 0, False).capture == renormalised
     assert jobs.reproduce(study, lens, "small", False).capture == renormalised
@@ -58,8 +58,8 @@ def test_an_ablation_changes_its_own_jobs_and_no_others():
 def test_a_capture_that_a_design_does_not_see_redesigns_nothing():
     spot = RAYS | {"design": "imaging1"}
     veil, renormalised = (
-        slices(with_ablation(spot | {"variants": {"few": {"rays": 8, "capture": {"outside": outside}}}}))
-        for outside in ("veil", "renormalise")
+        slices(with_ablation(spot | {"variants": {"few": {"rays": 8, "capture": {"outside_window": imported}}}}))
+        for imported in ("veil", "renormalise")
     )
     changed = {job for job in veil if veil[job] != renormalised[job]}
     assert ("fine_tune", "singlet-imaging1_mine_few", "small") in changed
@@ -72,7 +72,7 @@ MISTAKES = [
     ("variants", {}, ["variants", "at least 1"]),
     ("variants", {"few": {"rsys": 8}}, ["variants.few", "rsys", "not permitted"]),
     ("variants", {"few": {"rays": 0}}, ["variants.few", "rays", "greater than 0"]),
-    ("variants", {"few": {"capture": {"outside": "ignore"}}}, ["variants.few", "outside", "veil"]),
+    ("variants", {"few": {"capture": {"outside_window": "ignore"}}}, ["variants.few", "outside_window", "veil"]),
     ("variants", {"few": {"capture": "renormalise"}}, ["variants.few.capture", "renormalise", "keys and values"]),
 ]
 

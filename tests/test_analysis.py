@@ -20,7 +20,7 @@ from tasklens.optics.analysis.spots import (
     spot_diagram,
     trace_fields,
 )
-from tasklens.optics.tracing.rays import Fate
+from tasklens.optics.tracing.rays import RayStatus
 from tasklens.optics.view import View
 
 ORIGIN = f64([[0.0, 0.0]])
@@ -89,7 +89,7 @@ def test_clear_semi_diameters_pass_all_light_and_not_more(lens):
         cut[i] *= 0.999
         rays = trace_fields(replace(lens, semi_diameter=cut), looks, rim(64))
         assert set(rays.lost_at[~rays.valid].tolist()) == {i}
-        assert (rays.fate[~rays.valid] == Fate.OUTSIDE).all()
+        assert (rays.status[~rays.valid] == RayStatus.VIGNETTED).all()
 
 
 def test_ray_fans_are_the_real_rays_of_the_field_turned(lens):

@@ -32,26 +32,26 @@ def test_the_same_numbers_every_time():
 
 
 @pytest.mark.parametrize("same, captures", [(True, 1), (False, 9)])
-def test_width_is_that_of_a_binomial_count_of_pictures(same, captures):
+def test_width_is_that_of_a_binomial_count_of_images(same, captures):
     """Two lenses recognise with p = 0.7 and 0.6. Nine captures that always agree are worth one, independent ones nine.
 
-    Width 2 z sqrt((p (1 - p) + q (1 - q)) / (N k)) for k captures worth of each of N pictures; chance moves it by 3 %.
+    Width 2 z sqrt((p (1 - p) + q (1 - q)) / (N k)) for k captures worth of each of N images; chance moves it by 3 %.
     """
-    pictures, generator = 2000, numpy.random.default_rng(1)
-    shape = (2, pictures, 1 if same else 9)
+    predictions, generator = 2000, numpy.random.default_rng(1)
+    shape = (2, predictions, 1 if same else 9)
     recognised = generator.random(shape) < numpy.array([0.7, 0.6])[:, None, None]
     accuracy = recognised.mean(-1)
     low, high = interval(resampled_means((accuracy[0] - accuracy[1])[:, None]))
-    width = 2 * Z * math.sqrt((0.7 * 0.3 + 0.6 * 0.4) / (pictures * captures))
+    width = 2 * Z * math.sqrt((0.7 * 0.3 + 0.6 * 0.4) / (predictions * captures))
     assert high - low == pytest.approx(width, rel=0.06)
     assert low < 0.1 < high
 
 
-def covered(seeds: int, of_seeds: float, of_pictures: float, of_both: float) -> float:
-    """Share of 400 synthetic studies of 150 pictures whose interval holds the true mean, zero."""
+def covered(seeds: int, of_seeds: float, of_images: float, of_both: float) -> float:
+    """Share of 400 synthetic studies of 150 images whose interval holds the true mean, zero."""
     generator, hits = numpy.random.default_rng(2), 0
     for k in range(400):
-        values = of_seeds * generator.normal(size=(1, seeds)) + of_pictures * generator.normal(size=(150, 1))
+        values = of_seeds * generator.normal(size=(1, seeds)) + of_images * generator.normal(size=(150, 1))
         values = values + of_both * generator.normal(size=(150, seeds))
         low, high = interval(resampled_means(values, 2 * k, resamples=800), 2 * k + 1)
         hits += low <= 0 <= high
@@ -64,5 +64,5 @@ def test_intervals_cover_the_truth_in_95_of_100_studies(seeds, spread):
     assert 0.915 <= covered(seeds, *spread) <= 0.985
 
 
-def test_intervals_of_seeds_and_pictures_together_are_not_too_short():
+def test_intervals_of_seeds_and_images_together_are_not_too_short():
     assert covered(5, 0.1, 1, 1) >= 0.93

@@ -162,11 +162,11 @@ def test_a_state_that_is_not_finite_is_not_kept(tmp_path, monkeypatch):
     """The last good one stays."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     path = tmp_path / "job.pt"
-    part = Checkpoint(path).part("walk", [{"step": 1}])
-    part.keep(1, vector=torch.tensor([1.0, 2.0]))
-    part.keep(2, vector=torch.tensor([1.0, torch.nan]))
+    part = Checkpoint(path).part("descent", [{"step": 1}])
+    part.save(1, vector=torch.tensor([1.0, 2.0]))
+    part.save(2, vector=torch.tensor([1.0, torch.nan]))
     history: list[dict] = []
-    again = Checkpoint(path).part("walk", history)
+    again = Checkpoint(path).part("descent", history)
     assert again.step == 1 and again.state["vector"].tolist() == [1.0, 2.0] and history == [{"step": 1}]
 
 

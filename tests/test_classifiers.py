@@ -7,13 +7,13 @@ import numpy
 import pytest
 import timm
 import torch
-from examples import random_pictures, trained_network
+from examples import random_images, trained_network
 from torch import nn
 
 from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition import dataset as data
 from tasklens.runtime.files import FileError
-from tasklens.study.settings import Classifier, Training
+from tasklens.study.settings import ClassifierSettings, TrainingSettings
 from tasklens.study.study import StudyError
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -28,45 +28,49 @@ def names(count: int) -> list[str]:
     [("resnt18", {}, 64), ("resnet18", {"chanels": [8]}, 64), ("vit_tiny_patch16_224", {"img_size": 64}, 80)],
 )
 def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, arguments, size):
-    """An unknown model, an unknown argument, pictures of another size than the network's: before any weight is made."""
-    classifier = Classifier(model=model, arguments=arguments, training=Training(epochs=1, rate=1e-3))
+    """An unknown model, an unknown argument, images of another size than the network's: before any weight is made."""
+    classifier = ClassifierSettings(
+        model=model, arguments=arguments, training=TrainingSettings(epochs=1, learning_rate=1e-3)
+    )
     with pytest.raises(StudyError, match=f"classifiers.mine: {model}"):
         classifiers.check("mine", classifier, size)
-    classifiers.check("mine", Classifier(model="resnet18", pretrained=True), 64)
+    classifiers.check("mine", ClassifierSettings(model="resnet18", pretrained=True), 64)
 
 
 def test_a_published_head_for_other_classes_is_no_reference():
     """Without training it would judge at random; found before anything is downloaded."""
     with pytest.raises(StudyError, match="1000 outputs, 10 are wanted"):
-        classifiers.build(Classifier(model="resnet18.a1_in1k", pretrained=True), names(10))
+        classifiers.build(ClassifierSettings(model="resnet18.a1_in1k", pretrained=True), names(10))
 
 
 @pytest.mark.parametrize("model", ["resnet18", "vit_tiny_patch16_224.augreg_in21k_ft_in1k"])
 def test_classifier_normalises_after_the_optics(model):
-    """Logits of pictures in [0, 1] are those of the timm network on (x - mean) / std of its own configuration."""
+    """Logits of images in [0, 1] are those of the timm network on (x - mean) / std of its own configuration."""
     if model.startswith("vit"):
         small = {"img_size": 32, "embed_dim": 12, "depth": 1}
     else:
         small = {"layers": [1, 1, 1, 1], "channels": [8, 8, 8, 8]}
     torch.manual_seed(0)
-    classifier = Classifier(model=model, arguments=small, training=Training(epochs=1, rate=1e-3))
-    recogniser = classifiers.build(classifier, names(7)).eval()
+    classifier = ClassifierSettings(
+        model=model, arguments=small, training=TrainingSettings(epochs=1, learning_rate=1e-3)
+    )
+    classifier = classifiers.build(classifier, names(7)).eval()
     torch.manual_seed(0)
     network = timm.create_model(model, num_classes=7, **small).eval()
     config = timm.data.resolve_model_data_config(network)
     images = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     mean, std = (torch.tensor(config[k])[:, None, None] for k in ("mean", "std"))
     with torch.no_grad():
-        torch.testing.assert_close(recogniser(images), network((images - mean) / std), rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(classifier(images), network((images - mean) / std), rtol=1e-5, atol=1e-6)
     assert (config["mean"] == (0.5, 0.5, 0.5)) == model.startswith("vit")
-    assert set(recogniser.network.state_dict()) == set(network.state_dict())
-    assert classifiers.parameters_m(recogniser) == sum(p.numel() for p in network.parameters()) / 1e6
+    assert set(classifier.network.state_dict()) == set(network.state_dict())
+    assert classifiers.parameters_m(classifier) == sum(p.numel() for p in network.parameters()) / 1e6
 
 
 def test_weights_of_a_file_replace_all_others(tmp_path):
     from tasklens.runtime.files import write_tensors
 
-    classifier = Classifier(model="test_resnet", training=Training(epochs=1, rate=1e-3))
+    classifier = ClassifierSettings(model="test_resnet", training=TrainingSettings(epochs=1, learning_rate=1e-3))
     first = classifiers.build(classifier, names(4)).eval()
     path = tmp_path / "weights.safetensors"
     write_tensors(path, first.network.state_dict(), {})
@@ -82,7 +86,7 @@ def test_weights_of_torch_are_tensors_and_nothing_else(tmp_path):
     network = timm.create_model("test_resnet", num_classes=4)
     state = {f"module.{key}": value for key, value in network.state_dict().items()}
     torch.save({"state_dict": state, "epoch": 3}, tmp_path / "mine.pth")
-    classifier = Classifier(model="test_resnet", weights=tmp_path / "mine.pth")
+    classifier = ClassifierSettings(model="test_resnet", weights=tmp_path / "mine.pth")
     found = classifiers.build(classifier, names(4)).network.state_dict()
     assert all(torch.equal(found[key], value) for key, value in network.state_dict().items())
     torch.save({"state_dict": network.state_dict(), "model": network}, tmp_path / "mine.pth")
@@ -120,25 +124,27 @@ def test_weights_of_numpy_are_read_by_models_that_can(tmp_path):
         arrays[f"{block}MultiHeadDotProductAttention_1/{part}/kernel"] = zeros((d, 1, d))
         arrays[f"{block}MultiHeadDotProductAttention_1/{part}/bias"] = zeros((1, d))
     numpy.savez(tmp_path / "vit.npz", **arrays)
-    vit = Classifier(model="vit_tiny_patch16_224", arguments=small, weights=tmp_path / "vit.npz")
+    vit = ClassifierSettings(model="vit_tiny_patch16_224", arguments=small, weights=tmp_path / "vit.npz")
     logits = classifiers.build(vit, names(3)).eval()(torch.rand(2, 3, 32, 32))
     torch.testing.assert_close(logits, torch.tensor([[1.0, 2.0, 3.0]] * 2))
     with pytest.raises(FileError, match=r"vit\.npz: its head is not that of vit_tiny_patch16_224 with 4 outputs"):
         classifiers.build(vit, names(4))
     with pytest.raises(FileError, match=r"vit\.npz: no weights for test_resnet"):
-        classifiers.build(Classifier(model="test_resnet", weights=tmp_path / "vit.npz"), names(3))
+        classifiers.build(ClassifierSettings(model="test_resnet", weights=tmp_path / "vit.npz"), names(3))
 
 
 def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
     """Logits of the classes that there are, in the order of the folders; no other row of the head has a gradient."""
-    classifier = Classifier(model="test_resnet", outputs="imagenet", training=Training(epochs=1, rate=1e-2))
+    classifier = ClassifierSettings(
+        model="test_resnet", outputs="imagenet", training=TrainingSettings(epochs=1, learning_rate=1e-2)
+    )
     folders = ["n01443537", "n02102040", "n01440764"]  # goldfish (1), English springer (217), tench (0)
-    recogniser = classifiers.build(classifier, folders).eval()
-    assert recogniser.outputs.tolist() == [1, 217, 0]
+    classifier = classifiers.build(classifier, folders).eval()
+    assert classifier.outputs.tolist() == [1, 217, 0]
     images = torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(0))
-    assert torch.equal(recogniser(images), recogniser.all_outputs(images)[:, [1, 217, 0]])
-    recogniser(images).sum().backward()
-    moved = recogniser.network.get_classifier().weight.grad.abs().sum(1).nonzero()[:, 0]
+    assert torch.equal(classifier(images), classifier.all_outputs(images)[:, [1, 217, 0]])
+    classifier(images).sum().backward()
+    moved = classifier.network.get_classifier().weight.grad.abs().sum(1).nonzero()[:, 0]
     assert moved.tolist() == [0, 1, 217]
     with pytest.raises(FileError, match="got cat"):
         classifiers.build(classifier, ["cat", "n01440764"])
@@ -150,34 +156,34 @@ def test_published_weights_reproduce_their_accuracy():
     weights = SHARED / "weights" / "mobilenetv2_100_same_in1k.safetensors"
     normalised = {"mean": (0.5, 0.5, 0.5), "std": (0.5, 0.5, 0.5)}
     arguments = {"pad_type": "same", "pretrained_cfg_overlay": normalised}
-    classifier = Classifier(model="mobilenetv2_100", arguments=arguments, weights=weights, outputs="imagenet")
+    classifier = ClassifierSettings(model="mobilenetv2_100", arguments=arguments, weights=weights, outputs="imagenet")
     found = folders.find(SHARED / "data" / "imagenette", ("val",), None, 0)
     images = torch.stack([folders.read(file, 224) for file in found.files])
-    pictures = data.Pictures(images, found.labels, found.classes)
-    recogniser = classifiers.build(classifier, found.classes).eval()
-    correct, _ = evaluation.evaluate(recogniser, pictures, evaluation.Sight())
+    dataset = data.ImageDataset(images, found.labels, found.classes)
+    classifier = classifiers.build(classifier, found.classes).eval()
+    correct, _ = evaluation.evaluate(classifier, dataset, evaluation.CapturePipeline())
     assert float(correct.double().mean()) == pytest.approx(0.990, abs=0.0041)
-    rows = evaluation.zero_shot(recogniser, pictures, evaluation.Sight())
+    rows = evaluation.zero_shot(classifier, dataset, evaluation.CapturePipeline())
     assert [row["metric"] for row in rows] == ["zero_shot_accuracy"]
     assert rows[0]["value"] == pytest.approx(75.6, abs=0.41)
 
 
 @pytest.mark.parametrize("model", ["test_resnet", "test_efficientnet", "test_vit"])
 def test_a_frozen_copy_judges_alike_and_remembers_less(model):
-    """Same logits and gradients at the pictures; convolutional networks keep at most 0.7 of the memory for them."""
+    """Same logits and gradients at the images; convolutional networks keep at most 0.7 of the memory for them."""
     torch.manual_seed(0)
-    recogniser = classifiers.Recogniser(timm.create_model(model, num_classes=5)).double()
-    for module in recogniser.modules():
+    classifier = classifiers.Classifier(timm.create_model(model, num_classes=5)).double()
+    for module in classifier.modules():
         if isinstance(module, nn.BatchNorm2d):  # as after training: statistics that do something
             nn.init.uniform_(module.weight, 0.5, 1.5)
             nn.init.normal_(module.running_mean, std=0.1)
             nn.init.uniform_(module.running_var, 0.5, 1.5)
-    size = recogniser.network.pretrained_cfg["input_size"][-1]
+    size = classifier.network.pretrained_cfg["input_size"][-1]
     images = torch.rand(2, 3, size, size, dtype=torch.float64)
-    frozen, found = classifiers.frozen(recogniser), []
-    assert recogniser.training and all(p.requires_grad for p in recogniser.parameters())
+    frozen, found = classifiers.frozen(classifier), []
+    assert classifier.training and all(p.requires_grad for p in classifier.parameters())
     assert not frozen.training and not any(p.requires_grad for p in frozen.parameters())
-    for network in (frozen, recogniser.eval().requires_grad_(False)):
+    for network in (frozen, classifier.eval().requires_grad_(False)):
         kept: dict[int, int] = {}
 
         def keep(tensor, kept=kept):
@@ -196,14 +202,14 @@ def test_a_frozen_copy_judges_alike_and_remembers_less(model):
 
 def test_batch_norms_of_a_frozen_network_by_the_batch():
     """Captures of half the contrast give what the whole gives; nothing stored changes, and no weight has a gradient."""
-    recogniser = trained_network(0)
-    before = copy.deepcopy(recogniser.state_dict())
-    frozen = classifiers.frozen(recogniser, "batch")
-    images, _ = random_pictures(12, 16, 3, seed=1).batch(torch.arange(12))
+    classifier = trained_network(0)
+    before = copy.deepcopy(classifier.state_dict())
+    frozen = classifiers.frozen(classifier, "batch")
+    images, _ = random_images(12, 16, 3, seed=1).batch(torch.arange(12))
     images.requires_grad_()
     whole, faint = frozen(images), frozen(0.5 * images + 0.25)
     assert float((whole - faint).detach().abs().max()) < 0.05 * float(whole.abs().max())
-    stored = classifiers.frozen(recogniser)
+    stored = classifiers.frozen(classifier)
     assert float((stored(images) - stored(0.5 * images + 0.25)).abs().max()) > 0.2 * float(whole.abs().max())
     whole.sum().backward()
     assert images.grad.abs().max() > 0 and all(p.grad is None for p in frozen.parameters())

@@ -6,12 +6,12 @@ import pytest
 import torch
 import yaml
 from examples import changed, cooke_triplet, tiny_study
+from tasklens.pipeline.layout import Layout
 
 from tasklens.design import spot
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import cli
-from tasklens.pipeline.layout import Layout
 from tasklens.runtime.files import read_tensors
 
 LAYOUT = Layout("results/tiny")
@@ -19,7 +19,7 @@ LAYOUT = Layout("results/tiny")
 
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory):
-    """A folder with the tiny study, its pictures and its reference classifier; stages run inside it."""
+    """A folder with the tiny study, its images and its reference classifier; stages run inside it."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "study.yaml").write_text(yaml.safe_dump(tiny_study()))
     with pytest.MonkeyPatch.context() as patch:
@@ -112,7 +112,7 @@ def test_psf_file_says_what_it_holds(lenses):
 
 
 def test_metrics_are_tidy(lenses):
-    """Nine fields per metric through a lens; the pictures themselves have one field and no PSNR."""
+    """Nine fields per metric through a lens; the images themselves have one field and no PSNR."""
     through = LAYOUT.metrics("singlet-imaging1", 0, "small")
     assert all(len(values(through, m)) == 9 for m in ("accuracy", "minival_accuracy", "psnr_db"))
     assert values(through, "chance") == [10.0]
@@ -125,7 +125,7 @@ def test_metrics_are_tidy(lenses):
 
 
 def test_restoration_and_tables_and_figure(lenses):
-    """The rest of the journey: restored captures have metrics of their own; tables and pictures come out."""
+    """The rest of the journey: restored captures have metrics of their own; tables and images come out."""
     assert run("restore", "singlet-imaging1") == 0
     assert run("fine-tune", "singlet-imaging1", "small", "--restored") == 0
     restored = LAYOUT.metrics("singlet-imaging1", 0, "small-restored")
@@ -149,20 +149,20 @@ def test_a_lens_from_outside_goes_the_same_way(lenses, capsys):
     """From its file, by name, to its PSF and figure; what cannot be used is said by `check`, before any job."""
     prescription.write(lenses / "theirs.yaml", Prescription(cooke_triplet()), {})
     entry = {"elements": "triplet", "file": "theirs.yaml"}
-    study = changed(tiny_study(), "outside.cooke", entry)
-    path = lenses / "outside.yaml"
+    study = changed(tiny_study(), "imported.cooke", entry)
+    path = lenses / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
     for stage in ("design", "psf", "figure"):
-        assert cli.main([stage, "outside.yaml", "triplet-cooke"]) == 0
+        assert cli.main([stage, "imported.yaml", "triplet-cooke"]) == 0
     with open(LAYOUT.lens("triplet-cooke", 0)) as file:
         content = yaml.safe_load(file)
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
     with open(LAYOUT.figure("triplet-cooke", 0), "rb") as file:
         assert file.read(8) == b"\x89PNG\r\n\x1a\n"
-    assert cli.main(["check", "outside.yaml"]) == 0
+    assert cli.main(["check", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
-    assert cli.main(["check", "outside.yaml"]) == 2
+    assert cli.main(["check", "imported.yaml"]) == 2
     assert "theirs.yaml: does not cover the field" in capsys.readouterr().err
 
 
@@ -207,7 +207,7 @@ def test_a_mistake_is_one_message_and_exit_status_2(workplace, capsys, arguments
 
 
 def test_a_wrong_study_is_a_message_too(workplace, capsys):
-    (workplace / "wrong.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "spec.kernel", 50)))
+    (workplace / "wrong.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "spec.kernel_size", 50)))
     assert cli.main(["check", "wrong.yaml"]) == 2
     assert "spec.kernel = 50" in capsys.readouterr().err
     assert cli.main(["check", "absent.yaml"]) == 2

@@ -7,12 +7,12 @@ import pytest
 import torch
 from examples import f64, materials
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, penalty, shortfall, worst_margin
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, penalty, violation, worst_margin
 from tasklens.design.start import flat
 from tasklens.optics.view import view_of_spec
 from tasklens.study.settings import Constraints, Spec
 
-SPEC, LIMITS = Spec(kernel=11), Constraints()
+SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 LOOKS = view_of_spec(SPEC)
 
 
@@ -41,7 +41,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("limit", BROKEN)
 def test_a_broken_limit_reports_by_how_much(limit):
-    """Spheres and plates whose shortfall is known in closed form; the other limits hold."""
+    """Spheres and plates whose violation is known in closed form; the other limits hold."""
     lens, expected = BROKEN[limit]
     assert expected < 0
     margins = manufacturing_margins(lens, LIMITS, torch.full((3,), SEMI, dtype=torch.float64))
@@ -97,7 +97,7 @@ def test_penalty_is_zero_inside_and_pushes_outward():
 
 
 def test_shortfall_begins_before_the_limit():
-    """Designs aim a buffer inside: at the limit itself the shortfall is already positive, far inside it is zero."""
-    found = shortfall({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
+    """Designs aim a buffer inside: at the limit itself the violation is already positive, far inside it is zero."""
+    found = violation({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
     assert found[0] > 0 and found[1] == 0 and float(found[2] - found[0]) == pytest.approx(0.5)
     assert 0 < found[3] < found[0]

@@ -36,7 +36,7 @@ def spec_of(looks: View) -> dict:
         "efl_mm": looks.efl,
         "wavelengths_um": list(looks.wavelengths),
         "pixel_pitch_um": looks.pixel_pitch,
-        "kernel": looks.kernel,
+        "kernel": looks.kernel_size,
     }
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 import torch.nn.functional as F
-from examples import changed, random_pictures, tiny_study
+from examples import changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import end_to_end as descent
@@ -19,12 +19,12 @@ from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, t
 from tasklens.optics.psf import psf
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
-from tasklens.runtime.checkpoints import NOTHING_KEPT
-from tasklens.study.design_settings import EndToEnd, Rates
-from tasklens.study.settings import Capture, Constraints, Spec
+from tasklens.runtime.checkpoints import NO_CHECKPOINT
+from tasklens.study.design_settings import EndToEndSettings, LearningRates
+from tasklens.study.settings import CaptureSettings, Constraints, Spec
 from tasklens.study.study import parse
 
-SPEC, LIMITS = Spec(kernel=11), Constraints()
+SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 LOOKS = view_of_spec(SPEC)
 NAMES = ("COC", "OKP4")
 
@@ -45,8 +45,8 @@ def coarse(lens, looks=LOOKS):
 @pytest.mark.parametrize("micro_batch", [1, 7, 16, 64])
 def test_stages_give_the_gradient_of_one(start, micro_batch, colour):
     """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once."""
-    pictures, network = random_pictures(5, 16, 3, seed=0), small_network().eval().requires_grad_(False)
-    images, labels = pictures.batch(torch.arange(5))
+    dataset, network = random_images(5, 16, 3, seed=0), small_network().eval().requires_grad_(False)
+    images, labels = dataset.batch(torch.arange(5))
     variables = Variables.plain(start)
     gradients = []
     for in_stages in (True, False):
@@ -54,7 +54,7 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour):
         grid = coarse(variables.assemble(values))
         if in_stages:
             losses, upstream = descent.loss_at_psf(
-                network, images, labels, grid.float(), Capture(colour=colour), micro_batch
+                network, images, labels, grid.float(), CaptureSettings(colour=colour), micro_batch
             )
             grid.backward(upstream.double())
         else:
@@ -68,29 +68,29 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour):
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
 
 
-RATES = Rates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
+RATES = LearningRates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
 
 
 def problem(limits=LIMITS):
-    return descent.Problem(LOOKS, limits, Capture(), random_pictures(12, 16, 3, seed=0), seed=1)
+    return descent.Problem(LOOKS, limits, CaptureSettings(), random_images(12, 16, 3, seed=0), seed=1)
 
 
-def descended(network, lens, checkpoint=NOTHING_KEPT, **settings):
+def descended(network, lens, checkpoint=NO_CHECKPOINT, **settings):
     settings = {"steps": 3, "images": 4, "rays": 16, "rates": RATES, "network_rate": 1e-3} | settings
     history: list[dict] = []
-    settings = EndToEnd(method="end_to_end", start="flat", **settings)
+    settings = EndToEndSettings(method="end_to_end", start="flat", **settings)
     return descent.descend(lens, network, problem(), settings, history, "test", checkpoint), history
 
 
-def test_a_design_may_see_smaller_pictures(start):
+def test_a_design_may_see_smaller_images(start):
     """Reduced to `size` by averaging; without it, as they are."""
-    pictures = random_pictures(4, 32, 3, seed=0)
+    dataset = random_images(4, 32, 3, seed=0)
     indices = torch.tensor([2, 0])
-    whole, labels = descent.sharp(pictures, indices, None)
-    assert torch.equal(whole, pictures.images[indices]) and torch.equal(labels, pictures.labels[indices])
-    small, _ = descent.sharp(pictures, indices, 16)
+    whole, labels = descent.sharp(dataset, indices, None)
+    assert torch.equal(whole, dataset.images[indices]) and torch.equal(labels, dataset.labels[indices])
+    small, _ = descent.sharp(dataset, indices, 16)
     assert small.shape == (2, 3, 16, 16) and small.dtype == torch.uint8
-    means = (images.double().mean((1, 2, 3)) for images in (small, pictures.images[indices]))
+    means = (images.double().mean((1, 2, 3)) for images in (small, dataset.images[indices]))
     torch.testing.assert_close(*means, rtol=0, atol=2.0)
     noise = (images.double().std((1, 2, 3)) for images in (small, whole))
     assert (next(noise) < 0.7 * next(noise)).all()
@@ -121,8 +121,8 @@ def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
 
 def test_a_design_that_diverges_is_a_result(start):
     """Steps without measure: the descent stops, the last finite lens comes back, and the history says so."""
-    rates = Rates(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0)
-    lens, history = descended(small_network(), start, steps=6, rates=rates)
+    rates = LearningRates(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0)
+    lens, history = descended(small_network(), start, steps=6, learning_rates=rates)
     assert history[-1]["phase"] == "test, diverged" and history[-1]["step"] <= 6
     assert history[-1]["cause"].startswith("no field;")  # the penalty overflowed
     for name in ("curvature", "thickness", "alpha"):
@@ -174,10 +174,10 @@ def test_rays_that_go_astray_are_stopped(start):
 
 def test_best_rival_is_chosen_by_the_minival(tmp_path):
     """The test split has no say."""
-    rivals = {}
+    baselines = {}
     for name, minival, test in (("a", 40, 90), ("b", 60, 10), ("c", 50, 99)):
         path = tmp_path / f"{name}.csv"
         rows = "\n".join(f"{field},minival_accuracy,{minival}\n{field},accuracy,{test}" for field in range(9))
         path.write_text(f"field,metric,value\n{rows}\n")
-        rivals[name] = (None, path)
-    assert methods.best(rivals) == "b"
+        baselines[name] = (None, path)
+    assert methods.best(baselines) == "b"

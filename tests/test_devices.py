@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tasklens.runtime import devices
-from tasklens.runtime.distributed import joined
+from tasklens.runtime.distributed import process_group
 from tasklens.study.study import StudyError
 
 CONTEXT = multiprocessing.get_context("fork")
@@ -84,7 +84,7 @@ def test_a_team_has_all_its_gpus_or_none(monkeypatch, elsewhere):
 def test_a_team_larger_than_the_machine_is_refused(monkeypatch):
     pretend(monkeypatch, ["one", "other"])
     monkeypatch.setenv("WORLD_SIZE", "3")
-    with pytest.raises(StudyError, match="want a GPU each, 3; found 2"), joined():
+    with pytest.raises(StudyError, match="want a GPU each, 3; found 2"), process_group():
         pass
 
 

@@ -4,7 +4,7 @@ import copy
 
 import pytest
 import torch
-from examples import random_pictures, trained_network
+from examples import random_images, trained_network
 from torch import nn
 
 from tasklens.imaging import Camera
@@ -13,27 +13,27 @@ from tasklens.recognition import evaluation
 
 
 class Brightness(nn.Module):
-    """Sorts pictures into dark, medium and bright by their mean."""
+    """Sorts images into dark, medium and bright by their mean."""
 
     def forward(self, images):
         return -(images.mean((1, 2, 3))[:, None] - torch.tensor([0.1, 0.5, 0.9])).abs()
 
 
-def grey_pictures(values, labels) -> data.Pictures:
+def grey_images(values, labels) -> data.ImageDataset:
     images = torch.tensor(values, dtype=torch.uint8)[:, None, None, None].expand(-1, 3, 16, 16).contiguous()
-    return data.Pictures(images, torch.tensor(labels), ("dark", "medium", "bright"))
+    return data.ImageDataset(images, torch.tensor(labels), ("dark", "medium", "bright"))
 
 
 def test_evaluation_against_a_hand_count():
-    """Four of five grey pictures are sorted as labelled; without a camera there is one field and no error."""
-    pictures = grey_pictures([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
-    correct, quality = evaluation.evaluate(Brightness(), pictures, evaluation.Sight())
+    """Four of five grey images are sorted as labelled; without a camera there is one field and no error."""
+    dataset = grey_images([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
+    correct, quality = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline())
     assert correct.tolist() == [[True, True, True, False, True]]
     assert quality.shape == (1, 5)
-    rows, by_picture = evaluation.measure(
-        Brightness(), {"test": pictures, "minival": pictures.take(torch.tensor([3, 4]))}, evaluation.Sight()
+    rows, predictions_by_image = evaluation.measure(
+        Brightness(), {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
     )
-    assert [row["field0"] for row in by_picture] == [1, 1, 1, 0, 1]
+    assert [row["field0"] for row in predictions_by_image] == [1, 1, 1, 0, 1]
     found = {(row["field"], row["metric"]): row["value"] for row in rows}
     assert found.pop((0, "accuracy")) == pytest.approx(80)
     assert found.pop((0, "minival_accuracy")) == pytest.approx(50)
@@ -51,21 +51,21 @@ def dimming(factors) -> Camera:
     return camera
 
 
-def test_every_field_is_evaluated_on_every_picture():
+def test_every_field_is_evaluated_on_every_image():
     """Field 1 halves the light: 240 is taken for medium there, and 120 for dark."""
-    pictures = grey_pictures([10, 240, 120] * 30, [0, 2, 1] * 30)
-    correct, quality = evaluation.evaluate(Brightness(), pictures, evaluation.Sight(dimming([1.0, 0.5])))
+    dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
+    correct, quality = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline(dimming([1.0, 0.5])))
     assert correct.shape == quality.shape == (2, 90)
     assert correct.double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(quality[1, :3], expected, rtol=0, atol=1e-3)
-    rows, by_picture = evaluation.measure(
-        Brightness(), {"test": pictures, "minival": pictures}, evaluation.Sight(dimming([1.0, 0.5]))
+    rows, predictions_by_image = evaluation.measure(
+        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(dimming([1.0, 0.5]))
     )
-    assert by_picture[:3] == [
-        {"picture": 0, "label": "dark", "field0": 1, "field1": 1},
-        {"picture": 1, "label": "bright", "field0": 1, "field1": 0},
-        {"picture": 2, "label": "medium", "field0": 1, "field1": 0},
+    assert predictions_by_image[:3] == [
+        {"image": 0, "label": "dark", "field0": 1, "field1": 1},
+        {"image": 1, "label": "bright", "field0": 1, "field1": 0},
+        {"image": 2, "label": "medium", "field0": 1, "field1": 0},
     ]
     assert [row["field"] for row in rows if row["metric"] == "psnr_db"] == [0, 1]
     worst = [row["value"] for row in rows if row["metric"] == "worst_psnr_db"]  # the one brightest of 90
@@ -79,28 +79,28 @@ def test_restoration_stands_between_camera_and_classifier():
         def forward(self, captures):
             return 2 * captures
 
-    pictures = grey_pictures([10, 240, 120], [0, 2, 1])
-    sight = evaluation.Sight(dimming([0.5, 0.5]), Double())
-    correct, quality = evaluation.evaluate(Brightness(), pictures, sight)
+    dataset = grey_images([10, 240, 120], [0, 2, 1])
+    pipeline = evaluation.CapturePipeline(dimming([0.5, 0.5]), Double())
+    correct, quality = evaluation.evaluate(Brightness(), dataset, pipeline)
     assert correct.all() and (quality > 80).all()
-    seen = sight.one_field(pictures.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
-    torch.testing.assert_close(seen, pictures.images.float() / 255, rtol=0, atol=1e-6)
+    seen = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
+    torch.testing.assert_close(seen, dataset.images.float() / 255, rtol=0, atol=1e-6)
 
 
-def test_training_sees_a_random_field_per_picture():
-    """Over many pictures each field is seen about equally often, drawn by the generator alone."""
-    sight, images = evaluation.Sight(dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
-    seen = [sight.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
+def test_training_sees_a_random_field_per_image():
+    """Over many images each field is seen about equally often, drawn by the generator alone."""
+    pipeline, images = evaluation.CapturePipeline(dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
+    seen = [pipeline.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
     assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
     counts = torch.bincount((10 * seen[0]).round().long(), minlength=5)[1:]
     assert counts.sum() == 400 and counts.min() > 60
 
 
-def test_the_worst_pictures_are_one_in_a_hundred():
-    """Of 250 pictures of as many greys, halved in brightness, the three brightest lose most."""
-    pictures = grey_pictures(list(range(1, 251)), [0] * 250)
+def test_the_worst_images_are_one_in_a_hundred():
+    """Of 250 images of as many greys, halved in brightness, the three brightest lose most."""
+    dataset = grey_images(list(range(1, 251)), [0] * 250)
     rows, _ = evaluation.measure(
-        Brightness(), {"test": pictures, "minival": pictures}, evaluation.Sight(dimming([0.5]))
+        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(dimming([0.5]))
     )
     found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
     lost = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
@@ -111,5 +111,5 @@ def test_evaluation_changes_nothing():
     """Neither batch statistics nor weights move while a classifier is measured."""
     network = trained_network(0)
     before = copy.deepcopy(network.state_dict())
-    evaluation.evaluate(network, random_pictures(20, 16, 3, seed=2), evaluation.Sight())
+    evaluation.evaluate(network, random_images(20, 16, 3, seed=2), evaluation.CapturePipeline())
     assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())

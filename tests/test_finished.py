@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 from examples import tiny_study
+from tasklens.pipeline.layout import Layout, restored
 
 from tasklens.pipeline import cli, jobs
-from tasklens.pipeline.layout import Layout, restored
 from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.study.study import TABLES, load
 
@@ -63,15 +63,15 @@ def failed(printed: str) -> list[str]:
     return [line for line in printed.splitlines() if line.startswith("failed: ")]
 
 
-def test_recognised_pictures_are_kept(finished):
-    """A row per test picture with its label; their means are the accuracies of the metrics file."""
-    found = rows(VERIFIED.pictures("singlet-imaging1", 0, "small"))
-    assert [row["picture"] for row in found] == [str(k) for k in range(20)] and {row["label"] for row in found} <= set(
+def test_recognised_images_are_kept(finished):
+    """A row per test image with its label; their means are the accuracies of the metrics file."""
+    found = rows(VERIFIED.predictions("singlet-imaging1", 0, "small"))
+    assert [row["image"] for row in found] == [str(k) for k in range(20)] and {row["label"] for row in found} <= set(
         read_tensors(VERIFIED.images("test"))[1]["classes"]
     )
     means = [100 * sum(int(row[f"field{k}"]) for row in found) / 20 for k in range(9)]
     assert means == pytest.approx(accuracies(VERIFIED.metrics("singlet-imaging1", 0, "small")))
-    assert list(rows(VERIFIED.pictures("sharp", 0, "small"))[0]) == ["picture", "label", "field0"]
+    assert list(rows(VERIFIED.predictions("sharp", 0, "small"))[0]) == ["image", "label", "field0"]
 
 
 def test_verify_fails_for_the_limits_that_short_designs_break_and_for_nothing_else(finished, capsys):
@@ -106,7 +106,7 @@ def test_other_weights_do_not_reproduce(finished, capsys, classifier, how):
         write_tensors(Path(path), turned, notes)
         assert verified("reproduce", "singlet-imaging1", "small", *how) == 0
         assert verified("verify") == 1
-        named = f"failed: singlet-imaging1 seed 0: {classifier}: stored pictures: "
+        named = f"failed: singlet-imaging1 seed 0: {classifier}: stored images: "
         assert any(line.startswith(named) for line in failed(capsys.readouterr().out))
     finally:
         write_tensors(Path(path), weights, notes)

@@ -10,7 +10,7 @@ from examples import WAVELENGTHS, f64, make_lens, materials, parallel_rays, rand
 from tasklens.design.start import flat
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import bundles, gauss_quadrature, rim, sobol_disc
+from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import view_of_spec
@@ -84,7 +84,7 @@ def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
     lens = make_lens([c, 0, 0], [0.3, 1.2, 2], ("COC", "air", "air"), semi_diameter=[9, 9, 0.6], stop=2)
     tangent = 1e-3
     record: list = []
-    rays = bundles(lens, f64([[tangent, -tangent]]), torch.zeros(1, 2, dtype=torch.float64), (0.5893,))
+    rays = collimated_rays(lens, f64([[tangent, -tangent]]), torch.zeros(1, 2, dtype=torch.float64), (0.5893,))
     trace(lens, rays, lens.refractive_indices((0.5893,)), record)
     assert float(rays.x.abs()) > tangent
     assert abs(float(record[2].x)) < 10 * tangent**3 and abs(float(record[2].y)) < 10 * tangent**3
@@ -106,7 +106,7 @@ def test_bundles_fill_the_stop():
     trace_fields(lens, looks, rim(16), record)
     radius = torch.hypot(record[0].x, record[0].y)
     torch.testing.assert_close(radius, torch.full_like(radius, Spec().stop_radius_mm), rtol=0, atol=1e-15)
-    rays = bundles(lens, looks.tangents, rim(16), WAVELENGTHS)
+    rays = collimated_rays(lens, looks.tangents, rim(16), WAVELENGTHS)
     torch.testing.assert_close(rays.l / rays.n, looks.tangents[:, 0, None, None].expand_as(rays.l), rtol=1e-14, atol=0)
 
 

@@ -54,7 +54,7 @@ def test_the_largest_kernel_that_reflection_allows():
 
 
 def test_light_moves_with_the_psf():
-    """A PSF one row below and two columns right of the centre moves the picture down and to the right."""
+    """A PSF one row below and two columns right of the centre moves the image down and to the right."""
     grid = torch.zeros(F, 3, K, K)
     grid[..., K // 2 + 1, K // 2 + 2] = 1
     images = random_images(2)
@@ -63,7 +63,7 @@ def test_light_moves_with_the_psf():
 
 
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
-@pytest.mark.parametrize("outside", ["veil", "renormalise"])
+@pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
 def test_an_impulse_changes_nothing(colour, outside):
     """A perfect lens is the identity, in linear light as well: there and back again."""
     images = random_images(3)
@@ -72,17 +72,17 @@ def test_an_impulse_changes_nothing(colour, outside):
 
 
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
-@pytest.mark.parametrize("outside", ["veil", "renormalise"])
-def test_a_uniform_picture_stays_uniform(colour, outside):
+@pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
+def test_a_uniform_image_stays_uniform(colour, outside):
     """Blur cannot change what has no detail, whatever share of the light the window holds."""
     images = torch.tensor([0.2, 0.5, 0.9])[:, None, None].expand(B, 3, 20, 20)
     captures = Camera(random_psf(4), outside, colour).grid(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=2e-5)
 
 
-@pytest.mark.parametrize("outside", ["veil", "renormalise"])
+@pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
 def test_mean_flux_is_conserved(outside):
-    """A picture whose border is dark loses no light over the edge: its captures have the same mean."""
+    """An image whose border is dark loses no light over the edge: its captures have the same mean."""
     images = random_images(5, 40, 40)
     border = torch.zeros(40, 40)
     border[K:-K, K:-K] = 1
@@ -124,7 +124,7 @@ def test_single_is_one_field_of_the_grid(colour):
     torch.testing.assert_close(camera.single(images, fields), expected, rtol=0, atol=1e-6)
 
 
-def test_one_camera_renders_pictures_of_several_sizes():
+def test_one_camera_renders_images_of_several_sizes():
     """What a camera remembers of one size does not leak into another."""
     psf = random_psf(11)
     camera = Camera(psf)
@@ -159,7 +159,7 @@ FIELDS = torch.tensor([3, 0, 3])
     ids=["grid", "single"],
 )
 def test_gradients_are_those_of_the_direct_convolution(render, reference, shape):
-    """At the PSFs and at the pictures, against double precision, relative to the largest."""
+    """At the PSFs and at the images, against double precision, relative to the largest."""
     images, psf = random_images(13, *shape), random_psf(14)
     weight = torch.randn(render(psf, images).shape, generator=torch.Generator().manual_seed(15))
     gradients = []

@@ -9,16 +9,16 @@ from examples import difference, materials
 
 from tasklens.design import least_squares, spot
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.merit import HEIGHTS, SHORTFALL, Merit
+from tasklens.design.merit import HEIGHTS, VIOLATION, Merit
 from tasklens.design.start import Variables, flat
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.view import view_of_spec
-from tasklens.study.design_settings import LeastSquares, Rates, Spot
+from tasklens.study.design_settings import LearningRates, LeastSquaresSettings, SpotSettings
 from tasklens.study.settings import Constraints, Spec
 
-SPEC, LIMITS = Spec(kernel=11), Constraints()
+SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 LOOKS = view_of_spec(SPEC)
 PLASTICS = materials("COC", "OKP4")
 
@@ -30,7 +30,9 @@ def mean_rms(lens) -> float:
 
 def test_spot_descent_from_flat_makes_a_lens():
     """Thirty steps from plane plates: less blur and no shorter of its focal length than before."""
-    settings = Spot(method="spot", steps=30, rays=64, rates=Rates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2))
+    settings = SpotSettings(
+        method="spot", steps=30, rays=64, learning_rates=LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
+    )
     begin, history = flat(PLASTICS, SPEC, LIMITS), []
     lens = spot.design(begin, LOOKS, LIMITS, settings, 0, history)
     assert mean_rms(lens) < 0.7 * mean_rms(begin)
@@ -94,7 +96,7 @@ def test_merit_is_the_mean_square_spot(start):
         min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
     )  # fmt: skip
     merit = Merit(LOOKS, easy, "centroid")
-    gentle = start.stopped(0.3)
+    gentle = start.with_stop_scaled(0.3)
     found = float(merit.residuals(gentle).square().sum())
     heights = torch.tensor(HEIGHTS, dtype=torch.float64)
     fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
@@ -116,9 +118,9 @@ def test_improve_never_increases_the_merit():
 
 
 def test_a_search_makes_a_better_lens():
-    """A search of a few seconds halves the merit of its best start, and kicks lower that of the stages before them."""
+    """A search of a few seconds halves the merit of its best start, and perturbations lower that of the stages."""
     begin = flat(PLASTICS, SPEC, LIMITS)
-    settings = LeastSquares(method="least_squares", starts=6, evaluations=200)
+    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200)
     history: list[dict] = []
     lens = least_squares.design(begin, LOOKS, LIMITS, settings, 0, history)
     starts = least_squares.random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
@@ -127,14 +129,14 @@ def test_a_search_makes_a_better_lens():
     final = float(merit.residuals(lens).norm())
     assert final < 0.5 * best
     assert history[-2]["rms_um"] < min(row["rms_um"] for row in history if row["stage"] == "4 orders")
-    strict = Merit(LOOKS, LIMITS, per_mm=20 * SHORTFALL, reference="centroid")
+    strict = Merit(LOOKS, LIMITS, per_mm=20 * VIOLATION, reference="centroid")
     assert float(strict.residuals(lens).norm()) == pytest.approx(history[-1]["rms_um"], rel=1e-9)
 
 
 def test_a_kick_that_makes_it_worse_is_forgotten(monkeypatch):
     """Kicked to plane plates, nothing better comes of two evaluations: the lens from before is returned."""
     begin = flat(PLASTICS, SPEC, LIMITS)
-    settings = LeastSquares(method="least_squares", starts=6, evaluations=100)
+    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     monkeypatch.setattr(least_squares, "_kick", lambda lens, rng: begin)
     monkeypatch.setattr(least_squares, "_KICK_EVALUATIONS", 2)
     history: list[dict] = []

@@ -5,10 +5,10 @@ import itertools
 import pytest
 import yaml
 from examples import changed, tiny_study, with_outside
+from tasklens.pipeline.layout import SHARP
 
 from tasklens.materials.catalogues import builtin
 from tasklens.pipeline import jobs
-from tasklens.pipeline.layout import SHARP
 from tasklens.study import claims
 from tasklens.study.study import TABLES, dump, parse
 
@@ -38,7 +38,7 @@ def slices(mapping: dict) -> dict[tuple, str]:
 
 SUPERVISED = ("singlet-tasklens", "singlet-end_to_end_from_imaging", "singlet-end_to_end_from_flat")
 READERS = [
-    ("fine_tuning.rate", 3e-3, lambda job: job[0] in ("fine_tune", "restored")),
+    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] in ("fine_tune", "restored")),
     ("minutes.design", 7, lambda job: False),
     ("images.seed", 5, lambda job: job == ("images",)),
     ("evaluation_rays", 128, lambda job: job[0] in ("psf", "design")),
@@ -47,10 +47,10 @@ READERS = [
     ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "restored") or job[:2] == ("reproduce", "restored")),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",))),
-    ("capture.outside", "renormalise",
+    ("capture.outside_window", "renormalise",
      lambda job: job[0] in ("restore", "restored") or (job[0] == "fine_tune" and job[1] != SHARP)
      or (job[0] == "reproduce" and job[2] != SHARP) or (job[0] == "design" and job[1] in SUPERVISED)),
-    ("classifiers.small.training.rate", 2e-3,
+    ("classifiers.small.training.learning_rate", 2e-3,
      lambda job: job == ("reference", "small")
      or (job[0] in ("fine_tune", "restored", "reproduce") and job[-1] == "small")
      or (job[0] == "design" and job[1] in SUPERVISED)),
@@ -109,22 +109,22 @@ def test_a_lens_from_outside_adds_rows_and_changes_no_other_job():
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
     study = parse(with_outside())
     for name in TABLES:
-        outside = () if name == "table3" else ("quadruplet-phone",)
-        assert jobs.table(study, name).lenses == jobs.table(parse(tiny_study()), name).lenses + outside
+        imported = () if name == "table3" else ("quadruplet-phone",)
+        assert jobs.table(study, name).lenses == jobs.table(parse(tiny_study()), name).lenses + imported
     assert jobs.design(study, "quadruplet-phone", 0).classifier is None
-    assert jobs.imaging_rivals(study, "quadruplet-phone") == ()
+    assert jobs.imaging_baselines(study, "quadruplet-phone") == ()
 
 
 def test_rivals_are_the_imaging_lenses_of_the_same_elements():
     study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
     expected = ("doublet-imaging1", "doublet-imaging2")
-    assert jobs.imaging_rivals(study, "doublet-end_to_end_from_imaging") == expected
-    assert jobs.imaging_rivals(study, "doublet-end_to_end_from_flat") == ()
-    assert jobs.imaging_rivals(study, "doublet-tasklens") == ()
+    assert jobs.imaging_baselines(study, "doublet-end_to_end_from_imaging") == expected
+    assert jobs.imaging_baselines(study, "doublet-end_to_end_from_flat") == ()
+    assert jobs.imaging_baselines(study, "doublet-tasklens") == ()
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
-    """Other designs, PSFs and focal lengths to verify for doublets, which are no rivals of singlets then."""
+    """Other designs, PSFs and focal lengths to verify for doublets, which are no baselines of singlets then."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     found = {job for job in before if before[job] != after[job]}

@@ -7,7 +7,7 @@ import pytest
 import torch
 from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
 
-from tasklens.design import imported as outside
+from tasklens.design import imported as imported
 from tasklens.design import methods
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -19,18 +19,20 @@ from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
 from tasklens.runtime.files import FileError
-from tasklens.study.design_settings import Outside
+from tasklens.study.design_settings import ImportedLens
 from tasklens.study.settings import Spec
 from tasklens.study.study import parse
 
-SPEC = Spec(field_of_view_deg=36, f_number=4, kernel=101)
+SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
 LOOKS = view_of_spec(SPEC)
 RAYS = 512
 
 
 def fitted(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
     prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
-    return outside.fit(Outside(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number, RAYS)
+    return imported.fit(
+        ImportedLens(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number, RAYS
+    )
 
 
 # ---- another size
@@ -46,7 +48,7 @@ def test_a_scaled_lens_has_scaled_rays(seed, factor):
     small = trace(lens, rays, indices)
     large = trace(lens.scaled(factor), replace(rays, x=factor * rays.x, y=factor * rays.y), indices)
     assert 0 < small.valid.double().mean() < 1
-    assert torch.equal(large.fate, small.fate) and torch.equal(large.lost_at, small.lost_at)
+    assert torch.equal(large.status, small.status) and torch.equal(large.lost_at, small.lost_at)
     for name in ("x", "y", "path"):
         torch.testing.assert_close(getattr(large, name), factor * getattr(small, name), rtol=1e-12, atol=1e-12 * factor)
     for name in ("l", "m", "n"):
@@ -69,7 +71,7 @@ def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tm
 def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
     """A file of the same lens 7 times as large, stopped down and out of focus: the same lens comes out, as it was."""
     expected, notes = fitted(tmp_path, cooke_triplet())
-    large = cooke_triplet().scaled(7.0).stopped(0.4)
+    large = cooke_triplet().scaled(7.0).with_stop_scaled(0.4)
     large.thickness[-1] += 1.5
     found, large_notes = fitted(tmp_path, large, object_distance_mm=800.0)
     for name in ("curvature", "conic", "alpha", "semi_diameter"):
@@ -108,7 +110,7 @@ def job_of(folder: Path, lens: Lens, **spec):
     prescription.write(folder / "given.yaml", Prescription(lens), {})
     entry = {"elements": "triplet", "file": str(folder / "given.yaml")}
     study = changed(
-        changed(tiny_study(), "outside.cooke", entry),
+        changed(tiny_study(), "imported.cooke", entry),
         "spec",
         {"kernel": 11, "field_of_view_deg": 36, "f_number": 4} | spec,
     )
@@ -119,7 +121,7 @@ def test_a_finished_lens_from_outside(tmp_path):
     """It says where it is from, and has figures, margins and finite clear apertures that stop nothing more."""
     job = job_of(tmp_path, cooke_triplet())
     lens, notes = methods.design(job, None, None, {}, [])
-    before, fit = outside.fit(job.lens.design, LOOKS, SPEC.f_number, RAYS)
+    before, fit = imported.fit(job.lens.design, LOOKS, SPEC.f_number, RAYS)
     assert notes["origin"] == {"design": "cooke", "method": "file"} | fit
     assert fit["file"] == str(tmp_path / "given.yaml")
     assert len(notes["margins"]) == 9 and lens.semi_diameter.isfinite().all()
@@ -133,7 +135,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     bare = fitted(tmp_path, cooke_triplet())[0]
     given = cooke_triplet()
     given.semi_diameter[0] = 8.0
-    job = job_of(tmp_path, given, kernel=31)
+    job = job_of(tmp_path, given, kernel_size=31)
     lens, notes = methods.design(job, None, None, {}, [])
     scale = notes["origin"]["scale"]
     assert float(lens.semi_diameter[0]) == pytest.approx(8.0 * scale, rel=1e-14)
@@ -147,7 +149,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     energy = evaluation_psf(lens, view_of_spec(job.spec), RAYS).sum((-2, -1))
     torch.testing.assert_close(energy, torch.ones_like(energy), rtol=0, atol=1e-12)
     assert notes["figures"]["energy_in_window"] == pytest.approx([1.0] * 9, abs=1e-12)
-    again = outside.read(job.lens.design).lens
+    again = imported.read(job.lens.design).lens
     assert float(again.semi_diameter[0]) == 8.0  # the file's lens is not changed
 
 
@@ -160,7 +162,7 @@ def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
     }
     expected, notes = fitted(tmp_path, cooke_triplet(), **use)
     zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **use))
-    found, other = outside.fit(Outside(elements="x", file=tmp_path / "lens.ZMX"), LOOKS, SPEC.f_number, RAYS)
+    found, other = imported.fit(ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), LOOKS, SPEC.f_number, RAYS)
     assert torch.equal(found.thickness, expected.thickness) and found.media == expected.media
     assert notes | {"file": ""} == other | {"file": ""}
 
@@ -198,8 +200,8 @@ PHONES = sorted(path for path in DATA.glob("lenses/cellphone/source/*") if path.
 needs_files = pytest.mark.skipif(not PHONES, reason="no lens files here")
 
 
-def phone(path: Path) -> Outside:
-    return Outside(elements="phone", file=path, catalogues=tuple(sorted(DATA.glob("glass/*.AGF"))))
+def phone(path: Path) -> ImportedLens:
+    return ImportedLens(elements="phone", file=path, catalogues=tuple(sorted(DATA.glob("glass/*.AGF"))))
 
 
 @needs_files
@@ -207,7 +209,7 @@ def test_a_phone_quadruplet_close_to_the_specification():
     """Made for F/2.2 and an object at 370 mm: at F/2.8 and refocused, sharper than the Airy disc (2 um) everywhere."""
     path = next(path for path in PHONES if path.name.startswith("4P"))
     spec = Spec()
-    lens, notes = outside.fit(phone(path), view_of_spec(spec), spec.f_number, 4096)
+    lens, notes = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 4096)
     assert notes["file_object_distance_mm"] == 370 and notes["file_efl_mm"] == pytest.approx(2.647, abs=1e-3)
     first_order = paraxial(lens, spec.wavelengths_um[1])
     assert float(first_order.efl) == pytest.approx(2.921, abs=5e-4)
@@ -225,7 +227,7 @@ def test_a_phone_quadruplet_close_to_the_specification():
 def test_every_phone_lens_serves(path):
     """Three to eight elements, stops in front and inside: an image of 8 um or better; a few rays miss an inner stop."""
     spec = Spec()
-    lens, _ = outside.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
+    lens, _ = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
     rays = trace_fields(lens, view_of_spec(spec), sobol_disc(256, 0))
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)

@@ -1,4 +1,4 @@
-"""Splits of pictures, from the renderer and from folders of photographs."""
+"""Splits of images, from the renderer and from folders of photographs."""
 
 import itertools
 import multiprocessing
@@ -7,32 +7,32 @@ from pathlib import Path
 
 import pytest
 import torch
-from examples import random_pictures
+from examples import random_images
 from PIL import Image
 
-from tasklens.pipeline.digest import of_folder
+from tasklens.pipeline.digest import folder_digest
 from tasklens.recognition import dataset as data
 from tasklens.recognition import folders
 from tasklens.runtime import checkpoints, files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError
-from tasklens.study.settings import Images
+from tasklens.study.settings import ImageSettings
 
 
-def made(folder, images: Images, threads: int = 1) -> dict[str, data.Pictures]:
+def made(folder, images: ImageSettings, threads: int = 1) -> dict[str, data.ImageDataset]:
     """The splits, by way of their files in `folder`."""
     paths = {split: folder / f"{split}.safetensors" for split in data.SPLITS}
     data.make(images, paths, threads)
     return {split: data.read(path) for split, path in paths.items()}
 
 
-def as_set(pictures: data.Pictures) -> set[bytes]:
-    return {image.numpy().tobytes() for image in pictures.images}
+def as_set(dataset: data.ImageDataset) -> set[bytes]:
+    return {image.numpy().tobytes() for image in dataset.images}
 
 
 def test_splits_are_disjoint_and_deterministic(tmp_path):
-    """The minival is cut out of the training pictures; no picture stands in two splits."""
-    settings = Images(size=16, train=40, minival=15, test=55, seed=3)
+    """The minival is cut out of the training images; no image stands in two splits."""
+    settings = ImageSettings(size=16, train=40, minival=15, test=55, seed=3)
     splits, again = (made(tmp_path / name, settings) for name in ("first", "again"))
     assert {name: len(part) for name, part in splits.items()} == {"train": 40, "minival": 15, "test": 55}
     seen = [as_set(part) for part in splits.values()]
@@ -44,31 +44,31 @@ def test_splits_are_disjoint_and_deterministic(tmp_path):
     assert not as_set(splits["test"]) & as_set(other["train"])
 
 
-def test_pictures_survive_their_file(tmp_path):
-    pictures = random_pictures(6, 16, 3, seed=0)
-    data.write(pictures, tmp_path / "train.safetensors")
+def test_images_survive_their_file(tmp_path):
+    dataset = random_images(6, 16, 3, seed=0)
+    data.write(dataset, tmp_path / "train.safetensors")
     found = data.read(tmp_path / "train.safetensors")
-    assert torch.equal(found.images, pictures.images) and torch.equal(found.labels, pictures.labels)
-    assert found.classes == pictures.classes
+    assert torch.equal(found.images, dataset.images) and torch.equal(found.labels, dataset.labels)
+    assert found.classes == dataset.classes
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux tells what is mapped how")
-def test_pictures_are_mapped_and_not_held(tmp_path):
+def test_images_are_mapped_and_not_held(tmp_path):
     """Shared and read only, as Linux allows it for files larger than memory and swap; the values are the file's."""
     path = tmp_path / "train.safetensors"
-    pictures = random_pictures(6, 16, 3, seed=0)
-    data.write(pictures, path)
+    dataset = random_images(6, 16, 3, seed=0)
+    data.write(dataset, path)
     found = data.read(path)
     mappings = [line.split() for line in Path("/proc/self/maps").read_text().splitlines() if str(path) in line]
     assert [fields[1] for fields in mappings] == ["r--s"]
-    assert torch.equal(found.batch(torch.tensor([4, 1]))[0], pictures.batch(torch.tensor([4, 1]))[0])
+    assert torch.equal(found.batch(torch.tensor([4, 1]))[0], dataset.batch(torch.tensor([4, 1]))[0])
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(FileError, match=r"train\.safetensors: no complete file"):
         data.read(path)
 
 
 def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
-    """Pictures of one grey per file: 10, 20, ... for cats, 110, 120, ... for dogs; tests are one brighter."""
+    """Images of one grey per file: 10, 20, ... for cats, 110, 120, ... for dogs; tests are one brighter."""
     for split, count in (("train", train), (test_name, test)):
         for k, name in enumerate(classes):
             (root / split / name).mkdir(parents=True)
@@ -79,8 +79,8 @@ def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
 
 
 def test_folder_of_photographs(tmp_path):
-    """train/ and val/ with a folder per class; every picture keeps its class, minival and train stay apart."""
-    splits = made(tmp_path, Images(size=16, minival=3, folder=make_folder(tmp_path)))
+    """train/ and val/ with a folder per class; every image keeps its class, minival and train stay apart."""
+    splits = made(tmp_path, ImageSettings(size=16, minival=3, folder=make_folder(tmp_path)))
     assert {name: len(part) for name, part in splits.items()} == {"train": 5, "minival": 3, "test": 4}
     for name, part in splits.items():
         assert part.classes == ("cat", "dog") and part.images.shape[1:] == (3, 16, 16)
@@ -91,7 +91,9 @@ def test_folder_of_photographs(tmp_path):
 
 
 def test_counts_limit_a_folder_evenly(tmp_path):
-    splits = made(tmp_path, Images(size=16, train=2, minival=2, test=2, folder=make_folder(tmp_path, test_name="test")))
+    splits = made(
+        tmp_path, ImageSettings(size=16, train=2, minival=2, test=2, folder=make_folder(tmp_path, test_name="test"))
+    )
     assert torch.bincount(torch.cat([splits["train"].labels, splits["minival"].labels])).tolist() == [2, 2]
     assert torch.bincount(splits["test"].labels).tolist() == [1, 1]
 
@@ -99,12 +101,12 @@ def test_counts_limit_a_folder_evenly(tmp_path):
 @pytest.mark.parametrize(
     "mode, colour", [("L", 77), ("RGBA", (77, 77, 77, 255)), ("P", 77), ("1", 1), ("CMYK", (0,) * 4)]
 )
-def test_any_kind_of_picture_becomes_rgb(tmp_path, mode, colour):
+def test_any_kind_of_image_becomes_rgb(tmp_path, mode, colour):
     folder = make_folder(tmp_path)
-    picture = Image.new(mode, (24, 24), colour)
-    picture.save(folder / "train" / "cat" / ("more.jpg" if mode == "CMYK" else "more.png"))
-    expected = picture.convert("RGB").getpixel((0, 0))
-    splits = made(tmp_path, Images(size=16, minival=1, folder=folder))
+    image = Image.new(mode, (24, 24), colour)
+    image.save(folder / "train" / "cat" / ("more.jpg" if mode == "CMYK" else "more.png"))
+    expected = image.convert("RGB").getpixel((0, 0))
+    splits = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))
     images = torch.cat([splits["train"].images, splits["minival"].images])
     assert images.shape == (9, 3, 16, 16)
     assert (images == torch.tensor(expected)[:, None, None]).flatten(1).all(1).any()
@@ -114,17 +116,17 @@ def test_sixteen_bits_are_scaled(tmp_path):
     """Half of full scale stays half of full scale."""
     folder = make_folder(tmp_path)
     Image.new("I;16", (16, 16), 30000).save(folder / "val" / "cat" / "deep.png")
-    test = made(tmp_path, Images(size=16, minival=1, folder=folder))["test"]
+    test = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1).int() - 30000 * 255 // 65535).abs().max(1).values.min() <= 1
 
 
 def test_the_central_square_is_kept(tmp_path):
-    """A picture of 30 x 10 pixels with white ends becomes its black middle."""
+    """An image of 30 x 10 pixels with white ends becomes its black middle."""
     folder = make_folder(tmp_path)
     wide = Image.new("RGB", (60, 20), "white")
     wide.paste((0, 0, 0), (15, 0, 45, 20))
     wide.save(folder / "val" / "cat" / "wide.png")
-    test = made(tmp_path, Images(size=16, minival=1, folder=folder))["test"]
+    test = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1) == 0).all(1).sum() == 1
 
 
@@ -136,28 +138,28 @@ def test_a_turned_camera_is_turned_back(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     lying.save(folder / "val" / "cat" / "turned.png", exif=exif)
-    test = made(tmp_path, Images(size=32, minival=1, folder=folder))["test"]
+    test = made(tmp_path, ImageSettings(size=32, minival=1, folder=folder))["test"]
     bright = test.images[test.images.flatten(1).float().std(1).argmax()]
     assert (bright[:, :15] == 255).all() and (bright[:, 17:] == 0).all()
 
 
-def test_a_picture_of_any_size_is_read(tmp_path):
+def test_a_image_of_any_size_is_read(tmp_path):
     """Pillow alone refuses more than 179 million pixels."""
     Image.new("L", (15_000, 12_500), 60).save(tmp_path / "large.png", compress_level=1)
     assert (folders.read(tmp_path / "large.png", 16) == 60).all()
 
 
 def test_threads_change_nothing(tmp_path):
-    settings = Images(size=16, minival=3, folder=make_folder(tmp_path, train=150))
+    settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=150))
     one, four = (made(tmp_path / str(threads), settings, threads) for threads in (1, 4))
-    for split, pictures in one.items():
-        assert torch.equal(pictures.images, four[split].images) and torch.equal(pictures.labels, four[split].labels)
+    for split, dataset in one.items():
+        assert torch.equal(dataset.images, four[split].images) and torch.equal(dataset.labels, four[split].labels)
 
 
 @pytest.mark.parametrize("writes", [1, 5, 9])
 def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     """What was decoded before is not decoded again, and the files come out equal to the byte."""
-    settings = Images(size=16, minival=3, folder=make_folder(tmp_path, train=20))
+    settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=20))
     paths = {split: tmp_path / f"{split}.safetensors" for split in data.SPLITS}
     read, decoded = folders.read, []
     monkeypatch.setattr(folders, "read", lambda *rest: (decoded.append(rest), read(*rest))[1])
@@ -184,27 +186,27 @@ def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
 
 
 def test_a_folder_is_known_by_its_digest(tmp_path):
-    """A picture renamed, removed or changed makes another, also behind a link."""
+    """An image renamed, removed or changed makes another, also behind a link."""
     folder = tmp_path / "linked"
-    folder.symlink_to(make_folder(tmp_path / "pictures"))
-    assert of_folder(folder) == of_folder(folder)
-    found = {of_folder(folder)}
-    picture = folder / "val" / "cat" / "1.png"
-    picture.rename(folder / "val" / "cat" / "2.png")
-    found.add(of_folder(folder))
+    folder.symlink_to(make_folder(tmp_path / "images"))
+    assert folder_digest(folder) == folder_digest(folder)
+    found = {folder_digest(folder)}
+    image = folder / "val" / "cat" / "1.png"
+    image.rename(folder / "val" / "cat" / "2.png")
+    found.add(folder_digest(folder))
     (folder / "val" / "cat" / "2.png").unlink()
-    found.add(of_folder(folder))
+    found.add(folder_digest(folder))
     Image.new("RGB", (64, 64)).save(folder / "val" / "dog" / "0.png")
-    found.add(of_folder(folder))
-    assert len(found) == 4 and of_folder(tmp_path / "nowhere") not in found
+    found.add(folder_digest(folder))
+    assert len(found) == 4 and folder_digest(tmp_path / "nowhere") not in found
 
 
 def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
     folder = make_folder(tmp_path)
     monkeypatch.setattr(files.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000}))
-    monkeypatch.setattr(data.folders, "read", lambda *rest: pytest.fail("a picture was decoded"))
+    monkeypatch.setattr(data.folders, "read", lambda *rest: pytest.fail("an image was decoded"))
     with pytest.raises(FileError, match=r"train\.safetensors: needs 0\.0 MB"):
-        made(tmp_path / "out", Images(size=16, minival=1, folder=folder))
+        made(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
     assert not list((tmp_path / "out").iterdir())
 
 
@@ -222,7 +224,7 @@ def spoil_empty(folder):
 
 def spoil_text(folder):
     path = folder / "train" / "cat" / "text.png"
-    path.write_text("not a picture")
+    path.write_text("not an image")
     return (str(path),)
 
 
@@ -244,15 +246,15 @@ def test_a_bad_folder_is_named(tmp_path, spoil):
     folder = make_folder(tmp_path)
     words = spoil(folder)
     with pytest.raises(FileError) as error:
-        made(tmp_path / "out", Images(size=16, minival=1, folder=folder))
+        made(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
     assert not list(tmp_path.glob("out/*"))
     assert all(word in str(error.value) for word in words)
 
 
 @pytest.mark.parametrize("folder, key", [("nowhere", "images.folder"), (None, "images.minival")])
 def test_a_folder_that_cannot_serve(tmp_path, folder, key):
-    """No such folder; or fewer pictures than the minival wants."""
+    """No such folder; or fewer images than the minival wants."""
     path = tmp_path / folder if folder else make_folder(tmp_path)
     with pytest.raises(FileError) as error:
-        made(tmp_path, Images(size=16, minival=8, folder=path))
+        made(tmp_path, ImageSettings(size=16, minival=8, folder=path))
     assert key in str(error.value)

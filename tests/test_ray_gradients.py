@@ -7,8 +7,8 @@ import torch
 from examples import WAVELENGTHS, difference, f64, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.lens import Lens
+from tasklens.optics.tracing import trace as trace_module
 from tasklens.optics.tracing.trace import linearise, trace
-from tasklens.optics.tracing.trace import trace as tracing
 
 SEEDS = range(4)
 
@@ -50,10 +50,10 @@ def test_forward_and_backward_mode_agree(seed):
     lens = random_lens(seed)
     values = {name: value_of(lens, name) for name in (*PARAMETERS, "indices")}
     generator = torch.Generator().manual_seed(seed)
-    push = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
+    refract_jvp = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
     gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
-    _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (push,))
-    exact(along, sum((gradient[k] * push[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
+    _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (refract_jvp,))
+    exact(along, sum((gradient[k] * refract_jvp[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
 
 
 def test_linearised_rays_change_as_pushed_ones():

@@ -2,12 +2,12 @@
 
 import pytest
 import torch
-from examples import random_pictures
+from examples import random_images
 
 from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet, build
 from tasklens.imaging import Camera, psnr
-from tasklens.study.settings import Restoration
+from tasklens.study.settings import RestorationSettings
 
 
 def small(seed: int = 0) -> NAFNet:
@@ -15,20 +15,20 @@ def small(seed: int = 0) -> NAFNet:
     return NAFNet(4, (1, 2), 1, (1, 1))
 
 
-def pictures(seed: int, *shape) -> torch.Tensor:
+def dataset(seed: int, *shape) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 def test_paper_size_has_the_papers_parameters():
     """Width 32, encoder 1 1 1 8, middle 1, decoder 1 1 1 1: 7 767 907 parameters, as the original's code counts."""
-    network = build(Restoration(steps=1))
+    network = build(RestorationSettings(steps=1))
     assert sum(p.numel() for p in network.parameters()) == 7_767_907
 
 
 def test_blocks_begin_as_the_identity():
     """beta = gamma = 0 close both branches."""
     torch.manual_seed(1)
-    block, x = NAFBlock(8), pictures(0, 2, 8, 6, 6)
+    block, x = NAFBlock(8), dataset(0, 2, 8, 6, 6)
     assert torch.equal(block(x), x)
     torch.nn.init.ones_(block.beta)
     assert not torch.equal(block(x), x)
@@ -36,7 +36,7 @@ def test_blocks_begin_as_the_identity():
 
 def test_network_adds_a_correction_to_its_input():
     """With a silent last layer nothing is added; otherwise output - input is what the last layer says."""
-    network, x = small(), pictures(1, 2, 3, 16, 20)
+    network, x = small(), dataset(1, 2, 3, 16, 20)
     assert not torch.equal(network(x), x)
     torch.nn.init.zeros_(network.ending.weight)
     torch.nn.init.constant_(network.ending.bias, 0.25)
@@ -54,20 +54,20 @@ def test_wrong_size_is_refused(size):
         small()(torch.zeros(1, 3, *size))
 
 
-def test_the_whole_picture_informs_each_pixel():
+def test_the_whole_image_informs_each_pixel():
     """Channel attention pools globally: once trained, a change in one corner reaches the other."""
     network = small()
     for name, p in network.named_parameters():
         if name.endswith(("beta", "gamma")):
             torch.nn.init.ones_(p)
-    x = pictures(2, 1, 3, 32, 32).requires_grad_()
+    x = dataset(2, 1, 3, 32, 32).requires_grad_()
     reach = torch.autograd.grad(network(x)[0, :, 0, 0].sum(), x)[0]
     assert reach[0, :, -1, -1].abs().max() > 0
 
 
 def test_gradient_reaches_every_parameter_after_one_step():
     """At the start beta and gamma alone open the branches; after a step all else follows."""
-    network, x, y = small(), pictures(3, 4, 3, 16, 16), pictures(4, 4, 3, 16, 16)
+    network, x, y = small(), dataset(3, 4, 3, 16, 16), dataset(4, 4, 3, 16, 16)
     optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
     silent = []
     for _ in range(2):
@@ -86,12 +86,12 @@ def blurred() -> Camera:
     return Camera(grid)
 
 
-TINY = Restoration(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch=8, rate=5e-3)
+TINY = RestorationSettings(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch_size=8, learning_rate=5e-3)
 
 
 def test_training_restores_and_is_deterministic():
     """Sixty steps raise the PSNR of captures blurred by one pixel to each side; one seed, one result."""
-    sharp, minival = random_pictures(16, 16, 2, seed=0), random_pictures(8, 16, 2, seed=1)
+    sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
     network = training.train(TINY, sharp, minival, blurred(), 0, [])
     assert not network.training
     images, _ = sharp.batch(torch.arange(16))
@@ -108,14 +108,14 @@ def test_training_restores_and_is_deterministic():
 
 def test_training_ends_when_two_checks_gained_nothing():
     """Each divides the rate by ten; the network of the best check is returned, with the PSNR that was logged."""
-    sharp, minival = random_pictures(16, 16, 2, seed=0), random_pictures(8, 16, 2, seed=1)
+    sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
     history: list[dict] = []
     network = training.train(
         TINY.model_copy(update={"steps": 1000, "check": 10}), sharp, minival, blurred(), 0, history
     )
     assert history[-1]["converged"] and not any(row["converged"] for row in history[:-1])
-    assert history[-1]["step"] < 1000 and history[-1]["rate"] == TINY.rate * 0.1
-    quality, rate, best = [row["psnr_db"] for row in history], TINY.rate, -torch.inf
+    assert history[-1]["step"] < 1000 and history[-1]["rate"] == TINY.learning_rate * 0.1
+    quality, rate, best = [row["psnr_db"] for row in history], TINY.learning_rate, -torch.inf
     for row in history:
         assert row["rate"] == rate
         if row["psnr_db"] > best + 0.1:
@@ -130,7 +130,7 @@ def test_training_ends_when_two_checks_gained_nothing():
 
 def test_training_that_runs_out_of_steps_says_so(capsys):
     history: list[dict] = []
-    sharp = random_pictures(16, 16, 2, seed=0)
+    sharp = random_images(16, 16, 2, seed=0)
     training.train(TINY.model_copy(update={"steps": 3}), sharp, sharp, blurred(), 0, history)
     assert [row["step"] for row in history] == [3] and not history[0]["converged"]
     assert "not converged within 3 steps" in capsys.readouterr().err

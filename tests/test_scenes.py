@@ -1,4 +1,4 @@
-"""The rendered pictures of the built-in study."""
+"""The rendered images of the built-in study."""
 
 import torch
 

@@ -19,7 +19,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
-from tasklens.study.design_settings import LeastSquares
+from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.settings import Constraints, Spec
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # it draws; nothing is drawn here
@@ -87,7 +87,7 @@ def test_random_aspheres(seed):
 def test_a_finished_design():
     """A doublet by least squares, up to the corner of the paper's field."""
     spec, limits = Spec(), Constraints()
-    settings = LeastSquares(method="least_squares", starts=6, evaluations=100)
+    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     lens = least_squares.design(
         flat(materials("COC", "OKP4"), spec, limits), view_of_spec(spec), limits, settings, 0, []
     )

@@ -8,10 +8,10 @@ from tasklens.design.constraints import manufacturing_margins, worst_margin
 from tasklens.design.schedule import cosine
 from tasklens.design.start import Variables, flat, parameter_groups
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.study.design_settings import Rates
+from tasklens.study.design_settings import LearningRates
 from tasklens.study.settings import Constraints, Spec
 
-SPEC, LIMITS = Spec(kernel=11), Constraints()
+SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 4])
@@ -55,7 +55,7 @@ def test_normalised_variables_are_slopes_at_the_radius_that_light_uses():
 
 def test_each_asphere_order_learns_more_slowly_by_one_factor():
     values = Variables.plain(random_lens(0)).values()
-    groups = parameter_groups(values, Rates(curvature=1, thickness=2, alpha_4=3, decay=0.5))
+    groups = parameter_groups(values, LearningRates(curvature=1, thickness=2, alpha_4=3, decay=0.5))
     assert [group["lr"] for group in groups] == [1, 2, 3, 1.5, 0.75, 0.375]
     assert [group["params"][0] is value for group, value in zip(groups, values.values(), strict=True)] == [True] * 6
 

@@ -114,17 +114,17 @@ def copy(tmp_path, monkeypatch):
             assert old in text
             (tmp_path / path).write_text(text.replace(old, new, 1))
         digest.parse.cache_clear()
-        digest.code.cache_clear()
-        return digest.code(stage)
+        digest.code_digest.cache_clear()
+        return digest.code_digest(stage)
 
     yield after
     digest.parse.cache_clear()
-    digest.code.cache_clear()
+    digest.code_digest.cache_clear()
 
 
-READ_PICTURES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
+READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
 STAGES = (
-    *READ_PICTURES,
+    *READ_IMAGES,
     "psf",
     "tail",
     "table",
@@ -163,7 +163,7 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
             {"design", "psf", "tail", "figure", "comparison", "certificate"},
         ),
         ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune", "reproduce"}),
-        ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_PICTURES),
+        ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation", "comparison"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
@@ -188,7 +188,7 @@ def test_code_changes_the_digests_of_the_stages_that_run_it(copy, path, old, new
 
 def test_unknown_stage_raises():
     with pytest.raises(ValueError, match="bake"):
-        digest.code("bake")
+        digest.code_digest("bake")
 
 
 # ---- files

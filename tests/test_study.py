@@ -28,9 +28,9 @@ MISTAKES = [
     ("materials", "COC", ["COC", "list of files"]),
     ("materials", {"X": {"formula": "schott"}}, ["X", "coefficients"]),
     ("elements", {}, ["at least 1"]),
-    ("spec.kernel", 50, ["50", "odd"]),
-    ("spec.kernel", 1, ["1", "3"]),
-    ("spec.kernel", 33, ["33", "16"]),
+    ("spec.kernel_size", 50, ["50", "odd"]),
+    ("spec.kernel_size", 1, ["1", "3"]),
+    ("spec.kernel_size", 33, ["33", "16"]),
     ("spec.f_number", 0, ["0", "greater than 0"]),
     ("spec.field_of_view_deg", 180, ["180", "150"]),
     ("images.size", 17, ["17", "multiple of 2"]),
@@ -42,8 +42,8 @@ MISTAKES = [
     ("seeds", "many", ["many"]),
     ("tables", ["table5"], ["table5", "table4"]),
     ("supervisor", "nobody", ["nobody", "small"]),
-    ("capture.outside", "ignore", ["ignore", "veil", "renormalise"]),
-    ("fine_tuning.rate", "fast", ["fast", "number"]),
+    ("capture.outside_window", "ignore", ["ignore", "veil", "renormalise"]),
+    ("fine_tuning.learning_rate", "fast", ["fast", "number"]),
     ("fine_tuning.warmup", 1.5, ["1.5", "less than or equal to 1"]),
     ("designs.imaging1.method", "magic", ["magic", "spot", "least_squares"]),
     ("designs.imaging1.steps", -1, ["-1", "greater than 0"]),
@@ -61,15 +61,15 @@ MISTAKES = [
     ("constraints.distortion", -0.1, ["-0.1"]),
     ("minutes.design", -1, ["-1"]),
     ("classifiers.small.processes", 3, ["classifiers.small.processes", "fine_tuning.batch"]),
-    ("outside.phone.file", "nowhere.zmx", ["outside.phone.file", "nowhere.zmx", "not point to a file"]),
-    ("outside.phone.file", __file__, ["outside.phone.file", ".zmx", ".yaml"]),
-    ("outside.phone", {"elements": "x", "file": str(PLASTICS), "catalogues": ["no.agf"]}, ["catalogues", "no.agf"]),
-    ("outside.phone", {"elements": "x-y", "file": str(PLASTICS)}, ["elements", "x-y"]),
-    ("outside.phone", {"file": str(PLASTICS)}, ["elements", "required"]),
+    ("imported.phone.file", "nowhere.zmx", ["imported.phone.file", "nowhere.zmx", "not point to a file"]),
+    ("imported.phone.file", __file__, ["imported.phone.file", ".zmx", ".yaml"]),
+    ("imported.phone", {"elements": "x", "file": str(PLASTICS), "catalogues": ["no.agf"]}, ["catalogues", "no.agf"]),
+    ("imported.phone", {"elements": "x-y", "file": str(PLASTICS)}, ["elements", "x-y"]),
+    ("imported.phone", {"file": str(PLASTICS)}, ["elements", "required"]),
     ("specs", {"nothing": {"f_number": 2.0}}, ["specs.nothing", "singlet"]),
     ("specs", {"singlet": {"f_numbre": 2.0}}, ["specs.singlet.f_numbre"]),
     ("specs", {"singlet": {"f_number": -2.0}}, ["specs.singlet.f_number", "greater than 0"]),
-    ("outside.imaging1", {"elements": "singlet", "file": str(PLASTICS)}, ["designs", "imaging1", "rename"]),
+    ("imported.imaging1", {"elements": "singlet", "file": str(PLASTICS)}, ["designs", "imaging1", "rename"]),
 ]
 
 
@@ -91,7 +91,7 @@ def test_a_missing_section_is_named(section):
 
 
 def test_all_mistakes_are_reported_at_once():
-    study = changed(changed(tiny_study(), "spec.kernel", 50), "images.sise", 3)
+    study = changed(changed(tiny_study(), "spec.kernel_size", 50), "images.sise", 3)
     with pytest.raises(StudyError) as error:
         parse(study)
     assert "spec.kernel = 50" in str(error.value) and "images.sise = 3" in str(error.value)
@@ -106,14 +106,14 @@ def test_best_imaging_needs_an_imaging_design():
 
 IMPOSSIBLE = [
     ("spec.wavelengths_um", [2.4, 0.6, 0.5]),  # outside the plastic's fitted range
-    ("images", {"size": 16, "train": 1, "minival": 1, "test": 3}),  # fewer pictures than classes
+    ("images", {"size": 16, "train": 1, "minival": 1, "test": 3}),  # fewer images than classes
     ("spec.wavelengths_um", [0.4861, 0.5893, 0.6563]),  # blue, green, red
     ("constraints.min_back_focus", 3.8),  # no room left for plates
     ("constraints.max_track", 0.5),
     ("constraints.min_centre_thickness", 2.0),  # above the largest
     ("seeds", [0, 0]),
     ("tables", ["table1", "table1"]),
-    ("fine_tuning.rate", math.inf),
+    ("fine_tuning.learning_rate", math.inf),
 ]
 
 
@@ -125,19 +125,25 @@ def test_an_impossible_value_fails_before_the_first_job(key, value):
 
 def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
     """YAML 1.1 wants 1.0e-4; what people write is taken as meant."""
-    text = yaml.safe_dump(changed(tiny_study(), "fine_tuning.rate", 1)).replace("rate: 1\n", "rate: 1e-4\n")
+    text = yaml.safe_dump(changed(tiny_study(), "fine_tuning.learning_rate", 1)).replace("rate: 1\n", "rate: 1e-4\n")
     assert isinstance(yaml.safe_load(text)["fine_tuning"]["rate"], str)
     (tmp_path / "study.yaml").write_text(text)
-    assert load(tmp_path / "study.yaml").fine_tuning.rate == 1e-4
+    assert load(tmp_path / "study.yaml").fine_tuning.learning_rate == 1e-4
 
 
 def test_rates_have_presets():
     """The paper's (section 3.3) and ours, under their names; a study file may also spell them out."""
-    named = parse(changed(tiny_study(), "designs.imaging1.rates", "paper")).designs["imaging1"].rates
+    named = parse(changed(tiny_study(), "designs.imaging1.rates", "paper")).designs["imaging1"].learning_rates
     assert (named.curvature, named.thickness, named.alpha_4, named.decay) == (1e-4, 1e-4, 1e-4, 0.02)
     assert not named.normalised and named.final == 1
-    spelt = parse(changed(tiny_study(), "designs.imaging1.rates", named.model_dump())).designs["imaging1"].rates
-    assert spelt == named != parse(changed(tiny_study(), "designs.imaging1.rates", "ours")).designs["imaging1"].rates
+    spelt = (
+        parse(changed(tiny_study(), "designs.imaging1.rates", named.model_dump())).designs["imaging1"].learning_rates
+    )
+    assert (
+        spelt
+        == named
+        != parse(changed(tiny_study(), "designs.imaging1.rates", "ours")).designs["imaging1"].learning_rates
+    )
 
 
 @pytest.mark.parametrize("text", ["", "[]", "- 1", "just words", "a: [1", "3"])

@@ -7,10 +7,10 @@ import pandas
 import pytest
 import yaml
 from examples import changed, tiny_study
+from tasklens.pipeline.layout import SHARP, Layout, restored
 
 from tasklens.pipeline import jobs
 from tasklens.pipeline import layout as layouts
-from tasklens.pipeline.layout import SHARP, Layout, restored
 from tasklens.report import tables
 from tasklens.study.study import TABLES, dump, parse
 
@@ -142,7 +142,7 @@ def test_a_lens_from_outside_has_its_rows(study, layout, tmp_path):
     """In tables 1, 2 and 4, last, beside no value of the paper."""
     (tmp_path / "phone.yaml").write_text("")
     entry = {"phone_4p": {"elements": "quadruplet", "file": str(tmp_path / "phone.yaml")}}
-    study = parse(yaml.safe_load(dump(study)) | {"outside": entry})
+    study = parse(yaml.safe_load(dump(study)) | {"outside_window": entry})
     for name, accuracy in (("table1", 81), ("table2", 81), ("table4", 86)):
         found = table(study, layout, name)
         rows = found[found.elements == "quadruplet"]

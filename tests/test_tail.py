@@ -6,15 +6,15 @@ import pandas
 import pytest
 import torch
 from examples import f64, landed, make_lens
+from tasklens.pipeline.layout import Layout
 
+from tasklens.optics.analysis import tail as tails_of
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import distances
-from tasklens.optics.analysis.spots import tail as tails_of
 from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline.jobs import TailJob
-from tasklens.pipeline.layout import Layout
 from tasklens.report import tails
 from tasklens.study.settings import Spec
 

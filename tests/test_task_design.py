@@ -1,38 +1,38 @@
-"""Task-driven design: its walks, its steps in ray space, and its way back within the limits."""
+"""Task-driven design: its restarts, its steps in ray space, and its way back within the limits."""
 
 import copy
 import math
 
 import pytest
 import torch
-from examples import changed, materials, random_pictures, tiny_study
+from examples import changed, materials, random_images, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
 
 from tasklens.design import end_to_end as descent
 from tasklens.design import least_squares, methods, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
-from tasklens.design.ray_space import RaySpace, within_limits
+from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.psf import psf
 from tasklens.pipeline import jobs
 from tasklens.recognition.training import fit
-from tasklens.study.design_settings import Rates, Spot, Task, Walk
-from tasklens.study.settings import Capture, Constraints, Spec, Training
+from tasklens.study.design_settings import LearningRates, RaySpaceSettings, SpotSettings, TaskDrivenSettings
+from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
 from tasklens.study.study import parse
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})
 
-FAST = Rates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
+FAST = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
 
 
 def walked(network, lens, limits=LIMITS, **settings):
-    start, refine = Walk(steps=3, pixels=(20, 5)), Walk(steps=2, pixels=(5, 1))
+    start, refine = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
     settings = {"images": 4, "rays": 16, "starts": 2, "start": start, "refine": refine} | settings
     history: list[dict] = []
-    return task.design(lens, network, problem(limits), Task(method="task", **settings), history), history
+    return task.design(lens, network, problem(limits), TaskDrivenSettings(method="task", **settings), history), history
 
 
 def test_frozen_network_stays_frozen(start):
@@ -54,29 +54,34 @@ def test_walks_are_deterministic(start):
 
 
 def test_the_walk_with_the_least_loss_goes_on(start, monkeypatch):
-    """Of three walks, judged by a list, the second is refined, here by a step of next to nothing."""
+    """Of three restarts, judged by a list, the second is refined, here by a step of next to nothing."""
     judged, losses = [], iter([2.0, 1.0, 3.0])
     monkeypatch.setattr(task, "_judge", lambda lens, *rest: (judged.append(lens), next(losses))[1])
-    coarse, nothing = Walk(steps=3, pixels=(20, 20)), Walk(steps=1, pixels=(20, 20), stride=1e-9)
+    coarse, nothing = (
+        RaySpaceSettings(steps=3, pixels=(20, 20)),
+        RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9),
+    )
     lens, _ = walked(small_network(), start, NO_LIMITS, starts=3, start=coarse, refine=nothing)
     moved = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
     assert moved[1] < 0.01 * min(moved[0], moved[2])
 
 
-@pytest.mark.parametrize("stride", [0.5, 5.0])
-def test_a_step_moves_rays_by_the_stride(start, stride):
+@pytest.mark.parametrize("step size", [0.5, 5.0])
+def test_a_step_moves_rays_by_the_stride(start, step_size):
     """In a random direction of descent: RMS displacement of the rays as asked for, and no way upward."""
-    space = RaySpace(start.stopped(0.3), LOOKS, NO_LIMITS)
+    space = RaySpace(start.with_stop_scaled(0.3), LOOKS, NO_LIMITS)
     gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(0)).double()
-    change = space.about(space.start).step(gradient, stride, 0.1)
+    change = space.linearise(space.start).step(gradient, step_size, 0.1)
     rays = space.merit.linearise(space.lens(space.start))[1](space.directions)[: space.merit.rays]
-    assert float((rays @ change).norm()) == pytest.approx(stride, rel=1e-2)
+    assert float((rays @ change).norm()) == pytest.approx(step_size, rel=1e-2)
     assert float(gradient @ change) < 0
 
 
 def test_a_lens_is_brought_back_within_its_limits(start):
     """Spots stay where they are within 20 um, while elements get thick enough and steep flanks flat enough."""
-    lens = spot.design(start, LOOKS, LIMITS, Spot(method="spot", steps=200, rays=64, rates=FAST), 0, [])
+    lens = spot.design(
+        start, LOOKS, LIMITS, SpotSettings(method="spot", steps=200, rays=64, learning_rates=FAST), 0, []
+    )
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     limits = LIMITS.model_copy(
         update={
@@ -90,13 +95,13 @@ def test_a_lens_is_brought_back_within_its_limits(start):
         margins |= first_order_margins(lens, limits, LOOKS, chief_points(lens, LOOKS))
         return worst_margin(margins)[1]
 
-    mended, clear = within_limits(lens, LOOKS, limits)
+    mended, clear = repair(lens, LOOKS, limits)
     assert worst(lens) < -0.019 and worst(mended) > 0
     moved = RaySpace(lens, LOOKS, NO_LIMITS).merit
     before, after = (moved.residuals(each)[: moved.rays] for each in (lens, mended))
     assert float((after - before).norm()) < 20
     assert worst_margin(manufacturing_margins(mended, limits, clear))[1] > 0
-    kept, _ = within_limits(mended, LOOKS, limits)
+    kept, _ = repair(mended, LOOKS, limits)
     assert torch.equal(kept.curvature, mended.curvature)
 
 
@@ -105,7 +110,9 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
     """Whatever a method leaves a little broken, here an element 0.03 mm too thin."""
     study = parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}))
     job = jobs.design(study, f"doublet-{name}", 0)
-    lens = spot.design(start, LOOKS, LIMITS, Spot(method="spot", steps=200, rays=64, rates=FAST), 0, [])
+    lens = spot.design(
+        start, LOOKS, LIMITS, SpotSettings(method="spot", steps=200, rays=64, learning_rates=FAST), 0, []
+    )
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
     job = job.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
@@ -118,13 +125,13 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
 
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
     """By halves: far steps then break limits a little, which else would leave the lens without a meaning."""
-    plates = flat(materials("COC", "OKP4"), Spec(kernel=11), LIMITS)
-    far = Walk(steps=12, pixels=(20, 20), stride=5.0)
-    still = Walk(steps=1, pixels=(20, 20), stride=1e-9)
+    plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
+    far = RaySpaceSettings(steps=12, pixels=(20, 20), step_size=5.0)
+    still = RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9)
 
     def longest() -> float:
         _, history = walked(small_network(), plates, starts=1, start=far, refine=still)
-        return max(row["shortfall"] for row in history[1:] if row["phase"] == "start 1 of 1")
+        return max(row["violation"] for row in history[1:] if row["phase"] == "start 1 of 1")
 
     with_halving = longest()
     monkeypatch.setattr(task, "_HALVINGS", 0)
@@ -134,14 +141,14 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
 def test_walking_lowers_the_loss(start):
     """Two dozen steps reduce the loss of a frozen network on its captures."""
     network = small_network()
-    pictures = random_pictures(12, 16, 3, seed=0)
-    fit(network, pictures, Training(epochs=60, rate=1e-2, batch=12), 0, "sharp")
-    images, labels = pictures.batch(torch.arange(12))
+    dataset = random_images(12, 16, 3, seed=0)
+    fit(network, dataset, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
+    images, labels = dataset.batch(torch.arange(12))
 
     def loss(lens):
         grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
-        return float(descent.loss_at_psf(network, images, labels, grid.float(), Capture(), 12)[0].mean())
+        return float(descent.loss_at_psf(network, images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
 
-    walk = Walk(steps=12, pixels=(10, 10), stride=0.5)
+    walk = RaySpaceSettings(steps=12, pixels=(10, 10), step_size=0.5)
     lens, _ = walked(network, start, NO_LIMITS, images=12, augment=False, starts=1, start=walk, refine=walk)
     assert loss(lens) < loss(start)

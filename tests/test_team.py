@@ -12,8 +12,8 @@ import yaml
 from examples import changed, tiny_study
 
 from tasklens.pipeline import cli
-from tasklens.runtime import distributed as team
-from tasklens.runtime.distributed import Team
+from tasklens.runtime import distributed as group
+from tasklens.runtime.distributed import ProcessGroup
 from tasklens.runtime.files import read_tensors
 from tasklens.study.study import StudyError
 
@@ -25,7 +25,7 @@ VIT = {
 
 
 def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
-    """Accuracies at all fields within one picture, weights within rounding, and only one of them writes."""
+    """Accuracies at all fields within one image, weights within rounding, and only one of them writes."""
     study = changed(changed(tiny_study(), "classifiers.small", VIT), "fine_tuning.epochs", 2)
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     monkeypatch.chdir(tmp_path)
@@ -51,24 +51,24 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     torch.testing.assert_close(read_tensors(weights)[0], expected, rtol=0, atol=1e-5)
     together = measured()
     assert together.keys() == alone.keys()
-    picture = 100 / study["images"]["test"] + 1e-6
+    image = 100 / study["images"]["test"] + 1e-6
     for key, value in alone.items():
-        assert together[key] == pytest.approx(value, abs=picture if "accuracy" in key[0] else 1e-6), key
+        assert together[key] == pytest.approx(value, abs=image if "accuracy" in key[0] else 1e-6), key
 
 
 def test_batch_norms_of_a_team_keep_their_activations(monkeypatch):
     """timm puts them into one layer; converted for several GPUs, a network judges as before."""
-    monkeypatch.setattr(team, "DistributedDataParallel", lambda network: network)
+    monkeypatch.setattr(group, "DistributedDataParallel", lambda network: network)
     torch.manual_seed(0)
     network = timm.create_model("test_efficientnet", num_classes=5).eval()
     images = torch.rand(2, 3, 64, 64)
     expected = network(images)
-    converted = Team(0, 2, torch.device("cuda", 0)).together(network).eval()
+    converted = ProcessGroup(0, 2, torch.device("cuda", 0)).wrap(network).eval()
     assert any(isinstance(module, torch.nn.SyncBatchNorm) for module in converted.modules())
     torch.testing.assert_close(converted(images), expected)
 
 
 def test_shares_are_of_one_size():
-    assert [list(range(6))[Team(rank, 3).share(6)] for rank in range(3)] == [[0, 3], [1, 4], [2, 5]]
+    assert [list(range(6))[ProcessGroup(rank, 3).share(6)] for rank in range(3)] == [[0, 3], [1, 4], [2, 5]]
     with pytest.raises(StudyError, match="64 is no multiple of the 3 processes"):
-        Team(0, 3).share(64)
+        ProcessGroup(0, 3).share(64)

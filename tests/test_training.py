@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import pytest
 import torch
-from examples import random_pictures, small_network, trained_network
+from examples import random_images, small_network, trained_network
 from torch import nn
 
 from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
-from tasklens.study.settings import Training
+from tasklens.study.settings import TrainingSettings
 
 
 def test_training_is_deterministic():
@@ -22,22 +22,22 @@ def test_training_is_deterministic():
 def test_training_learns_and_ends_in_eval():
     network = trained_network(0, epochs=20)
     assert not network.training
-    correct, _ = evaluation.evaluate(network, random_pictures(60, 16, 3, seed=2), evaluation.Sight())
+    correct, _ = evaluation.evaluate(network, random_images(60, 16, 3, seed=2), evaluation.CapturePipeline())
     assert correct.double().mean() > 0.9
 
 
 def test_what_the_classifier_sees_is_what_it_learns_from():
-    """`see` gets the flipped pictures in [0, 1]; training on black pictures cannot learn."""
-    network, pictures = small_network(0), random_pictures(60, 16, 3, seed=1)
+    """`see` gets the flipped images in [0, 1]; training on black images cannot learn."""
+    network, dataset = small_network(0), random_images(60, 16, 3, seed=1)
     ranges = []
 
     def see(images, generator, share):
         ranges.append((float(images.min()), float(images.max())))
         return 0 * images[share]
 
-    training.fit(network, pictures, Training(epochs=20, rate=1e-2, batch=10), 0, "test", see)
+    training.fit(network, dataset, TrainingSettings(epochs=20, learning_rate=1e-2, batch_size=10), 0, "test", see)
     assert len(ranges) == 120 and all(0 <= low < high <= 1 for low, high in ranges)
-    correct, _ = evaluation.evaluate(network, pictures, evaluation.Sight())
+    correct, _ = evaluation.evaluate(network, dataset, evaluation.CapturePipeline())
     assert correct.double().mean() < 0.5
 
 
@@ -52,8 +52,11 @@ def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path)
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     checkpoint = checkpoints.Checkpoint(tmp_path / "job.pt")
     with pytest.raises(FloatingPointError, match=f"step {bad} of 5"):
-        pictures, settings = random_pictures(50, 16, 3, seed=1), Training(epochs=1, rate=1e-2, batch=10)
-        training.fit(small_network(0), pictures, settings, 0, "test", see, checkpoint)
+        dataset, settings = (
+            random_images(50, 16, 3, seed=1),
+            TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10),
+        )
+        training.fit(small_network(0), dataset, settings, 0, "test", see, checkpoint)
     assert checkpoint.records.get("test", {}).get("step", 0) == bad - 1
 
 
@@ -61,8 +64,8 @@ def test_weights_that_are_not_finite_in_the_end_are_no_result():
     network = small_network(0)
     network[0].weight.register_hook(lambda gradient: gradient * torch.nan)
     with pytest.raises(FloatingPointError, match="weights stopped being finite"):
-        settings = Training(epochs=1, rate=1e-2, batch=60)
-        training.fit(network, random_pictures(60, 16, 3, seed=1), settings, 0, "test")
+        settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=60)
+        training.fit(network, random_images(60, 16, 3, seed=1), settings, 0, "test")
 
 
 def test_weight_decay_spares_vectors():
@@ -85,7 +88,7 @@ def test_rate_rises_linearly_and_falls_on_a_cosine():
     assert all(a > b for a, b in pairwise(rates[10:]))
 
 
-def test_every_picture_is_used_before_any_repeats():
+def test_every_image_is_used_before_any_repeats():
     order = training.Shuffled(10, 4, torch.Generator().manual_seed(0))
     batches = [order.next() for _ in range(5)]
     assert [len(b) for b in batches] == [4] * 5

@@ -1,4 +1,4 @@
-"""Claims that a study can decide, and verdicts from pictures of which every one is known."""
+"""Claims that a study can decide, and verdicts from images of which every one is known."""
 
 import math
 
@@ -7,9 +7,9 @@ import pandas
 import pytest
 import yaml
 from examples import changed, tiny_study
+from tasklens.pipeline.layout import SHARP, Layout, restored
 
 from tasklens.pipeline import jobs
-from tasklens.pipeline.layout import SHARP, Layout, restored
 from tasklens.report import regimes, verdicts
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.runtime.files import FileError
@@ -17,7 +17,7 @@ from tasklens.study import claims
 from tasklens.study.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
 from tasklens.study.study import dump, parse
 
-PICTURES, FIELDS = 200, 9
+IMAGES, FIELDS = 200, 9
 DOUBLET = ["COC", "OKP4"]
 
 
@@ -31,12 +31,12 @@ def study_of(seeds: int, **elements):
 def results(tmp_path, study, accuracy, minival=None, inside=0.9, lenses=None) -> Layout:
     """Files of a study in which a lens recognises a fraction accuracy(lens, classifier, seed) of all captures.
 
-    Drawn by chance, one number for a picture and its field for all lenses: a better lens recognises what a worse one
+    Drawn by chance, one number for an image and its field for all lenses: a better lens recognises what a worse one
     does, and more.
     """
     layout = Layout(str(tmp_path))
-    luck = numpy.random.default_rng(0).random((PICTURES, FIELDS))
-    index = {"picture": range(PICTURES), "label": ["cat"] * PICTURES}
+    luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
+    index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
     for seed in study.seeds:
         for lens in lenses or (SHARP, *study.lenses):
             for name in [*study.classifiers, *map(restored, study.classifiers)]:
@@ -46,7 +46,7 @@ def results(tmp_path, study, accuracy, minival=None, inside=0.9, lenses=None) ->
                 path = tmp_path / f"metrics/{lens}/seed{seed}"
                 path.mkdir(parents=True, exist_ok=True)
                 columns = {f"field{k}": right[:, k] for k in range(fields)}
-                pandas.DataFrame(index | columns).to_csv(layout.pictures(lens, seed, name), index=False)
+                pandas.DataFrame(index | columns).to_csv(layout.predictions(lens, seed, name), index=False)
                 rows = [("minival_accuracy", k, 100 * chosen) for k in range(fields)] + [("chance", "", 10.0)]
                 rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
@@ -74,19 +74,19 @@ def by_design(**accuracies):
 def test_claims_of_each_table():
     """Tables 1, 2 and 4 for every classifier that they show, table 3 about end-to-end design."""
     job = claims.verdicts(study_of(1))
-    found = {(c.table, c.text, c.lens, c.classifier): c.rivals for c in job.claims}
+    found = {(c.table, c.text, c.lens, c.classifier): c.baselines for c in job.claims}
     assert len(found) == len(job.claims)
     imaging = ("doublet-imaging2", "doublet-imaging3")
     triplets = tuple(f"triplet-imaging{k}" for k in (1, 2, 3))
     for table, classifiers in (("table1", ["small"]), ("table2", ["small", "other"]), ("table4", ["small-restored"])):
-        mine = {key[1:]: rivals for key, rivals in found.items() if key[0] == table}
+        mine = {key[1:]: baselines for key, baselines in found.items() if key[0] == table}
         assert len(mine) == 5 * len(classifiers)
         for classifier in classifiers:
             assert mine[OVER_IMAGING1, "doublet-tasklens", classifier] == ("doublet-imaging1",)
             assert mine[OVER_STRONG, "doublet-tasklens", classifier] == imaging
             assert mine[FEWER_ELEMENTS, "doublet-tasklens", classifier] == triplets
             assert (FEWER_ELEMENTS, "triplet-tasklens", classifier) not in mine
-    assert {key[1:]: rivals for key, rivals in found.items() if key[0] == "table3"} == {
+    assert {key[1:]: baselines for key, baselines in found.items() if key[0] == "table3"} == {
         (OVER_END_TO_END, "doublet-tasklens", "small"): ("doublet-end_to_end_from_imaging",),
         (FLAT_FAILS, "doublet-end_to_end_from_flat", "small"): (),
         (OVER_END_TO_END, "triplet-tasklens", "small"): ("triplet-end_to_end_from_imaging",),
@@ -103,14 +103,14 @@ def test_claims_after_restoration_are_about_what_is_restored():
     assert [c for c in found if c.table != "table4"] == [c for c in whole if c.table != "table4"]
     restored = [c for c in found if c.table == "table4"]
     assert {c.text for c in restored} == {OVER_IMAGING1, OVER_STRONG}
-    assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.rivals)} == {"doublet"}
+    assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.baselines)} == {"doublet"}
 
 
 def test_fewer_elements_are_judged_between_neighbours_in_the_study():
     """Without a triplet, a doublet meets the quadruplets; another choice of plastics is no other number of elements."""
     others = {"other": DOUBLET[::-1], "quadruplet": 2 * DOUBLET, "singlet": ["COC"]}
     job = claims.verdicts(study_of(1, doublet=DOUBLET, **others))
-    found = {c.lens: {r.partition("-")[0] for r in c.rivals} for c in job.claims if c.text == FEWER_ELEMENTS}
+    found = {c.lens: {r.partition("-")[0] for r in c.baselines} for c in job.claims if c.text == FEWER_ELEMENTS}
     assert found == {
         "singlet-tasklens": {"doublet", "other"},
         "doublet-tasklens": {"quadruplet"},
@@ -154,7 +154,7 @@ def test_five_seeds_decide(tmp_path):
     assert better["verdict"] == HOLDS and better["difference"] == pytest.approx(20, abs=2)
     assert better["low"] < better["difference"] < better["high"] and better["seeds"] == 5
     worse = found.loc["table4", OVER_STRONG, "doublet-tasklens", "small-restored"]
-    assert worse["verdict"] == FAILS and worse["opponent"] == "doublet-imaging2"
+    assert worse["verdict"] == FAILS and worse["baseline"] == "doublet-imaging2"
     same = found.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
     assert same["verdict"] == UNDECIDED and same["difference"] == same["low"] == same["high"] == 0
 
@@ -177,9 +177,9 @@ def test_the_opponent_is_chosen_on_the_minival(tmp_path):
         )
 
     found = judged(tmp_path, study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
-    assert found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]["opponent"] == "doublet-imaging3"
-    assert found.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["opponent"] == "triplet-imaging3"
-    assert found.loc["table2", OVER_STRONG, "doublet-tasklens", "other"]["opponent"] == "doublet-imaging2"
+    assert found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
+    assert found.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["baseline"] == "triplet-imaging3"
+    assert found.loc["table2", OVER_STRONG, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
 
 
 def test_each_seed_chooses_its_opponent(tmp_path):
@@ -190,7 +190,7 @@ def test_each_seed_chooses_its_opponent(tmp_path):
 
     found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracy)
     row = found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]
-    assert row["opponent"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
+    assert row["baseline"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
     assert row["difference"] == pytest.approx((4 * 10 + 20) / 5, abs=3)
 
 
@@ -199,38 +199,38 @@ def test_each_seed_chooses_its_opponent(tmp_path):
     [(0.2, 0.9, HOLDS, 35), (0.8, 0.9, FAILS, -25), (0.8, 0.3, HOLDS, 20), (0.3, 0.3, HOLDS, 25)],
 )
 def test_convergence_is_judged_by_the_rule_of_table_3(tmp_path, accuracy, inside, expected, difference):
-    """Sharp pictures 100 %, chance 10 %: half-way is 55 %. Half of the light is missed by 50 % less what is inside."""
+    """Sharp images 100 %, chance 10 %: half-way is 55 %. Half of the light is missed by 50 % less what is inside."""
     accuracies = by_design(sharp=1.0, end_to_end_from_flat=accuracy)
     found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracies, inside=inside)
     found = found.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
-    assert found["verdict"] == expected and found["opponent"] == ""
+    assert found["verdict"] == expected and found["baseline"] == ""
     assert found["difference"] == pytest.approx(difference, abs=3)
 
 
-def test_interval_is_of_pictures_not_of_captures(tmp_path):
-    """If all captures of a picture agree, the error is that of 200 pictures, whatever the number of captures."""
+def test_interval_is_of_images_not_of_captures(tmp_path):
+    """If all captures of an image agree, the error is that of 200 images, whatever the number of captures."""
     study = study_of(1)
     layout = results(tmp_path, study, by_design())
     generator = numpy.random.default_rng(3)
     share = {}
     for lens in ("doublet-tasklens", "doublet-imaging1"):
-        right = (generator.random(PICTURES) < 0.6).astype(int)
+        right = (generator.random(IMAGES) < 0.6).astype(int)
         share[lens] = right
-        frame = pandas.DataFrame({"picture": range(PICTURES), "label": "cat"} | {f"field{k}": right for k in range(9)})
-        frame.to_csv(layout.pictures(lens, 0, "small"), index=False)
+        frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | {f"field{k}": right for k in range(9)})
+        frame.to_csv(layout.predictions(lens, 0, "small"), index=False)
     found = verdicts.collect(claims.verdicts(study), layout).iloc[0]
     difference = 100 * (share["doublet-tasklens"] - share["doublet-imaging1"])
     assert found["difference"] == pytest.approx(difference.mean())
-    width = 2 * 1.96 * difference.std() / math.sqrt(PICTURES)
+    width = 2 * 1.96 * difference.std() / math.sqrt(IMAGES)
     assert found["high"] - found["low"] == pytest.approx(width, rel=0.05)
 
 
-def test_other_pictures_are_refused(tmp_path):
+def test_other_images_are_refused(tmp_path):
     study = study_of(1)
     layout = results(tmp_path, study, by_design())
-    path = layout.pictures("doublet-imaging1", 0, "small")
+    path = layout.predictions("doublet-imaging1", 0, "small")
     pandas.read_csv(path).iloc[::-1].to_csv(path, index=False)
-    with pytest.raises(FileError, match=r"doublet-imaging1.*same test pictures"):
+    with pytest.raises(FileError, match=r"doublet-imaging1.*same test images"):
         verdicts.collect(claims.verdicts(study), layout)
 
 
@@ -254,14 +254,14 @@ def test_lenses_of_other_specifications_are_no_rivals():
     assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.verdicts(study).claims)
     faster = study.model_copy(update={"specs": {"triplet_f2": {"f_number": 2.0}}})
     assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.verdicts(faster).claims)
-    found = {claim.lens: claim.rivals for claim in claims.regimes(faster).claims}
+    found = {claim.lens: claim.baselines for claim in claims.regimes(faster).claims}
     assert found == {
         f"{name}-tasklens": tuple(f"{name}-imaging{k}" for k in (1, 2, 3)) for name in ("doublet", "triplet_f2")
     }
 
 
 def test_map_of_regimes(tmp_path):
-    """A row per elements: what was planted, against the rival with the best minival, and the specification."""
+    """A row per elements: what was planted, against the baseline with the best minival, and the specification."""
     study = study_of(1).model_copy(update={"specs": {"triplet": {"f_number": 2.0}}})
     share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
     layout = results(tmp_path, study, lambda lens, *_: share.get(lens, 0.3))
@@ -272,6 +272,6 @@ def test_map_of_regimes(tmp_path):
     regimes.make(claims.regimes(study), layout, "tiny")
     rows = pandas.read_csv(layout.table("regimes", "csv")).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
-    assert rows["opponent"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
+    assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
     assert "doublet-imaging2" in (tmp_path / "tables/regimes.md").read_text()

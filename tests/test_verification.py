@@ -6,13 +6,13 @@ import pandas
 import pytest
 import yaml
 from examples import tiny_study
+from tasklens.pipeline.layout import SHARP, Layout, restored
 
 from tasklens.pipeline import jobs
-from tasklens.pipeline.layout import SHARP, Layout, restored
 from tasklens.report import tables, verification
 from tasklens.study.study import parse
 
-FIELDS, PICTURES = 9, 40
+FIELDS, IMAGES = 9, 40
 LENS = "singlet-imaging1"
 
 
@@ -24,13 +24,13 @@ def study():
 
 @pytest.fixture
 def layout(tmp_path, study):
-    """Lenses inside all limits, and classifiers that recognise 3 of 4 pictures at every field, each time again."""
+    """Lenses inside all limits, and classifiers that recognise 3 of 4 images at every field, each time again."""
     layout = Layout(str(tmp_path))
     for lens, classifier in jobs.verify(study).measured:
-        right = [int(k % 4 > 0) for k in range(PICTURES)]
+        right = [int(k % 4 > 0) for k in range(IMAGES)]
         fields = {f"field{k}": right for k in range(1 if lens == SHARP else FIELDS)}
-        frame = pandas.DataFrame({"picture": range(PICTURES), "label": "cat"} | fields)
-        for path in (layout.pictures(lens, 0, classifier), layout.reproduced(lens, 0, classifier)):
+        frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | fields)
+        for path in (layout.predictions(lens, 0, classifier), layout.reproduced(lens, 0, classifier)):
             write(path, frame.to_csv(index=False))
         rows = [("accuracy", k, 75.0) for k in range(len(fields))] + [("chance", "", 10.0), ("parameters_m", "", 0.5)]
         rows += [("psnr_db", k, 20.0) for k in range(len(fields))]
@@ -61,9 +61,9 @@ def failures(study, layout) -> list[str]:
 
 
 def test_a_study_that_keeps_its_word(study, layout):
-    """Two lenses; sharp pictures and both lenses with two classifiers, and both restored."""
+    """Two lenses; sharp images and both lenses with two classifiers, and both restored."""
     found = verification.verify(jobs.verify(study), layout)
-    assert not found.failures and not found.unpromised
+    assert not found.failures and not found.unconstrained
     assert (found.lenses, found.measurements) == (2, 8)
     assert verification.summary(found) == "Checked 2 lenses and 8 measurements: 0 failures."
 
@@ -93,10 +93,10 @@ def test_the_focal_length_is_kept_to_2_percent(study, layout, part, kept):
 def test_a_lens_that_promised_nothing_is_reported_only(study, layout):
     write(layout.lens(LENS, 0), yaml.safe_dump(lens_content(9.0, max_slope=-0.1)))
     job = jobs.verify(study)
-    assert job.promising == tuple(lens for lens in job.lenses if "from_flat" not in lens)
+    assert job.constrained == tuple(lens for lens in job.lenses if "from_flat" not in lens)
     found = verification.verify(job.model_copy(update={"promising": ("singlet-tasklens",)}), layout)
     assert not found.failures
-    assert [failure.limit for failure in found.unpromised] == ["max_slope", "efl_tolerance"]
+    assert [failure.limit for failure in found.unconstrained] == ["max_slope", "efl_tolerance"]
     assert "not promised: singlet-imaging1 seed 0: max_slope: margin -0.1" in verification.summary(found)
 
 
@@ -114,14 +114,14 @@ def edited(path, change):
 
 
 def test_captures_that_are_recognised_otherwise(study, layout):
-    """One capture of 360 is more than one in a thousand: in the pictures, and in the means of metrics and tables."""
+    """One capture of 360 is more than one in a thousand: in the images, and in the means of metrics and tables."""
 
     def lose_one(frame):
         frame.loc[1, "field3"] = 0
 
     edited(layout.reproduced(LENS, 0, restored("small")), lose_one)
     assert failures(study, layout) == [
-        f"{LENS} seed 0: small-restored: stored pictures: 0.0028 of the captures differ",
+        f"{LENS} seed 0: small-restored: stored images: 0.0028 of the captures differ",
         f"{LENS} seed 0: small-restored: metrics: 0.0028 of the captures differ",
         f"{LENS} seed 0: small-restored: table4: 75.00 % in the table, 74.72 % from the weights",
     ]
@@ -131,8 +131,8 @@ def test_a_swap_that_the_mean_does_not_show(study, layout):
     def swap(frame):
         frame.loc[[0, 1], "field3"] = [1, 0]
 
-    edited(layout.pictures(LENS, 0, "other"), swap)
-    assert failures(study, layout) == [f"{LENS} seed 0: other: stored pictures: 0.0056 of the captures differ"]
+    edited(layout.predictions(LENS, 0, "other"), swap)
+    assert failures(study, layout) == [f"{LENS} seed 0: other: stored images: 0.0056 of the captures differ"]
 
 
 def test_an_edited_metrics_file(study, layout):
@@ -149,7 +149,7 @@ def test_an_edited_metrics_file(study, layout):
 
 
 def test_an_edited_table(study, layout):
-    """The lens, and the row of sharp pictures."""
+    """The lens, and the row of sharp images."""
 
     def better(frame):
         frame["accuracy"] += 1.0
@@ -159,12 +159,12 @@ def test_an_edited_table(study, layout):
     assert failures(study, layout) == [f"{lens} seed 0: {expected}" for lens in (SHARP, LENS, "singlet-tasklens")]
 
 
-def test_other_pictures_do_not_reproduce(study, layout):
-    edited(layout.pictures(LENS, 0, "small"), lambda frame: frame.iloc[:-1])
-    assert failures(study, layout) == [f"{LENS} seed 0: small: stored pictures: 1.0000 of the captures differ"]
+def test_other_images_do_not_reproduce(study, layout):
+    edited(layout.predictions(LENS, 0, "small"), lambda frame: frame.iloc[:-1])
+    assert failures(study, layout) == [f"{LENS} seed 0: small: stored images: 1.0000 of the captures differ"]
 
 
 def test_a_missing_reproduction_is_named(study, layout):
     Path(layout.reproduced(LENS, 0, "small")).unlink()
-    with pytest.raises(FileNotFoundError, match=r"verification/singlet-imaging1/seed0/small-pictures.csv"):
+    with pytest.raises(FileNotFoundError, match=r"verification/singlet-imaging1/seed0/small-images.csv"):
         verification.verify(jobs.verify(study), layout)

@@ -16,7 +16,7 @@ from examples import changed, make_lens, tiny_study
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import jobs
-from tasklens.study.design_settings import EndToEnd
+from tasklens.study.design_settings import EndToEndSettings
 from tasklens.study.study import Study, load, parse
 
 ROOT = Path(__file__).parents[1]
@@ -54,7 +54,7 @@ def plan(folder: Path, study: dict | Path | None, *targets: str) -> dict[str, in
 def expected(study: Study) -> dict[str, int]:
     """Jobs of all tables, counted from the study."""
     seeds, all_lenses = len(study.seeds), len(study.lenses)
-    end_to_end = sum(isinstance(lens.design, EndToEnd) for lens in study.lenses.values())
+    end_to_end = sum(isinstance(lens.design, EndToEndSettings) for lens in study.lenses.values())
     compared = all_lenses - end_to_end  # in tables 1, 2 and 4; the end-to-end lenses stand in table 3 only
     restored = len(jobs.table(study, "table4").lenses) if "table4" in study.tables else 0
     classifiers = len(study.classifiers) if "table2" in study.tables else 1
@@ -126,7 +126,7 @@ def test_a_study_file_without_a_format_is_refused(tmp_path):
     [
         ("spec.kernle", 51, ["spec.kernle", "51"]),
         ("elements.doublet", ["GLASS"], ["GLASS", "doublet"]),
-        ("outside.phone", {"elements": "quadruplet", "file": "no/phone.zmx"}, ["outside.phone.file", "no/phone.zmx"]),
+        ("imported.phone", {"elements": "quadruplet", "file": "no/phone.zmx"}, ["imported.phone.file", "no/phone.zmx"]),
     ],
 )
 def test_a_mistake_in_the_study_stops_before_any_job(tmp_path, key, value, words):
@@ -138,13 +138,13 @@ def test_a_mistake_in_the_study_stops_before_any_job(tmp_path, key, value, words
 
 
 def test_task_driven_designs_wait_for_what_they_need(tmp_path):
-    """A spot design needs nothing; TaskLens its supervisor; end-to-end from imaging also the rivals' accuracies."""
+    """A spot design needs nothing; TaskLens its supervisor; end-to-end from imaging also the baselines' accuracies."""
     lens = "results/tiny/lenses/singlet-{}/seed0/lens.yaml"
     assert plan(tmp_path, tiny_study(), lens.format("imaging1")) == {"design": 1}
     supervised = {"images": 1, "reference": 1, "design": 1}
     assert plan(tmp_path, tiny_study(), lens.format("tasklens")) == supervised
-    rivals = {"images": 1, "reference": 1, "design": 3, "psf": 2, "fine_tune": 2}
-    assert plan(tmp_path, tiny_study(), lens.format("end_to_end_from_imaging")) == rivals
+    baselines = {"images": 1, "reference": 1, "design": 3, "psf": 2, "fine_tune": 2}
+    assert plan(tmp_path, tiny_study(), lens.format("end_to_end_from_imaging")) == baselines
 
 
 # ---- a lens from outside
@@ -157,7 +157,7 @@ def with_outside(folder: Path) -> dict:
     use = {"fields": ("angle_deg", ((0.0, 0.0),)), "wavelengths_um": (0.5893,), "primary": 0}
     zemax.write(folder / "singlet.zmx", Prescription(lens, **use))
     entry = {"elements": "singlet", "file": "singlet.zmx", "catalogues": ["glass.agf"]}
-    return changed(yaml.safe_load((ROOT / "config" / "smoke.yaml").read_text()), "outside.theirs", entry)
+    return changed(yaml.safe_load((ROOT / "config" / "smoke.yaml").read_text()), "imported.theirs", entry)
 
 
 def test_a_lens_from_outside_joins_the_tables(tmp_path, monkeypatch):
@@ -220,7 +220,7 @@ def test_a_finished_table_has_nothing_to_be_done(finished):
 def test_a_dry_run_changes_nothing(finished):
     """Planning another value must not change the study that a run in progress reads."""
     before = (finished / "results/tiny/study.yaml").read_text()
-    plan(finished, changed(one_lens(), "fine_tuning.rate", 4e-3), "table1")
+    plan(finished, changed(one_lens(), "fine_tuning.learning_rate", 4e-3), "table1")
     assert (finished / "results/tiny/study.yaml").read_text() == before
 
 
@@ -230,11 +230,11 @@ def test_a_dry_run_changes_nothing(finished):
         ("minutes.design", 9, {}),
         ("restoration.steps", 9, {}),
         ("designs.tasklens", tiny_study()["designs"]["tasklens"], {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("fine_tuning.rate", 5e-3, {"fine_tune": 2, "table": 1}),
-        ("capture.outside", "renormalise", {"fine_tune": 1, "table": 1}),
+        ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "table": 1}),
+        ("capture.outside_window", "renormalise", {"fine_tune": 1, "table": 1}),
         ("evaluation_rays", 128, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
         ("constraints.max_track", 4.3, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("classifiers.small.training.rate", 2e-3, {"reference": 1, "fine_tune": 2, "table": 1}),
+        ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2, "table": 1}),
         ("images.seed", 4, {"images": 1, "reference": 1, "fine_tune": 2, "table": 1}),
     ],
     ids=lambda v: v if isinstance(v, str) else "",
@@ -246,7 +246,7 @@ def test_a_changed_value_reruns_what_reads_it(finished, key, value, jobs):
 
 
 def test_a_failing_job_leaves_no_output(tmp_path):
-    """An unreadable picture: the images job fails, names the file in its log, and leaves no split behind."""
+    """An unreadable image: the images job fails, names the file in its log, and leaves no split behind."""
     from PIL import Image
 
     for split, name in (("train", "a"), ("train", "b"), ("val", "a"), ("val", "b")):
@@ -254,7 +254,7 @@ def test_a_failing_job_leaves_no_output(tmp_path):
         for k in range(3):
             Image.new("RGB", (16, 16)).save(tmp_path / "photos" / split / name / f"{k}.png")
     bad = tmp_path / "photos" / "val" / "b" / "1.png"
-    bad.write_text("not a picture")
+    bad.write_text("not an image")
     images = {"size": 16, "minival": 2, "folder": str(tmp_path / "photos")}
     done = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.safetensors")
     assert done.returncode != 0

@@ -64,7 +64,7 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tens
     }
 
 
-def shortfall(margins: Mapping[str, Tensor]) -> Tensor:
+def violation(margins: Mapping[str, Tensor]) -> Tensor:
     """How far each margin falls short of the buffer that designs keep: zero where it does not; one vector."""
     return torch.cat([(_BUFFER * _scale(name) - margin).clamp(min=0) for name, margin in margins.items()])
 
@@ -84,7 +84,7 @@ def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
     margins = manufacturing_margins(lens, limits, semi_diameter)
     margins |= first_order_margins(lens, limits, view, chief_points(lens, view))
-    return shortfall(margins).square().sum()
+    return violation(margins).square().sum()
 
 
 def worst_margin(margins: Mapping[str, Tensor]) -> tuple[str, float]:

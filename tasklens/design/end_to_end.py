@@ -26,13 +26,13 @@ from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fiel
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.view import View
-from tasklens.recognition.dataset import Pictures
+from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import Shuffled
 from tasklens.recognition.training import parameter_groups as network_groups
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.study.design_settings import Descent
-from tasklens.study.settings import Capture, Constraints
+from tasklens.study.design_settings import JointDescentSettings
+from tasklens.study.settings import CaptureSettings, Constraints
 
 
 @dataclass(frozen=True)
@@ -42,26 +42,26 @@ class Problem:
     Attributes:
         view: fields, colours and pixels.
         limits: manufacturing limits, held by a penalty.
-        capture: how pictures become captures.
-        pictures: sharp training pictures.
+        capture: how images become captures.
+        images: sharp training images.
         seed: of everything random.
     """
 
     view: View
     limits: Constraints
-    capture: Capture
-    pictures: Pictures
+    capture: CaptureSettings
+    dataset: ImageDataset
     seed: int
 
 
-def sharp(pictures: Pictures, indices: Tensor, size: int | None) -> tuple[Tensor, Tensor]:
-    """Pictures (B, 3, size, size) uint8 as a design sees them, of their own size without one, and their labels."""
-    images = pictures.images[indices].to(pictures.device)
-    return images if size is None else resize(images, [size, size]), pictures.labels[indices].to(pictures.device)
+def sharp(dataset: ImageDataset, indices: Tensor, size: int | None) -> tuple[Tensor, Tensor]:
+    """Images (B, 3, size, size) uint8 as a design sees them, of their own size without one, and their labels."""
+    images = dataset.images[indices].to(dataset.device)
+    return images if size is None else resize(images, [size, size]), dataset.labels[indices].to(dataset.device)
 
 
 def loss_at_psf(
-    recogniser: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: Capture, micro_batch: int
+    classifier: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: CaptureSettings, micro_batch: int
 ) -> tuple[Tensor, Tensor]:
     """Mean cross-entropy over all captures, and its gradient at the PSFs.
 
@@ -76,13 +76,13 @@ def loss_at_psf(
         loss of each field (F,), whose mean is the loss, and its gradient dL/dPSF, on the device of `grid` and like it.
     """
     leaf = grid.detach().to(images).requires_grad_()
-    captures = Camera(leaf, capture.outside, capture.colour).grid(images)
+    captures = Camera(leaf, capture.outside_window, capture.colour).grid(images)
     seen, wanted = captures.detach().flatten(0, 1), labels.repeat(len(grid))
     parts = math.ceil(len(seen) / micro_batch)
     losses, gradients = [], []
     for part, label in zip(seen.chunk(parts), wanted.chunk(parts), strict=True):
         part.requires_grad_()
-        loss = F.cross_entropy(recogniser(part), label, reduction="none")
+        loss = F.cross_entropy(classifier(part), label, reduction="none")
         (loss.sum() / len(seen)).backward()
         losses.append(loss.detach())
         gradients.append(part.grad)
@@ -92,12 +92,12 @@ def loss_at_psf(
 
 def descend(
     start: Lens,
-    recogniser: nn.Module,
+    classifier: nn.Module,
     problem: Problem,
-    settings: Descent,
+    settings: JointDescentSettings,
     history: list[dict],
     label: str,
-    checkpoint: Checkpoint = NOTHING_KEPT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Lens:
     """Minimise the classifier's loss over the lens and the network at once, with AdamW.
 
@@ -105,8 +105,8 @@ def descend(
 
     Args:
         start: the lens to begin with.
-        recogniser: trained in place, in `train()`; all captures of a step pass at once, for its batch statistics.
-        problem: pictures, fields, limits.
+        classifier: trained in place, in `train()`; all captures of a step pass at once, for its batch statistics.
+        problem: images, fields, limits.
         settings: steps, rates, cold start.
         history: receives a row per logged step.
         label: for progress lines and the history.
@@ -116,23 +116,27 @@ def descend(
         The lens after the last step; if the loss stops being finite, the last lens with a finite one, and the history
         says that the design diverged.
     """
-    view, pictures = problem.view, problem.pictures
+    view, dataset = problem.view, problem.dataset
     cold, steps = settings.cold_start, settings.steps
     torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
     generator = torch.Generator().manual_seed(problem.seed)
-    variables = Variables.stepped(start, view, settings.rates)
+    variables = Variables.stepped(start, view, settings.learning_rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
-    groups = parameter_groups(values, settings.rates)
-    recogniser.train().requires_grad_(True)
-    groups += [group | {"lr": settings.network_rate} for group in network_groups(recogniser, weight_decay=0.05)]
+    groups = parameter_groups(values, settings.learning_rates)
+    classifier.train().requires_grad_(True)
+    groups += [
+        group | {"lr": settings.network_learning_rate} for group in network_groups(classifier, weight_decay=0.05)
+    ]
     optimizer = torch.optim.AdamW(groups)
-    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: cosine(step / steps, settings.rates.final))
+    rates = torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: cosine(step / steps, settings.learning_rates.final)
+    )
     augment = TrivialAugmentWide() if settings.augment else nn.Identity()
     captures = settings.images * len(view.fields)
     progress = Progress(label, steps)
     last = variables.values()
-    order = Shuffled(len(pictures), settings.images, generator)
-    part = checkpoint.part(label, history, network=recogniser, optimizer=optimizer, rates=rates, order=order)
+    order = Shuffled(len(dataset), settings.images, generator)
+    part = checkpoint.part(label, history, network=classifier, optimizer=optimizer, learning_rates=rates, order=order)
     if part.state is not None:
         for name, value in values.items():
             value.data.copy_(part.state["values"][name])
@@ -145,15 +149,15 @@ def descend(
             stop = geometric(cold.stop_scale, (step - 1) / (cold.stop_duration * steps))
         lens = variables.assemble(values)
         pupil = sobol_disc(settings.rays, problem.seed * steps + step)
-        stopped = lens.stopped(stop)
+        stopped = lens.with_stop_scaled(stop)
         rays = trace_fields(stopped, view, pupil)
-        grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel)
+        grid = psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel_size)
         bounds = penalty(lens, problem.limits, view)
 
-        images, labels = sharp(pictures, indices, settings.size)
+        images, labels = sharp(dataset, indices, settings.size)
         images = torch.stack([augment(image) for image in images]).float() / 255
         optimizer.zero_grad()
-        losses, gradient = loss_at_psf(recogniser, images, labels, grid, problem.capture, captures)
+        losses, gradient = loss_at_psf(classifier, images, labels, grid, problem.capture, captures)
         loss = losses.mean()
         total = loss + settings.penalty * bounds
         if not torch.isfinite(total):
@@ -183,6 +187,6 @@ def descend(
                     "rate": rates.get_last_lr()[0],
                 }
             )
-        part.keep(step, values=values, last=last)
-    recogniser.eval().requires_grad_(False)
+        part.save(step, values=values, last=last)
+    classifier.eval().requires_grad_(False)
     return variables.assemble(values).detached()

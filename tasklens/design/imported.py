@@ -11,13 +11,13 @@ from tasklens.optics.analysis.spots import centroid, chief_rays, rms_spot_radius
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Fate, Rays
+from tasklens.optics.tracing.rays import Rays, RayStatus
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
-from tasklens.study.design_settings import Outside
+from tasklens.study.design_settings import ImportedLens
 
 
-def fit(settings: Outside, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
+def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
     """The lens of a file, made to fit a specification.
 
     It is scaled to the focal length of `view`, its stop set to the F-number, and refocused for objects at infinity.
@@ -59,7 +59,7 @@ def fit(settings: Outside, view: View, f_number: float, rays: int) -> tuple[Lens
     }
 
 
-def read(settings: Outside) -> Prescription:
+def read(settings: ImportedLens) -> Prescription:
     """What the file says; raises FileError."""
     if settings.file.suffix.lower() == ".zmx":
         return zemax.read(settings.file, settings.catalogues)
@@ -103,9 +103,9 @@ def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
 
 def _loss(rays: Rays, lost: torch.Tensor) -> str:
     """Where and why the first of the lost rays ended."""
-    surface, fate = f"surface {int(rays.lost_at[lost][0])} (the first is 0)", Fate(int(rays.fate[lost][0]))
+    surface, status = f"surface {int(rays.lost_at[lost][0])} (the first is 0)", RayStatus(int(rays.status[lost][0]))
     return {
-        Fate.MISSED: f"where it misses {surface}",
-        Fate.OUTSIDE: f"at the clear aperture of {surface}",
-        Fate.REFLECTED: f"by total reflection at {surface}",
-    }[fate]
+        RayStatus.MISSED: f"where it misses {surface}",
+        RayStatus.VIGNETTED: f"at the clear aperture of {surface}",
+        RayStatus.TOTAL_INTERNAL_REFLECTION: f"by total reflection at {surface}",
+    }[status]

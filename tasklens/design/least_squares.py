@@ -1,8 +1,8 @@
-"""Imaging design by damped least squares: ray residuals, random starts, staged variables, kicks.
+"""Imaging design by damped least squares: ray residuals, random starts, staged variables, basin hopping.
 
 The way of a lens designer: many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders),
-and fewer of them go on each time. Those left are kicked out of their minima again and again, as in Hammer optimisation,
-and again only the best go on. Budgets count evaluations, so that the result does not depend on the machine.
+and fewer of them are kept each time. Those left are perturbed out of their minima again and again, as in Hammer
+optimisation, and again only the best are kept. Budgets count evaluations, so that the result does not depend on the machine.
 """
 
 import itertools
@@ -14,21 +14,21 @@ import numpy
 import torch
 from scipy.optimize import least_squares
 
-from tasklens.design.merit import SHORTFALL, Merit
+from tasklens.design.merit import VIOLATION, Merit
 from tasklens.design.start import ORDERS, Variables
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.study.design_settings import LeastSquares
+from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.settings import Constraints
 
 _SPACES = 0.35  # a random start draws its element and air thicknesses below this part of the focal length
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget
-_KICKS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # part of the starts, at least one lens; part of the budget
-_KICK_EVALUATIONS = 12
+_PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # part of the starts, at least one lens; part of the budget
+_PERTURBATION_EVALUATIONS = 12
 _SHAPE = ("curvature", "thickness", "alpha")  # of a lens: what a design changes
 _STRICT = 20.0  # times the weight of limits at the end: from the start it would hem in the search
 
@@ -75,7 +75,7 @@ def improve(
 
 def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: numpy.random.Generator) -> list[Lens]:
     """Random paraxial lenses of the right focal length and track, focused; the last curvature is solved for."""
-    glass = list(flat.glass)
+    glass = list(flat.refracting_surfaces)
     middle = view.wavelengths[len(view.wavelengths) // 2]
     strongest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
     found: list[Lens] = []
@@ -105,10 +105,10 @@ def design(
     flat: Lens,
     view: View,
     limits: Constraints,
-    settings: LeastSquares,
+    settings: LeastSquaresSettings,
     seed: int,
     history: list[dict],
-    checkpoint: Checkpoint = NOTHING_KEPT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Lens:
     """The best lens found within the budget of `settings`; arguments as for `spot.design`, a part per candidate."""
     rng = numpy.random.default_rng(seed)
@@ -135,7 +135,7 @@ def design(
         if part.result is None:
             error, lens = search()
             shape = {key: getattr(lens, key) for key in _SHAPE}
-            part.end(error=error, shape=shape, rng=rng.bit_generator.state)
+            part.finish(error=error, shape=shape, rng=rng.bit_generator.state)
             return error, lens
         rng.bit_generator.state = part.result["rng"]
         return part.result["error"], replace(flat, **part.result["shape"])
@@ -145,12 +145,12 @@ def design(
         log(f"{count} orders", error)
         return error, lens
 
-    def kicked(lens: Lens, best: float, rivals: int, budget: int) -> tuple[float, Lens]:
-        for _ in range(max(1, budget // _KICK_EVALUATIONS)):
-            other, error = improve(_kick(lens, rng), merit, names, _KICK_EVALUATIONS, watch)
+    def kicked(lens: Lens, best: float, baselines: int, budget: int) -> tuple[float, Lens]:
+        for _ in range(max(1, budget // _PERTURBATION_EVALUATIONS)):
+            other, error = improve(_perturbed(lens, rng), merit, names, _PERTURBATION_EVALUATIONS, watch)
             if error < best:
                 best, lens = error, other
-            log(f"kicks of {rivals}", best)
+            log(f"perturbations of {baselines}", best)
         return best, lens
 
     candidates = [(0.0, i, lens) for i, lens in enumerate(random_starts(flat, view, limits, settings.starts, rng))]
@@ -161,19 +161,21 @@ def design(
             error, lens = remembered(f"stage {stage}, start {i}", partial(staged, lens, count, budget))
             candidates.append((error, i, lens))
     names = ("curvature", "thickness", *orders[: _STAGES[-1][1]])
-    for stage, (share_kept, share) in enumerate(_KICKS):
+    for stage, (share_kept, share) in enumerate(_PERTURBATIONS):
         kept, budget = onward(candidates, share_kept, share)
         candidates = []
         for error, i, lens in kept:
-            error, lens = remembered(f"kicks {stage}, start {i}", partial(kicked, lens, error, len(kept), budget))
+            error, lens = remembered(
+                f"perturbations {stage}, start {i}", partial(kicked, lens, error, len(kept), budget)
+            )
             candidates.append((error, i, lens))
-    strict = Merit(view, limits, *habits, per_mm=_STRICT * SHORTFALL)
-    lens, error = improve(min(candidates)[2], strict, names, 2 * _KICK_EVALUATIONS, watch)
+    strict = Merit(view, limits, *habits, per_mm=_STRICT * VIOLATION)
+    lens, error = improve(min(candidates)[2], strict, names, 2 * _PERTURBATION_EVALUATIONS, watch)
     log("strict limits", error)
     return lens
 
 
-def _kick(lens: Lens, rng: numpy.random.Generator) -> Lens:
+def _perturbed(lens: Lens, rng: numpy.random.Generator) -> Lens:
     """The lens with about 40 % of its variables moved by a few per cent of their scale."""
     variables = Variables.plain(lens)
     size = rng.uniform(0.015, 0.15)

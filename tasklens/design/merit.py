@@ -7,8 +7,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, shortfall
-from tasklens.optics.analysis.pupil import bundles, gauss_quadrature
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, violation
+from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.rays import Rays
 from tasklens.optics.tracing.trace import linearise
@@ -19,7 +19,7 @@ HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
 _MORE = 1.01  # and a little more
 _LOST = 300.0  # residual of a lost ray [um]
-SHORTFALL = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
+VIOLATION = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
 
 
 class Merit:
@@ -38,7 +38,7 @@ class Merit:
         reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
         corner_weight: float = 1.0,
         max_chief_ray_angle_deg: float | None = None,
-        per_mm: float = SHORTFALL,
+        per_mm: float = VIOLATION,
         rim: int = 3,
     ):
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
@@ -62,14 +62,14 @@ class Merit:
     def clear_semi_diameters(self, lens: Lens) -> Tensor:
         """(S,) apertures at which limits are held [mm]: 1 % more than the rays of the merit function use."""
         record: list[Rays] = []
-        start = bundles(lens, self.view.tangents, self.pupil, self.view.wavelengths)
+        start = collimated_rays(lens, self.view.tangents, self.pupil, self.view.wavelengths)
         linearise(lens, start, lens.refractive_indices(self.view.wavelengths), record)
         return _MORE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, record)])
 
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """(R,) residuals [um], and the function from V changes of the lens (`tracing.linearise`) to (R, V) columns."""
         view, record = self.view, []
-        start = bundles(lens, view.tangents, self.pupil, view.wavelengths)
+        start = collimated_rays(lens, view.tangents, self.pupil, view.wavelengths)
         rays, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths), record)
         valid = rays.valid[..., : len(self.weight)]
         errors = [
@@ -102,7 +102,7 @@ class Merit:
             rows.append(_along(operands, leaves, {**changes, "chief": chief, "semi_diameter": apertures}))
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
-        # A kicked lens can leave every range; scipy wants numbers all the same, as bad as they may be.
+        # A perturbed lens can leave every range; scipy wants numbers all the same, as bad as they may be.
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
@@ -124,7 +124,7 @@ class Merit:
         x, y, m, n = leaves["chief"]
         margins = manufacturing_margins(lens, self.limits, leaves["semi_diameter"])
         margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))
-        operands = [self.per_mm * shortfall(margins)]
+        operands = [self.per_mm * violation(margins)]
         if self.max_chief_ray_angle_deg is not None:
             angle = torch.rad2deg(torch.atan2(m.abs(), n))
             operands.append((angle - self.max_chief_ray_angle_deg).clamp(min=0))

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from tasklens.design import end_to_end as descent
-from tasklens.design import imported as outside
+from tasklens.design import imported as imported
 from tasklens.design import least_squares, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
-from tasklens.design.ray_space import within_limits
+from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -19,28 +19,34 @@ from tasklens.optics.analysis.spots import OUTLINE, chief_points, clear_semi_dia
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline.jobs import DesignJob
-from tasklens.recognition.dataset import Pictures
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.study.design_settings import EndToEnd, LeastSquares, Outside, Spot, Task
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
+from tasklens.study.design_settings import (
+    EndToEndSettings,
+    ImportedLens,
+    LeastSquaresSettings,
+    SpotSettings,
+    TaskDrivenSettings,
+)
 
-_POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first pictures again
+_POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first images again
 _APERTURE = 1.02  # clear aperture of a lens from a file that gives none, over what light uses of it
 
 
 def design(
     job: DesignJob,
-    recogniser: torch.nn.Module | None,
-    pictures: Pictures | None,
-    rivals: Mapping[str, tuple[Lens, Path]],
+    classifier: torch.nn.Module | None,
+    dataset: ImageDataset | None,
+    baselines: Mapping[str, tuple[Lens, Path]],
     history: list[dict],
-    checkpoint: Checkpoint = NOTHING_KEPT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, dict]:
     """Design a lens by the method of its job, or take it from its file.
 
     Args:
         job: what to design and how.
-        recogniser, pictures: the well-trained classifier and the training pictures, for designs that a task supervises.
-        rivals: imaging lenses by name with the metrics files that judge them, for a design that starts from the best.
+        classifier, images: the well-trained classifier and the training images, for designs that a task supervises.
+        baselines: imaging lenses by name with the metrics files that judge them, for a design that starts from the best.
         history: receives a row per logged step.
         checkpoint: of the job.
 
@@ -48,46 +54,46 @@ def design(
         The lens with its clear apertures, and the notes for its file: spec, origin, figures, margins.
     """
     settings, looks = job.lens.design, view_of_spec(job.spec)
-    if isinstance(settings, Outside):
-        lens, fitted = outside.fit(settings, looks, job.spec.f_number, job.rays)
+    if isinstance(settings, ImportedLens):
+        lens, fitted = imported.fit(settings, looks, job.spec.f_number, job.rays)
         used = clear_semi_diameters(lens, looks, torch.cat([OUTLINE, sobol_disc(job.rays, seed=0)]))
         return finished(lens, _APERTURE * used, job, {"design": job.lens.design_name, "method": "file"} | fitted)
     start = flat(job.lens.plastics, job.spec, job.constraints)
     origin: dict = {"design": job.lens.design_name, "method": settings.method, "seed": job.seed, "start": "flat"}
     match settings:
-        case Spot():
+        case SpotSettings():
             lens = spot.design(start, looks, job.constraints, settings, job.seed, history, checkpoint)
-        case LeastSquares():
+        case LeastSquaresSettings():
             origin["start"] = "random paraxial lenses"
             lens = least_squares.design(start, looks, job.constraints, settings, job.seed, history, checkpoint)
-        case Task():
-            problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
-            lens = task.design(start, recogniser, problem, settings, history, checkpoint)
+        case TaskDrivenSettings():
+            problem = descent.Problem(looks, job.constraints, job.capture, dataset, job.seed)
+            lens = task.design(start, classifier, problem, settings, history, checkpoint)
             if settings.polish is not None:
                 fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
-                lens = descent.descend(lens, recogniser, fresh, settings.polish, history, "polish", checkpoint)
-        case EndToEnd():
-            if rivals:
-                origin["start"] = best(rivals)
-                start = open_apertures(rivals[origin["start"]][0])
-            problem = descent.Problem(looks, job.constraints, job.capture, pictures, job.seed)
-            lens = descent.descend(start, recogniser, problem, settings, history, "end-to-end", checkpoint)
+                lens = descent.descend(lens, classifier, fresh, settings.polish, history, "polish", checkpoint)
+        case EndToEndSettings():
+            if baselines:
+                origin["start"] = best(baselines)
+                start = open_apertures(baselines[origin["start"]][0])
+            problem = descent.Problem(looks, job.constraints, job.capture, dataset, job.seed)
+            lens = descent.descend(start, classifier, problem, settings, history, "end-to-end", checkpoint)
     last = history[-1] if history else {}
     if "cause" in last:
         origin["diverged"] = f"step {last['step']}: {last['cause']}"
     # Limits were soft until here: a little broken, they are mended.
-    return finished(*within_limits(lens, looks, job.constraints), job, origin)
+    return finished(*repair(lens, looks, job.constraints), job, origin)
 
 
-def best(rivals: Mapping[str, tuple[Lens, Path]]) -> str:
+def best(baselines: Mapping[str, tuple[Lens, Path]]) -> str:
     """Name of the imaging lens with the highest minival accuracy after fine-tuning."""
     import pandas
 
     def accuracy(name: str) -> float:
-        rows = pandas.read_csv(rivals[name][1])
+        rows = pandas.read_csv(baselines[name][1])
         return rows.loc[rows["metric"] == "minival_accuracy", "value"].mean()
 
-    return max(rivals, key=accuracy)
+    return max(baselines, key=accuracy)
 
 
 def open_apertures(lens: Lens) -> Lens:

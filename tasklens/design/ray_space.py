@@ -5,8 +5,8 @@ the sensor. With a gradient g, a step d of the variables solves
 
     minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
 
-where d.M d is the mean squared displacement of rays, s the stride, `scale` a change that is small for a variable, and
-c + C d the linearised shortfall of the limits: a Gauss-Newton metric as in least squares, a trust region as in
+where d.M d is the mean squared displacement of rays, s the step size, `scale` a change that is small for a variable, and
+c + C d the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
 Levenberg-Marquardt.
 """
 
@@ -20,54 +20,54 @@ from tasklens.design.merit import Merit
 from tasklens.design.start import Variables
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.study.design_settings import Rates
+from tasklens.study.design_settings import LearningRates
 from tasklens.study.settings import Constraints
 
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
-_SCALED = 3.0  # ray displacement [um] that costs as much as a small change, or the stride where that is longer
+_SCALED = 3.0  # ray displacement [um] that costs as much as a small change, or the step size where that is longer
 _LIMITS = 1000.0  # w [1/mm^2]
 _RIM = 17  # marginal rays: a classifier bends the rim, and with 3 lost limits where none of them went
-_MENDING = 2.0  # stride of the steps that bring a lens back within its limits [um]
+_MENDING = 2.0  # step size of the steps that bring a lens back within its limits [um]
 _MENDS = 20  # of them at most
 
 
 @dataclass(frozen=True)
-class Local:
+class LinearModel:
     """Rays and limits about a lens, to first order in V variables.
 
     Attributes:
         metric: M, (V, V), mean squared displacement of the rays [um^2].
         scale: (V,) small changes.
-        shortfall: c, (K,), of the broken limits [mm; fractions without unit].
+        violation: c, (K,), of the broken limits [mm; fractions without unit].
         limits: C, (K, V), their derivatives.
     """
 
     metric: Tensor
     scale: Tensor
-    shortfall: Tensor
+    violation: Tensor
     limits: Tensor
 
     @property
     def broken(self) -> float:
-        """Length of the shortfall."""
-        return float(self.shortfall.norm())
+        """Length of the violation."""
+        return float(self.violation.norm())
 
-    def step(self, gradient: Tensor, stride: float, damping: float) -> Tensor:
-        """The change (V,) of the variables that moves rays by `stride` [um] RMS.
+    def step(self, gradient: Tensor, step_size: float, damping: float) -> Tensor:
+        """The change (V,) of the variables that moves rays by `step size` [um] RMS.
 
-        Mending broken limits is part of the stride, never on top of it. Where they need less than the whole of it, the
+        Mending broken limits is part of the step size, never on top of it. Where they need less than the whole of it, the
         gradient has the rest.
         """
-        floor = (max(stride, _SCALED) / self.scale).square()
+        floor = (max(step_size, _SCALED) / self.scale).square()
         regular = self.metric + damping * torch.diag(self.metric.diagonal() + floor)
         curvature = _LIMITS * self.limits.T @ self.limits
-        slope = gradient + _LIMITS * self.limits.T @ self.shortfall
+        slope = gradient + _LIMITS * self.limits.T @ self.violation
 
         def change(log_mu: float) -> Tensor:
             return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
 
-        log_mu = _bisect(lambda value: float(change(value) @ self.metric @ change(value)) <= stride**2)
+        log_mu = _bisect(lambda value: float(change(value) @ self.metric @ change(value)) <= step_size**2)
         return change(log_mu)
 
 
@@ -75,7 +75,7 @@ class RaySpace:
     """The variables of a lens as one vector, with what they do to its rays and limits."""
 
     def __init__(self, lens: Lens, view: View, limits: Constraints):
-        self.variables = Variables.stepped(lens, view, Rates())
+        self.variables = Variables.stepped(lens, view, LearningRates())
         self.merit = Merit(view, limits, rim=_RIM)
         values = self.variables.values()
         self.names = list(values)
@@ -87,21 +87,21 @@ class RaySpace:
         """The lens with these values (V,), differentiable in them."""
         return self.variables.assemble_vector(self.names, vector)
 
-    def about(self, vector: Tensor) -> Local:
+    def about(self, vector: Tensor) -> LinearModel:
         """Rays and limits about the lens with these values."""
         residuals, columns = self.merit.linearise(self.lens(vector))
         jacobian = columns(self.directions)
         rays, limits = jacobian.split([self.merit.rays, len(jacobian) - self.merit.rays])
-        shortfall = residuals[self.merit.rays :]
-        broken = shortfall > 0
+        violation = residuals[self.merit.rays :]
+        broken = violation > 0
         per_mm = self.merit.per_mm
-        return Local(rays.T @ rays, self.scale, shortfall[broken] / per_mm, limits[broken] / per_mm)
+        return LinearModel(rays.T @ rays, self.scale, violation[broken] / per_mm, limits[broken] / per_mm)
 
 
-def within_limits(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
+def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     """The lens brought back within its limits by steps that move its rays as little as that takes.
 
-    If they end before it is, the one of least shortfall.
+    If they end before it is, the one of least violation.
 
     Returns:
         The lens, and the apertures (S,) within which it keeps its limits [mm].
@@ -110,7 +110,7 @@ def within_limits(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Te
     vector = space.start
     found = []
     for k in range(_MENDS):
-        local = space.about(vector)
+        local = space.linearise(vector)
         found.append((local.broken, k, vector))
         if not local.broken:
             break

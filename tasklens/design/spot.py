@@ -13,9 +13,9 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.study.design_settings import Spot
+from tasklens.study.design_settings import SpotSettings
 from tasklens.study.settings import Constraints
 
 
@@ -23,10 +23,10 @@ def design(
     start: Lens,
     view: View,
     limits: Constraints,
-    settings: Spot,
+    settings: SpotSettings,
     seed: int,
     history: list[dict],
-    checkpoint: Checkpoint = NOTHING_KEPT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Lens:
     """Minimise the mean over fields of sqrt(mean(r^2)) about the polychromatic centroid, with AdamW.
 
@@ -43,15 +43,15 @@ def design(
         The lens with the least loss of all steps with the full stop: descents from plates jump into bad lenses now and
         then, and do not always come back. The last finite one if there is none.
     """
-    variables = Variables.stepped(start, view, settings.rates)
+    variables = Variables.stepped(start, view, settings.learning_rates)
     values = {name: value.requires_grad_() for name, value in variables.values().items()}
-    optimizer = torch.optim.AdamW(parameter_groups(values, settings.rates), betas=(0.9, 0.99))
+    optimizer = torch.optim.AdamW(parameter_groups(values, settings.learning_rates), betas=(0.9, 0.99))
     rates = torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: cosine(step / settings.steps, settings.rates.final)
+        optimizer, lambda step: cosine(step / settings.steps, settings.learning_rates.final)
     )
     progress = Progress("spot", settings.steps)
     least, best = math.inf, variables.values()
-    part = checkpoint.part("spot", history, optimizer=optimizer, rates=rates)
+    part = checkpoint.part("spot", history, optimizer=optimizer, learning_rates=rates)
     if part.state is not None:
         least, best = part.state["least"], part.state["best"]
         for name, value in values.items():
@@ -60,7 +60,7 @@ def design(
         lens = variables.assemble(values)
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * settings.steps))
         pupil = sobol_disc(settings.rays, seed * settings.steps + step)
-        stopped = lens.stopped(scale)
+        stopped = lens.with_stop_scaled(scale)
         rays = trace_fields(stopped, view, pupil)
         middle = centroid(rays)
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
@@ -84,5 +84,5 @@ def design(
         progress(step, rms_um=rms_um, penalty=bounds.item())
         if step % max(1, settings.steps // 100) == 0:
             history.append({"step": step, "rms_um": rms_um, "penalty": bounds.item(), "rate": rates.get_last_lr()[0]})
-        part.keep(step, least=least, best=best, values=values)
+        part.save(step, least=least, best=best, values=values)
     return variables.assemble(best).detached()

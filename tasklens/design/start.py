@@ -10,8 +10,8 @@ from tasklens.materials.material import AIR, Material
 from tasklens.optics.analysis.spots import clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.study.design_settings import Rates
-from tasklens.study.settings import FLAT_TRACK, Constraints, Spec
+from tasklens.study.design_settings import LearningRates
+from tasklens.study.settings import Constraints, Spec
 
 ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
 
@@ -23,7 +23,7 @@ def flat(plastics: tuple[Material, ...], spec: Spec, constraints: Constraints) -
     """Plane-parallel plates behind a stop: the lens that knows nothing."""
     elements = len(plastics)
     back = max(_BACK * spec.efl_mm, constraints.min_back_focus)
-    room = FLAT_TRACK * spec.efl_mm - constraints.stop_distance - back
+    room = constraints.flat_track * spec.efl_mm - constraints.stop_distance - back
     plate = room / (elements + _AIR * (elements - 1))
     media, thickness = [AIR], [constraints.stop_distance]
     for plastic in plastics:
@@ -63,25 +63,25 @@ class Variables:
         return cls(lens, torch.ones_like(lens.curvature))
 
     @classmethod
-    def stepped(cls, lens: Lens, view: View, rates: Rates) -> "Variables":
+    def stepped(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
         """As `rates` are meant: R = the radius that light uses on each surface of `lens` if they are normalised."""
         if not rates.normalised:
             return cls.plain(lens)
         return cls(lens, clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop])))
 
     def _scale(self, order: int) -> Tensor:
-        return self.radius[list(self.lens.glass)] ** (order - 1)
+        return self.radius[list(self.lens.refracting_surfaces)] ** (order - 1)
 
     def values(self) -> dict[str, Tensor]:
         """Present values by name: `curvature`, `thickness`, `alpha_4` .. `alpha_10`, each (G,) for G glass surfaces."""
-        glass = list(self.lens.glass)
+        glass = list(self.lens.refracting_surfaces)
         values = {"curvature": self.lens.curvature[glass], "thickness": self.lens.thickness[glass]}
         values |= {f"alpha_{order}": self.lens.alpha[glass, order // 2 - 1] * self._scale(order) for order in ORDERS}
         return {name: value.detach().clone() for name, value in values.items()}
 
     def directions(self, names: Iterable[str]) -> dict[str, Tensor]:
         """V unit changes of the variables `names` in the order of `values`: `curvature` (V, S), `alpha` (V, S, M)."""
-        glass, names = list(self.lens.glass), list(names)
+        glass, names = list(self.lens.refracting_surfaces), list(names)
         changes = {
             name: torch.zeros(len(names), len(glass), *getattr(self.lens, name).shape, dtype=self.lens.dtype)
             for name in ("curvature", "thickness", "alpha")
@@ -101,7 +101,7 @@ class Variables:
 
     def assemble(self, values: Mapping[str, Tensor]) -> Lens:
         """The lens with these values in it, differentiable in them; what is not named keeps its value."""
-        glass = torch.tensor(self.lens.glass)
+        glass = torch.tensor(self.lens.refracting_surfaces)
 
         def put(name: str, old: Tensor, scale: Tensor | float = 1.0) -> Tensor:
             return old.index_copy(0, glass, values[name] / scale) if name in values else old
@@ -117,7 +117,7 @@ class Variables:
         )
 
 
-def parameter_groups(values: Mapping[str, Tensor], rates: Rates) -> list[dict]:
+def parameter_groups(values: Mapping[str, Tensor], rates: LearningRates) -> list[dict]:
     """AdamW's groups: one per kind of variable, each asphere order at `rates.decay` times the one before."""
     rate = {"curvature": rates.curvature, "thickness": rates.thickness}
     rate |= {f"alpha_{order}": rates.alpha_4 * rates.decay**k for k, order in enumerate(ORDERS)}

@@ -45,7 +45,7 @@ class Lens:
         return self.curvature.dtype
 
     @property
-    def glass(self) -> tuple[int, ...]:
+    def refracting_surfaces(self) -> tuple[int, ...]:
         """Indices of the surfaces that bound an element: those where the medium changes."""
         before = (AIR, *self.media[:-1])
         return tuple(i for i, (a, b) in enumerate(zip(before, self.media, strict=True)) if a != b)

@@ -6,7 +6,7 @@ from torch import Tensor
 from tasklens.optics.tracing.rays import Rays
 
 
-def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel: int) -> Tensor:
+def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Tensor:
     """PSF of every field and wavelength on a window of pixels.
 
     PSF(p) = (1 / N) sum_i tri((p_x - x_i) / L) tri((p_y - y_i) / L),  tri(x) = max(0, 1 - |x|)
@@ -18,27 +18,27 @@ def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel: int) -> Tensor:
         rays: traced to the image plane, (F, W, N).
         centre: (F, 2) point [mm] on the image plane at the middle of the window.
         pixel_pitch: L [um].
-        kernel: K, odd.
+        kernel_size: K, odd.
 
     Returns:
         (F, W, K, K); rows along y, columns along x.
     """
     fields, channels, count = rays.x.shape
-    column = (rays.x - centre[:, 0, None, None]) * (1e3 / pixel_pitch) + kernel // 2
-    row = (rays.y - centre[:, 1, None, None]) * (1e3 / pixel_pitch) + kernel // 2
+    column = (rays.x - centre[:, 0, None, None]) * (1e3 / pixel_pitch) + kernel_size // 2
+    row = (rays.y - centre[:, 1, None, None]) * (1e3 / pixel_pitch) + kernel_size // 2
     # Far rays are moved beside the window first: their index would not fit an integer.
-    column, row = column.clamp(-2.0, kernel + 1.0), row.clamp(-2.0, kernel + 1.0)
+    column, row = column.clamp(-2.0, kernel_size + 1.0), row.clamp(-2.0, kernel_size + 1.0)
     column0, row0 = column.detach().floor(), row.detach().floor()
     right, down = column - column0, row - row0
-    plane = torch.arange(fields * channels).reshape(fields, channels, 1) * (kernel * kernel)
+    plane = torch.arange(fields * channels).reshape(fields, channels, 1) * (kernel_size * kernel_size)
     valid = rays.valid
     indices, weights = [], []
     for dr, wr in ((0, 1 - down), (1, down)):
         for dc, wc in ((0, 1 - right), (1, right)):
             r, c = row0.long() + dr, column0.long() + dc
-            inside = valid & (r >= 0) & (r < kernel) & (c >= 0) & (c < kernel)
-            indices.append(torch.where(inside, plane + r * kernel + c, 0))
+            inside = valid & (r >= 0) & (r < kernel_size) & (c >= 0) & (c < kernel_size)
+            indices.append(torch.where(inside, plane + r * kernel_size + c, 0))
             weights.append(torch.where(inside, wr * wc, 0.0))
-    energy = torch.zeros(fields * channels * kernel * kernel, dtype=rays.x.dtype)
+    energy = torch.zeros(fields * channels * kernel_size * kernel_size, dtype=rays.x.dtype)
     energy = energy.index_add(0, torch.stack(indices).flatten(), torch.stack(weights).flatten())
-    return energy.reshape(fields, channels, kernel, kernel) / count
+    return energy.reshape(fields, channels, kernel_size, kernel_size) / count

@@ -17,14 +17,14 @@ class View:
         efl: focal length of that pinhole [mm].
         wavelengths: W of them [um]; the middle one is the reference.
         pixel_pitch: [um].
-        kernel: side of the PSF window in pixels, odd.
+        kernel_size: width of the PSF window in pixels, odd.
     """
 
     fields: Tensor
     efl: float
     wavelengths: tuple[float, ...]
     pixel_pitch: float
-    kernel: int
+    kernel_size: int
 
     @property
     def tangents(self) -> Tensor:
@@ -60,4 +60,4 @@ class View:
 def view_of_spec(spec: Spec) -> View:
     """The nine fields, three colours and the pixels of a specification."""
     fields = torch.tensor(spec.fields_mm, dtype=torch.float64)
-    return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel)
+    return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel_size)

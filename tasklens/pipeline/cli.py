@@ -1,4 +1,4 @@
-"""One front door: what a rule of the workflow calls is what a person can type.
+"""The command line: what a rule of the workflow calls is what a person can type.
 
     tasklens design config/config.yaml doublet-tasklens --seed 0
 
@@ -8,11 +8,41 @@ Files are read and written below results/<study name>/. torch is imported inside
 import argparse
 import sys
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 
-from tasklens.pipeline.arguments import parser
-from tasklens.pipeline.stages import measure, report
-from tasklens.runtime.files import FileError
-from tasklens.study.study import Study, StudyError
+from tasklens.pipeline import jobs
+from tasklens.pipeline.run import run, stage_function
+from tasklens.pipeline.stage import SEED, STAGES, Files, Job, Stage
+from tasklens.runtime.errors import InputError
+from tasklens.study.names import SHARP
+from tasklens.study.study import TABLES, load
+
+_HELP = {
+    "lens": f"name of a lens; {SHARP} for the sharp images, where a classifier follows",
+    "table": ", ".join(TABLES),
+}
+
+
+def check(args: argparse.Namespace) -> None:
+    """say what a study file describes, or what is wrong with it and with its imported lenses"""
+    study = load(args.study)
+    if study.imported:
+        from tasklens.design import imported
+        from tasklens.optics.view import view_of_spec
+
+        for entry in study.imported.values():
+            spec = study.spec_of(entry.elements)
+            imported.fit(entry, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+    if args.networks:
+        from tasklens.recognition import classifiers
+
+        for name, classifier in study.classifiers.items():
+            classifiers.check(name, classifier, study.images.size)
+        for name, design in study.designs.items():
+            if size := getattr(design, "size", None):
+                classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)
+    print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
 
 
 def analyse(args: argparse.Namespace) -> None:
@@ -28,56 +58,68 @@ def analyse(args: argparse.Namespace) -> None:
     print(certificate.markdown(str(args.file), view.fields.tolist(), computed, seidel_by_surface(lens, view)), end="")
 
 
-def check(study: Study, args: argparse.Namespace) -> None:
-    """say what a study file describes, or what is wrong with it and with its lenses from outside"""
-    if study.outside:
-        from tasklens.design import imported as outside
-        from tasklens.optics.view import view_of_spec
-
-        for entry in study.outside.values():
-            spec = study.spec_of(entry.elements)
-            outside.fit(entry, view_of_spec(spec), spec.f_number, study.evaluation_rays)
-    if args.networks:
-        from tasklens.recognition import classifiers
-
-        for name, classifier in study.classifiers.items():
-            classifiers.check(name, classifier, study.images.size)
-        for name, design in study.designs.items():
-            if size := getattr(design, "size", None):
-                classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)
-    print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
+def _run_stage(stage: Stage, args: argparse.Namespace) -> int:
+    study = load(args.study)
+    job = stage.job(study, **{name: getattr(args, name) for name in stage.wildcards})
+    return run(stage, _partial(job) if getattr(args, "partial", False) else job) or 0
 
 
-STAGES = {
-    check: ("--networks",),
-    measure.images: ("--threads",),
-    measure.reference: ("classifier",),
-    measure.design: ("lens", "--seed"),
-    measure.psf: ("lens", "--seed"),
-    measure.tail: ("lens", "--seed"),
-    report.certificate: ("lens", "--seed"),
-    measure.restore: ("lens", "--seed"),
-    measure.fine_tune: ("lens", "classifier", "--seed", "--restored"),
-    measure.reproduce: ("lens", "classifier", "--seed", "--restored"),
-    report.table: ("table", "--partial"),
-    report.psf_tail: (),
-    report.verdicts: (),
-    report.regimes: (),
-    report.ablation: ("ablation",),
-    report.verify: (),
-    report.figure: ("lens", "--seed"),
-    report.comparison: ("elements", "--seed"),
-}
+def _partial(job: Job) -> Job:
+    """The job of a table with the measurements that there are, for <table>-partial."""
+    kept = {name: {k: p for k, p in vars(job.inputs)[name].items() if p.exists()} for name in ("lenses", "metrics")}
+    name = job.settings.name
+    outputs = {
+        key: path.with_name(path.name.replace(name, f"{name}-partial")) for key, path in vars(job.outputs).items()
+    }
+    return Job(job.name, job.settings, Files(**{**vars(job.inputs), **kept}), Files(**outputs), job.checkpoint)
+
+
+def _count(text: str) -> int:
+    """A whole number above zero."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above zero, got {text!r}")
+    return int(text)
+
+
+def _parser() -> argparse.ArgumentParser:
+    """A subcommand for every stage, with its wildcards as arguments; and those that are no job."""
+    top = argparse.ArgumentParser(prog="tasklens", description=__doc__.splitlines()[0])
+    commands = top.add_subparsers(required=True, metavar="command")
+
+    def command(name: str, meaning: str, function: Callable) -> argparse.ArgumentParser:
+        added = commands.add_parser(name.replace("_", "-"), help=meaning, description=meaning)
+        added.set_defaults(run=function)
+        return added
+
+    for stage in STAGES.values():
+        added = command(
+            stage.name, stage_function(stage).__doc__ or "", lambda args, stage=stage: _run_stage(stage, args)
+        )
+        added.add_argument("study", type=Path, help="study file (YAML)")
+        for name in stage.wildcards:
+            if name == SEED:
+                added.add_argument("--seed", type=int, default=0)
+            else:
+                added.add_argument(name, help=_HELP.get(name), choices=TABLES if name == "table" else None)
+        if stage is jobs.table:
+            added.add_argument("--partial", action="store_true", help="of what has been measured, as <table>-partial")
+    added = command("check", check.__doc__ or "", check)
+    added.add_argument("study", type=Path, help="study file (YAML)")
+    added.add_argument("--networks", action="store_true", help="build every classifier once, without weights")
+    added = command("analyse", analyse.__doc__ or "", analyse)
+    added.add_argument("file", type=Path, help="lens file (YAML) with its spec")
+    added.add_argument("--rays", type=_count, default=4096, help="per field and colour")
+    return top
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one stage; a mistake in the study or its data ends in exit status 2, a failed `verify` in 1."""
-    args = parser(__doc__.splitlines()[0], STAGES, analyse).parse_args(argv)
+    """Run one command; a mistake in the study or its data ends in exit status 2, a failed `verify` in 1."""
+    args = _parser().parse_args(argv)
     # torch's word to itself, at the first forward-mode derivative of a process
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
         return args.run(args) or 0
-    except (StudyError, FileError, FileNotFoundError) as error:
+    except (InputError, FileNotFoundError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
         return 2
 

@@ -1,195 +1,274 @@
-"""What each job may read of a study.
+"""Every job of a study, declared once: its settings, its inputs and its outputs.
 
-A job is handed this slice and nothing else, and Snakemake compares it: by construction a changed value reruns the
-jobs that read it and no others. What a job reads from other jobs are files.
+The order is that of the data: images, classifiers, lenses, PSFs, restorations, accuracies, then what tells of them.
 """
 
-from tasklens.pipeline.layout import SHARP, restored
-from tasklens.study.design_settings import EndToEnd, LeastSquares, Lens, Outside, Spot, Task
-from tasklens.study.settings import Capture, Classifier, Constraints, Frozen, Images, Restoration, Spec, Training
+from pathlib import Path
+from typing import Any
+
+from tasklens.pipeline.digest import folder_digest
+from tasklens.pipeline.stage import Plan, Slice, stage
+from tasklens.study import claims as paper_claims
+from tasklens.study import names
+from tasklens.study import tables as paper_tables
+from tasklens.study.claims import Claims
+from tasklens.study.design_settings import EndToEndSettings, ImportedLens, LensDesign, TaskDrivenSettings
+from tasklens.study.names import SHARP
 from tasklens.study.study import Study
 
-
-class ReferenceJob(Frozen):
-    classifier: Classifier
-
-
-class DesignJob(Frozen):
-    lens: Lens
-    spec: Spec
-    constraints: Constraints
-    capture: Capture | None
-    classifier: Classifier | None
-    rays: int
-    seed: int
+SPLITS = ("train", "minival", "test")
+PAPER = str(Path(__file__).parents[1] / "report" / "paper.csv")  # the values that the paper prints
 
 
-class PsfJob(Frozen):
-    spec: Spec
-    rays: int
+# ---- images and classifiers
 
 
-class FineTuneJob(Frozen):
-    elements: str
-    design: str
-    classifier: Classifier
-    training: Training
-    capture: Capture | None
-    restoration: Restoration | None
-    seed: int
+@stage(
+    {
+        f"{split}{part}": f"images/{split}{suffix}"
+        for split in SPLITS
+        for part, suffix in (("", ".npy"), ("_labels", ".json"))
+    },
+    resumable=True,
+    threads=8,
+)
+def images(study: Study) -> Plan:
+    folder = study.images.folder
+    return Plan(Slice(images=study.images, source=None if folder is None else folder_digest(folder)))
 
 
-class RestorationJob(Frozen):
-    restoration: Restoration
-    capture: Capture
-    seed: int
+def split(study: Study, name: str) -> list[str]:
+    """Images and labels of a split."""
+    return [images.output(study, name), images.output(study, f"{name}_labels")]
 
 
-class ReproductionJob(Frozen):
-    classifier: Classifier
-    capture: Capture | None
-    restoration: Restoration | None
+@stage({"weights": "classifiers/reference/{classifier}.safetensors"}, resumable=True)
+def reference(study: Study, classifier: str) -> Plan:
+    settings = study.classifier(classifier)
+    return Plan(settings, {"train": split(study, "train"), "published": settings.weights}, gpus=1)
 
 
-class TableJob(Frozen):
-    name: str
-    lenses: tuple[str, ...]
-    classifiers: tuple[str, ...]
-    seeds: tuple[int, ...]
-
-    def seen(self, classifier: str) -> str:
-        """Name under which a classifier is measured for this table: in table 4 it sees restored captures."""
-        return restored(classifier) if self.name == "table4" else classifier
-
-    @property
-    def measured(self) -> tuple[tuple[str, str], ...]:
-        """Lens (or SHARP) and classifier of every measurement that the table shows."""
-        sharp = tuple((SHARP, classifier) for classifier in self.classifiers)
-        return sharp + tuple((lens, self.seen(classifier)) for lens in self.lenses for classifier in self.classifiers)
+# ---- lenses and their PSFs
 
 
-class TailJob(Frozen):
-    lenses: tuple[str, ...]
-    seeds: tuple[int, ...]
-
-
-class VerificationJob(Frozen):
-    lenses: tuple[str, ...]
-    promising: tuple[str, ...]  # those of `lenses` whose method promises to keep the constraints
-    efl_mm: dict[str, float]
-    tables: tuple[TableJob, ...]
-    seeds: tuple[int, ...]
-
-    @property
-    def measured(self) -> tuple[tuple[str, str], ...]:
-        """Lens (or SHARP) and classifier of every measurement that a table shows, each once."""
-        return tuple(dict.fromkeys(pair for table in self.tables for pair in table.measured))
-
-
-def images(study: Study) -> Images:
-    return study.images
-
-
-def reference(study: Study, classifier: str) -> ReferenceJob:
-    return ReferenceJob(classifier=study.classifier(classifier))
-
-
-def design(study: Study, lens: str, seed: int) -> DesignJob:
-    chosen = study.lens(lens)
-    supervised = isinstance(chosen.design, Task | EndToEnd)
-    return DesignJob(
-        lens=chosen.model_copy(update={"capture": None}),  # what a design reads of it stands in `capture`
-        spec=study.spec_of(chosen.elements),
+@stage(
+    {"lens": "lenses/{lens}/seed{seed}/lens.yaml", "history": "lenses/{lens}/seed{seed}/history.csv"},
+    resumable=True,
+    priority=1,  # most jobs wait for designs, and the longest jobs are among them
+)
+def design(study: Study, lens: str, seed: int) -> Plan:
+    entry = study.lens(lens)
+    supervised = isinstance(entry.design, TaskDrivenSettings | EndToEndSettings)
+    settings = LensDesign(
+        entry=entry.model_copy(update={"capture": None}),  # what a design reads of it stands in `capture`
+        spec=study.spec_of(entry.elements),
         constraints=study.constraints,
         capture=study.capture_of(lens) if supervised else None,
         classifier=study.classifier(study.supervisor) if supervised else None,
         rays=study.evaluation_rays,
         seed=seed,
     )
+    inputs: dict[str, Any] = {"train": None, "weights": None}
+    if supervised:
+        inputs["train"] = split(study, "train")
+        inputs["weights"] = reference.output(study, "weights", classifier=study.supervisor)
+    if isinstance(entry.design, ImportedLens):
+        inputs["files"] = [entry.design.file, *entry.design.catalogues]
+    baselines = paper_tables.imaging_baselines(study, lens)
+    inputs["baselines"] = {name: design.output(study, "lens", lens=name, seed=seed) for name in baselines}
+    inputs["metrics"] = {name: _metrics(study, name, study.supervisor, seed) for name in baselines}
+    return Plan(settings, inputs, gpus=int(supervised))
 
 
-def psf(study: Study, lens: str) -> PsfJob:
-    return PsfJob(spec=study.spec_of(study.lens(lens).elements), rays=study.evaluation_rays)
+@stage({"psf": "lenses/{lens}/seed{seed}/psf.safetensors"})
+def psf(study: Study, lens: str, seed: int) -> Plan:
+    spec = study.spec_of(study.lens(lens).elements)
+    return Plan(Slice(spec=spec, rays=study.evaluation_rays), {"lens": _lens(study, lens, seed)})
 
 
-def fine_tune(study: Study, lens: str, classifier: str, seed: int, restored: bool) -> FineTuneJob:
-    sharp = lens == SHARP
-    chosen = None if sharp else study.lens(lens)
-    return FineTuneJob(
-        elements="" if sharp else chosen.elements,
-        design="reference" if sharp else chosen.design_name,
-        classifier=study.classifier(classifier),
-        training=study.fine_tuning,
-        capture=None if sharp else study.capture_of(lens),
-        restoration=study.restoration if restored else None,
-        seed=seed,
-    )
+@stage({name: f"lenses/{{lens}}/seed{{seed}}/{name}.csv" for name in ("psf_tail", "encircled_energy")})
+def tail(study: Study, lens: str, seed: int) -> Plan:
+    return psf.plan(study, lens, seed)
 
 
-def restore(study: Study, lens: str, seed: int) -> RestorationJob:
-    return RestorationJob(restoration=study.restoration, capture=study.capture_of(lens), seed=seed)
+def _lens(study: Study, lens: str, seed: int) -> str:
+    return design.output(study, "lens", lens=lens, seed=seed)
 
 
-def table(study: Study, name: str) -> TableJob:
-    """Which lenses and classifiers stand in a table of the paper.
+def _psf(study: Study, lens: str, seed: int) -> str | None:
+    return None if lens == SHARP else psf.output(study, "psf", lens=lens, seed=seed)
 
-    Tables 1, 2 and 4 compare the task-driven with the imaging designs and the lenses from outside, table 3 with the
-    end-to-end designs; table 4 those of the elements that are restored. Table 2 is about all classifiers, the others
-    about the supervisor.
-    """
-    methods = (Task, EndToEnd) if name == "table3" else (Task, Spot, LeastSquares, Outside)
-    shown = [lens for lens in study.lenses.values() if isinstance(lens.design, methods)]
-    if name == "table4" and study.restored is not None:
-        shown = [lens for lens in shown if lens.elements in study.restored]
-    return TableJob(
-        name=name,
-        lenses=tuple(lens.name for lens in shown),
-        classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
+
+# ---- restorations and accuracies
+
+
+@stage(
+    {
+        "weights": "restoration/{lens}/seed{seed}/nafnet.safetensors",
+        "history": "restoration/{lens}/seed{seed}/history.csv",
+    },
+    resumable=True,
+    priority=1,  # of the jobs that can run, the one that another, as long, waits for
+)
+def restore(study: Study, lens: str, seed: int) -> Plan:
+    settings = Slice(restoration=study.restoration, capture=study.capture_of(lens), seed=seed)
+    images = {name: split(study, name) for name in ("train", "minival")}
+    return Plan(settings, {"images": images, "psf": _psf(study, lens, seed)}, gpus=1)
+
+
+def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings and inputs of the captures, restored or not, on which a classifier is measured under a name."""
+    classifier, restored = names.split(measured_name)
+    settings = {
+        "classifier": study.classifier(classifier),
+        "capture": None if lens == SHARP else study.capture_of(lens),
+        "restoration": study.restoration if restored else None,
+    }
+    restoration = restore.output(study, "weights", lens=lens, seed=seed) if restored else None
+    return settings, {"psf": _psf(study, lens, seed), "restoration": restoration}
+
+
+@stage(
+    {
+        "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
+        "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
+        "predictions": "metrics/{lens}/seed{seed}/{measured_name}-predictions.csv",
+    },
+    resumable=True,
+)
+def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
+    classifier, restored = names.split(measured_name)
+    captures, inputs = _captures(study, lens, measured_name, seed)
+    rows = {
+        "elements": "" if lens == SHARP else study.lens(lens).elements,
+        "design": "reference" if lens == SHARP else study.lens(lens).design_name,
+        "classifier": classifier,
+        "restored": restored,
+        "seed": seed,
+    }
+    inputs["images"] = {name: split(study, name) for name in SPLITS}
+    inputs["weights"] = reference.output(study, "weights", classifier=classifier)
+    processes = study.classifier(classifier).processes
+    settings = Slice(**captures, training=study.fine_tuning, rows=rows, seed=seed)
+    return Plan(settings, inputs, processes=processes, gpus=processes)
+
+
+@stage({"predictions": "verification/{lens}/seed{seed}/{measured_name}-predictions.csv"}, resumable=True)
+def reproduce(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
+    captures, inputs = _captures(study, lens, measured_name, seed)
+    inputs["test"] = split(study, "test")
+    inputs["weights"] = _metrics(study, lens, measured_name, seed, "weights")
+    return Plan(Slice(**captures), inputs, gpus=1)
+
+
+def _metrics(study: Study, lens: str, measured_name: str, seed: int, output: str = "metrics") -> str:
+    """An output of fine-tuning a classifier, by the name under which it is measured."""
+    return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
+
+
+# ---- tables, verdicts and figures
+
+Measured = tuple[tuple[str, str], ...]  # pairs of a lens, or SHARP, and the name under which a classifier is measured
+
+
+def _measurements(study: Study, lenses: tuple[str, ...], measured: Measured) -> dict[str, Any]:
+    """Files of lenses by (lens, seed), and metrics and predictions by (lens, measured name, seed)."""
+    keys = [(*pair, seed) for pair in measured for seed in study.seeds]
+    return {
+        "lenses": {(lens, seed): _lens(study, lens, seed) for lens in lenses for seed in study.seeds},
+        "metrics": {key: _metrics(study, *key) for key in keys},
+        "predictions": {key: _metrics(study, *key, output="predictions") for key in keys},
+    }
+
+
+def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
+    """What claims are judged by."""
+    lenses = dict.fromkeys(lens for claim in claims.claims for lens in claim.lenses)
+    measured = dict.fromkeys((lens, claim.classifier) for claim in claims.claims for lens in claim.lenses)
+    sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if claim.about_convergence)
+    return _measurements(study, tuple(lenses), (*measured, *sharp))
+
+
+def _published(name: str, *suffixes: str) -> dict[str, str]:
+    """Files of a table, by their suffix."""
+    return {suffix.replace(".", "_"): f"tables/{name}.{suffix}" for suffix in (*suffixes, "csv", "md")}
+
+
+@stage(_published("{table}", "seeds.csv", "tex", "json"))
+def table(study: Study, table: str) -> Plan:
+    contents = paper_tables.table(study, table)
+    inputs = _measurements(study, contents.lenses, contents.measured)
+    return Plan(contents, {"lenses": inputs["lenses"], "metrics": inputs["metrics"], "paper": PAPER})
+
+
+@stage(_published("psf_tail") | {"encircled_energy": "tables/encircled_energy.csv"})
+def psf_tail(study: Study) -> Plan:
+    lenses = paper_tables.table_lenses(study)
+    keys = [(lens, seed) for lens in lenses for seed in study.seeds]
+    inputs = {name: {(x, s): tail.output(study, name, lens=x, seed=s) for x, s in keys} for name in tail.patterns}
+    return Plan(paper_tables.TailContents(study=study.name, lenses=lenses, seeds=study.seeds), inputs)
+
+
+@stage(_published("verdicts"))
+def verdicts(study: Study) -> Plan:
+    claims = paper_claims.claims(study)
+    return Plan(claims, _claimed(study, claims))
+
+
+@stage(_published("regimes"))
+def regimes(study: Study) -> Plan:
+    claims = paper_claims.regime_claims(study)
+    return Plan(claims, _claimed(study, claims))
+
+
+@stage(_published("ablation_{ablation}"))
+def ablation(study: Study, ablation: str) -> Plan:
+    compared = paper_claims.ablation_claims(study, ablation)
+    return Plan(compared, _claimed(study, compared.claims))
+
+
+@stage({"page": "lenses/{lens}/seed{seed}/certificate.md"})
+def certificate(study: Study, lens: str, seed: int) -> Plan:
+    return Plan(Slice(title=f"{lens}, seed {seed}"), {"lens": _lens(study, lens, seed)})
+
+
+@stage({"figure": "figures/{lens}-seed{seed}.png"})
+def figure(study: Study, lens: str, seed: int) -> Plan:
+    return Plan(Slice(title=lens), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
+
+
+@stage({"figure": "figures/figure3-{elements}-seed{seed}.png"})
+def comparison(study: Study, elements: str, seed: int) -> Plan:
+    claim = paper_claims.regime_claim(study, elements)
+    inputs = {
+        "lenses": {lens: _lens(study, lens, seed) for lens in claim.lenses},
+        "psfs": {lens: _psf(study, lens, seed) for lens in claim.lenses},
+        "metrics": {lens: _metrics(study, lens, claim.classifier, seed) for lens in claim.baselines},
+    }
+    return Plan(Slice(claim=claim, seed=seed), inputs)
+
+
+@stage({})  # no output: asked for again, it verifies again
+def verify(study: Study) -> Plan:
+    lenses = paper_tables.table_lenses(study)
+    entries = {name: study.lens(name) for name in lenses}
+    tables, measured = paper_tables.tables(study), paper_tables.table_measurements(study)
+    settings = paper_tables.VerificationContents(
+        lenses=lenses,
+        constrained=tuple(name for name, lens in entries.items() if lens.constrained),
+        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in entries.items()},
+        tables=tables,
+        measured=measured,
         seeds=study.seeds,
     )
-
-
-def reproduce(study: Study, lens: str, classifier: str, restored: bool) -> ReproductionJob:
-    return ReproductionJob(
-        classifier=study.classifier(classifier),
-        capture=None if lens == SHARP else study.capture_of(lens),
-        restoration=study.restoration if restored else None,
-    )
-
-
-def tables(study: Study) -> tuple[TableJob, ...]:
-    """The tables that the study makes and has lenses for."""
-    return tuple(job for job in (table(study, name) for name in study.tables) if job.lenses)
-
-
-def shown(study: Study) -> tuple[str, ...]:
-    """The lenses of these tables."""
-    found = {lens for job in tables(study) for lens in job.lenses}
-    return tuple(lens for lens in study.lenses if lens in found)
-
-
-def psf_tail(study: Study) -> TailJob:
-    return TailJob(lenses=shown(study), seeds=study.seeds)
-
-
-def verify(study: Study) -> VerificationJob:
-    """What is verified: the tables of a study, their lenses and their measurements."""
-    lenses = {name: study.lens(name) for name in shown(study)}
-    return VerificationJob(
-        lenses=tuple(lenses),
-        promising=tuple(name for name, lens in lenses.items() if lens.keeps_constraints),
-        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in lenses.items()},
-        tables=tables(study),
-        seeds=study.seeds,
-    )
-
-
-def imaging_rivals(study: Study, lens: str) -> tuple[str, ...]:
-    """The imaging lenses among which a design from the best imaging lens chooses; empty for every other design.
-
-    Not the lenses from outside: naming an opponent changes no other row.
-    """
-    chosen = study.lens(lens)
-    if not (isinstance(chosen.design, EndToEnd) and chosen.design.start == "best_imaging"):
-        return ()
-    return tuple(f"{chosen.elements}-{name}" for name in study.imaging_designs)
+    reproduced = {
+        (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)
+        for lens, name in measured
+        for seed in study.seeds
+    }
+    inputs = _measurements(study, lenses, measured) | {
+        "reproduced": reproduced,
+        "tables": {contents.name: table.output(study, "csv", table=contents.name) for contents in tables},
+        "verdicts": verdicts.output(study, "md"),
+    }
+    return Plan(settings, inputs)

@@ -1,4 +1,4 @@
-"""timm networks that take pictures or captures in [0, 1]."""
+"""timm networks that take images or captures in [0, 1]."""
 
 import copy
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from tasklens.runtime.devices import half_precision
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.study.settings import Classifier
-from tasklens.study.study import StudyError
+from tasklens.study.settings import ClassifierSettings
 
 
-class Recogniser(nn.Module):
+class Classifier(nn.Module):
     """A timm network behind its own normalisation, which belongs to the network and comes after the optics.
 
     Args:
-        outputs: (C,) which of its outputs the classes of the pictures are; None where they are all.
+        outputs: (C,) which of its outputs the classes of the images are; None where they are all.
     """
 
     def __init__(self, network: nn.Module, outputs: Tensor | None = None):
@@ -36,7 +36,7 @@ class Recogniser(nn.Module):
         self.register_buffer("outputs", outputs, persistent=False)
 
     def all_outputs(self, images: Tensor) -> Tensor:
-        """Logits (B, outputs) of images (B, 3, H, W) in [0, 1], also those of classes that no picture has."""
+        """Logits (B, outputs) of images (B, 3, H, W) in [0, 1], also those of classes that no image has."""
         normalised = (images - self.mean) / self.std
         with half_precision(images.device):
             return self.network(normalised.contiguous(memory_format=torch.channels_last)).float()
@@ -47,15 +47,15 @@ class Recogniser(nn.Module):
         return logits if self.outputs is None else logits[:, self.outputs]
 
 
-def build(classifier: Classifier, classes: Sequence[str], weights: Path | None = None) -> Recogniser:
-    """The network that `classifier` names, for pictures of these classes.
+def build(classifier: ClassifierSettings, classes: Sequence[str], weights: Path | None = None) -> Classifier:
+    """The network that `classifier` names, for images of these classes.
 
     Weights come from the file `weights` where it is given, else from where the classifier says; a head whose number
     of classes differs is initialised anew by timm (`pretrained`) or refused (a file).
 
     Raises:
         FileError: weights that are not the network's, or classes that ImageNet does not have.
-        StudyError: a published head for other classes that nothing is to train.
+        InputError: a published head for other classes that nothing is to train.
     """
     outputs = imagenet_outputs(classes) if classifier.outputs == "imagenet" else None
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
@@ -63,7 +63,7 @@ def build(classifier: Classifier, classes: Sequence[str], weights: Path | None =
     if pretrained and classifier.training is None:
         published = timm.get_pretrained_cfg(classifier.model)
         if published is not None and published.num_classes != count:
-            raise StudyError(
+            raise InputError(
                 f"{classifier.model}: published with {published.num_classes} outputs, {count} are wanted: "
                 "its new head needs `training`, or its own outputs `outputs: imagenet`"
             )
@@ -79,7 +79,7 @@ def build(classifier: Classifier, classes: Sequence[str], weights: Path | None =
             raise FileError(f"{path}: no weights for {classifier.model} with {count} outputs: {error}") from error
         if path.suffix == ".npz" and torch.equal(head, before):  # its readers leave out a head of another size
             raise FileError(f"{path}: its head is not that of {classifier.model} with {count} outputs")
-    return Recogniser(network, outputs)
+    return Classifier(network, outputs)
 
 
 def imagenet_outputs(classes: Sequence[str]) -> Tensor:
@@ -97,7 +97,7 @@ def imagenet_outputs(classes: Sequence[str]) -> Tensor:
     return torch.tensor([indices[name] for name in classes])
 
 
-def frozen(recogniser: nn.Module, batch_norm: Literal["stored", "batch"] = "stored") -> nn.Module:
+def frozen(classifier: nn.Module, batch_norm: Literal["stored", "batch"] = "stored") -> nn.Module:
     """A copy in `eval()` that takes no gradient itself, but passes one on to its images.
 
     Args:
@@ -105,7 +105,7 @@ def frozen(recogniser: nn.Module, batch_norm: Literal["stored", "batch"] = "stor
             almost half of the memory of a ResNet. By those of the batch, they are in `train()`, but keep what they have
             stored, too.
     """
-    copied = copy.deepcopy(recogniser).eval().requires_grad_(False)
+    copied = copy.deepcopy(classifier).eval().requires_grad_(False)
     if batch_norm == "stored":
         return freeze_batch_norm_2d(copied)
     for module in copied.modules():
@@ -115,20 +115,20 @@ def frozen(recogniser: nn.Module, batch_norm: Literal["stored", "batch"] = "stor
     return copied
 
 
-def check(name: str, classifier: Classifier, size: int) -> None:
-    """Build a network without memory for its weights, and pass a picture of `size` pixels through it.
+def check(name: str, classifier: ClassifierSettings, size: int) -> None:
+    """Build a network without memory for its weights, and pass an image of `size` pixels through it.
 
     Raises:
-        StudyError: naming the classifier, where timm does not know the model or the arguments or size do not fit it.
+        InputError: naming the classifier, where timm does not know the model or the arguments or size do not fit it.
     """
     try:
         with torch.device("meta"):
             network = timm.create_model(classifier.model, num_classes=10, **classifier.arguments).eval()
             network(torch.zeros(1, 3, size, size))
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., whichever layer notices
-        raise StudyError(f"classifiers.{name}: {classifier.model} with {classifier.arguments}: {error}") from error
+        raise InputError(f"classifiers.{name}: {classifier.model} with {classifier.arguments}: {error}") from error
 
 
-def parameters_m(recogniser: Recogniser) -> float:
+def parameters_m(classifier: Classifier) -> float:
     """Number of parameters, in millions."""
-    return sum(p.numel() for p in recogniser.parameters()) / 1e6
+    return sum(p.numel() for p in classifier.parameters()) / 1e6

@@ -1,5 +1,6 @@
-"""Labelled pictures as uint8 tensors: rendered, or converted from folders of photographs, and read back."""
+"""Labelled images as uint8 tensors: rendered, or converted from folders of photographs, and read back."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,17 +9,17 @@ import torch
 from torch import Tensor
 
 from tasklens.recognition import folders
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import CPU, send
-from tasklens.runtime.files import FileError, map_tensors, write_tensors
-from tasklens.study.settings import Images
+from tasklens.runtime.files import FileError, map_array, write_text, writing_array
+from tasklens.study.settings import ImageSettings
 
 SPLITS = ("train", "minival", "test")
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Pictures (N, 3, H, W) uint8, their labels (N,) int64, the names of the classes, and where batches are wanted."""
+class ImageDataset:
+    """Images (N, 3, H, W) uint8, their labels (N,) int64, the names of the classes, and where batches are wanted."""
 
     images: Tensor
     labels: Tensor
@@ -29,25 +30,43 @@ class Pictures:
         return len(self.labels)
 
     def batch(self, indices: Tensor) -> tuple[Tensor, Tensor]:
-        """Pictures in [0, 1], float32, and their labels."""
+        """Images in [0, 1], float32, and their labels."""
         return send(self.images[indices], self.device).float() / 255, send(self.labels[indices], self.device)
 
-    def take(self, indices: Tensor) -> "Pictures":
+    def take(self, indices: Tensor) -> "ImageDataset":
         return replace(self, images=self.images[indices], labels=self.labels[indices])
 
 
-def make(images: Images, paths: Mapping[str, Path], threads: int = 1, checkpoint: Checkpoint = NOTHING_KEPT) -> None:
-    """Write the three splits that `images` describes; the minival is cut out of the training pictures.
+Paths = tuple[Path, Path]  # of the images and of the labels of a split
+
+
+def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoint = NO_CHECKPOINT) -> None:
+    """Write the three splits that `images` describes; the minival is cut out of the training images.
+
+    Photographs are decoded by as many threads as torch may use.
 
     Args:
         paths: of the files of the splits.
-        threads: that decode photographs at once.
         checkpoint: of the job.
 
     Raises:
-        FileError: a missing folder, an empty class, an unreadable picture, or too few pictures.
+        FileError: a missing folder, an empty class, an unreadable image, or too few images.
     """
+    train, minival, test = _splits(images)
+    for name, split in (("train", train), ("minival", minival), ("test", test)):
+        if isinstance(split, ImageDataset):
+            write(split, *paths[name])
+        else:
+            folders.convert(split, images.size, paths[name][0], torch.get_num_threads(), checkpoint)
+            _write_labels(split, paths[name][1])
+
+
+def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]:
+    """Train, minival and test: rendered, or the photographs to read."""
+    pool: ImageDataset | folders.Listing
+    test: ImageDataset | folders.Listing
     if images.folder is None:
+        assert images.train is not None and images.test is not None  # rendered images need counts
         pool = _rendered(images.train + images.minival, images.size, 2 * images.seed)
         test = _rendered(images.test, images.size, 2 * images.seed + 1)
     else:
@@ -59,29 +78,42 @@ def make(images: Images, paths: Mapping[str, Path], threads: int = 1, checkpoint
             raise FileError(f"{images.folder}: train and test have different classes: {different}")
     if len(pool) <= images.minival:
         raise FileError(
-            f"images.minival = {images.minival}: expected fewer than the {len(pool)} training pictures it is cut from"
+            f"images.minival = {images.minival}: expected fewer than the {len(pool)} training images it is cut from"
         )
     order = torch.randperm(len(pool), generator=torch.Generator().manual_seed(images.seed))
-    minival, train = order[: images.minival], order[images.minival :]
-    for split, chosen in (("train", pool.take(train)), ("minival", pool.take(minival)), ("test", test)):
-        if images.folder is None:
-            write(chosen, paths[split])
-        else:
-            folders.convert(chosen, images.size, paths[split], threads, checkpoint)
+    return pool.take(order[images.minival :]), pool.take(order[: images.minival]), test
 
 
-def _rendered(count: int, size: int, seed: int) -> Pictures:
+def _rendered(count: int, size: int, seed: int) -> ImageDataset:
     from tasklens.recognition import scenes
 
-    return Pictures(*scenes.render(count, size, seed), scenes.CLASSES)
+    return ImageDataset(*scenes.render(count, size, seed), scenes.CLASSES)
 
 
-def write(pictures: Pictures, path: Path) -> None:
-    """Write a split as safetensors: `images`, `labels` and the class names."""
-    write_tensors(path, {"images": pictures.images, "labels": pictures.labels}, {"classes": list(pictures.classes)})
+def write(dataset: ImageDataset, images: Path, labels: Path) -> None:
+    """Write a split: its images as .npy (N, 3, H, W) uint8, its labels and the names of the classes as JSON."""
+    with writing_array(images, tuple(dataset.images.shape), "uint8") as array:
+        array[:] = dataset.images.numpy()
+    _write_labels(dataset, labels)
 
 
-def read(path: Path, device: torch.device = CPU) -> Pictures:
-    """Read a split written by `make`; its pictures are mapped from the file, not copied."""
-    tensors, metadata = map_tensors(path)
-    return Pictures(tensors["images"], tensors["labels"], tuple(metadata["classes"]), device)
+def _write_labels(split: ImageDataset | folders.Listing, path: Path) -> None:
+    write_text(path, json.dumps({"classes": list(split.classes), "labels": split.labels.tolist()}) + "\n")
+
+
+def read(images: Path, labels: Path, device: torch.device = CPU) -> ImageDataset:
+    """Read a split written by `make`; its images are mapped from the file, not copied.
+
+    Raises:
+        FileError: a file is not complete, or the two are not of the same images.
+    """
+    array = map_array(images)
+    try:
+        content = json.loads(labels.read_text())
+        found = torch.tensor(content["labels"], dtype=torch.long)
+        classes = tuple(content["classes"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise FileError(f"{labels}: no complete file of labels; remove it ({error})") from error
+    if len(array) != len(found):
+        raise FileError(f"{labels}: {len(found)} labels for the {len(array)} images of {images}; remove both")
+    return ImageDataset(array, found, classes, device)

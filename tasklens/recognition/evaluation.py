@@ -1,4 +1,4 @@
-"""What a classifier sees of a picture through a lens, and how well it recognises it, field by field."""
+"""What a classifier sees of an image through a lens, and how well it recognises it, field by field."""
 
 import math
 from collections.abc import Callable
@@ -8,19 +8,19 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.imaging import Camera, psnr
-from tasklens.recognition.classifiers import Recogniser, parameters_m
-from tasklens.recognition.dataset import Pictures
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.recognition.classifiers import Classifier, parameters_m
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
 from tasklens.runtime.progress import Progress
 
-_WORST = 0.01  # share of the pictures, those with the lowest PSNR, that `worst_psnr_db` is about
-_BATCH = 64  # pictures rendered at once, and captures per forward pass of a network
+_WORST = 0.01  # share of the images, those with the lowest PSNR, that `worst_psnr_db` is about
+_BATCH = 64  # images rendered at once, and captures per forward pass of a network
 
 
 @dataclass(frozen=True)
-class Sight:
-    """The way from a picture to a classifier: through a camera (or none), then through restoration (or none)."""
+class CapturePipeline:
+    """The way from an image to a classifier: through a camera (or none), then through restoration (or none)."""
 
     camera: Camera | None = None
     restoration: nn.Module | None = None
@@ -46,100 +46,103 @@ class Sight:
 
 @torch.no_grad()
 def evaluate(
-    recogniser: Callable[[Tensor], Tensor],
-    pictures: Pictures,
-    sight: Sight,
+    classifier: Callable[[Tensor], Tensor],
+    dataset: ImageDataset,
+    pipeline: CapturePipeline,
     label: str = "evaluation",
-    checkpoint: Checkpoint = NOTHING_KEPT,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Tensor, Tensor]:
-    """How well a classifier recognises N pictures at F fields.
+    """How well a classifier recognises N images at F fields.
 
     Args:
-        recogniser: logits (B, C) of images (B, 3, H, W).
+        classifier: logits (B, C) of images (B, 3, H, W).
         label: for progress lines.
         checkpoint: of the job, for its part `label`.
 
     Returns:
-        Whether each picture is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N).
+        Whether each image is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N).
     """
     part = checkpoint.part(label)
     if part.result is not None:
         return part.result["correct"], part.result["quality"]
     found = [] if part.state is None else [(part.state["correct"], part.state["quality"])]
-    batches = torch.arange(len(pictures)).split(_BATCH)
+    batches = torch.arange(len(dataset)).split(_BATCH)
     progress = Progress(label, len(batches))
     for step, indices in enumerate(batches[part.step :], part.step + 1):
-        images, labels = pictures.batch(indices)
-        captures = sight.all_fields(images)
-        predicted = torch.stack([recogniser(field).argmax(-1) for field in captures])
+        images, labels = dataset.batch(indices)
+        captures = pipeline.all_fields(images)
+        predicted = torch.stack([classifier(field).argmax(-1) for field in captures])
         found.append(((predicted == labels).cpu(), psnr(captures, images).cpu()))
         progress(step)
         if checkpoint.due():
             found = [_joined(found)]
-            part.keep(step, correct=found[0][0], quality=found[0][1])
+            part.save(step, correct=found[0][0], quality=found[0][1])
     correct, quality = _joined(found)
-    part.end(correct=correct, quality=quality)
+    part.finish(correct=correct, quality=quality)
     return correct, quality
 
 
 def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
-    """What was found batch by batch, of all pictures."""
+    """What was found batch by batch, of all images."""
     correct, quality = zip(*found, strict=True)
     return torch.cat(correct, -1), torch.cat(quality, -1)
 
 
 def zero_shot(
-    recogniser: Recogniser, pictures: Pictures, sight: Sight, checkpoint: Checkpoint = NOTHING_KEPT
+    classifier: Classifier, dataset: ImageDataset, pipeline: CapturePipeline, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> list[dict]:
-    """How well a network with more outputs than the pictures have classes recognises them among all its outputs.
+    """How well a network with more outputs than the images have classes recognises them among all its outputs.
 
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
     """
-    if recogniser.outputs is None:
+    if classifier.outputs is None:
         return []
-    among_all = replace(pictures, labels=recogniser.outputs.cpu()[pictures.labels])
-    correct, _ = evaluate(recogniser.all_outputs, among_all, sight, "zero-shot evaluation", checkpoint)
+    among_all = replace(dataset, labels=classifier.outputs.cpu()[dataset.labels])
+    correct, _ = evaluate(classifier.all_outputs, among_all, pipeline, "zero-shot evaluation", checkpoint)
     values = (100 * correct.double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
 
 
-def by_picture(correct: Tensor, pictures: Pictures) -> list[dict]:
-    """A row per picture: its place in the split, its label, and at each field 1 where it is recognised, else 0.
+def predictions_by_image(correct: Tensor, dataset: ImageDataset) -> list[dict]:
+    """A row per image: its place in the split, its label, and at each field 1 where it is recognised, else 0.
 
     Args:
         correct: (F, N) bool, from `evaluate`.
     """
     fields = [f"field{k}" for k in range(len(correct))]
-    labels = [pictures.classes[label] for label in pictures.labels.tolist()]
+    labels = [dataset.classes[label] for label in dataset.labels.tolist()]
     return [
-        {"picture": i, "label": label} | dict(zip(fields, found, strict=True))
+        {"image": i, "label": label} | dict(zip(fields, found, strict=True))
         for i, (label, found) in enumerate(zip(labels, correct.int().T.tolist(), strict=True))
     ]
 
 
 def measure(
-    recogniser: Recogniser, splits: dict[str, Pictures], sight: Sight, checkpoint: Checkpoint = NOTHING_KEPT
+    classifier: Classifier,
+    splits: dict[str, ImageDataset],
+    pipeline: CapturePipeline,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[list[dict], list[dict]]:
-    """How well a classifier recognises, as means and picture by picture.
+    """How well a classifier recognises, as means and image by image.
 
     Args:
         splits: `test` and `minival`.
         checkpoint: of the job.
 
     Returns:
-        Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all pictures and of the worst 1 %,
+        Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of the worst 1 %,
         per field; parameters [millions], and `chance`, the accuracy of guessing [%]. The PSNR is left out where the
-        pictures themselves are seen.
-        And the rows of `by_picture` for the test pictures.
+        images themselves are seen.
+        And the rows of `predictions_by_image` for the test images.
     """
-    correct, quality = evaluate(recogniser, splits["test"], sight, "test", checkpoint)
-    chosen, _ = evaluate(recogniser, splits["minival"], sight, "minival", checkpoint)
+    correct, quality = evaluate(classifier, splits["test"], pipeline, "test", checkpoint)
+    chosen, _ = evaluate(classifier, splits["minival"], pipeline, "minival", checkpoint)
     columns = {
         "accuracy": 100 * correct.double().mean(-1),
         "minival_accuracy": 100 * chosen.double().mean(-1),
     }
-    if sight.camera is not None:
+    if pipeline.camera is not None:
         columns["psnr_db"] = quality.double().mean(-1)
         columns["worst_psnr_db"] = quality.double().sort(-1).values[:, : math.ceil(_WORST * quality.shape[-1])].mean(-1)
     rows = [
@@ -147,6 +150,6 @@ def measure(
         for metric, values in columns.items()
         for field, value in enumerate(values.tolist())
     ]
-    whole = {"parameters_m": parameters_m(recogniser), "chance": 100 / len(splits["test"].classes)}
+    whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(splits["test"].classes)}
     rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
-    return rows, by_picture(correct, splits["test"])
+    return rows, predictions_by_image(correct, splits["test"])

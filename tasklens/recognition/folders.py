@@ -10,8 +10,8 @@ import torch
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
-from tasklens.runtime.files import FileError, temporary_of, writing_tensors
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
+from tasklens.runtime.files import FileError, temporary_of, writing_array
 from tasklens.runtime.progress import Progress
 
 Image.MAX_IMAGE_PIXELS = None  # Pillow's guard against strangers' files; these are the user's own, of any size
@@ -54,39 +54,35 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
     for name in classes:
         files = sorted(f for f in (split / name).rglob("*") if f.suffix.lower() in SUFFIXES)
         if not files:
-            raise FileError(f"{split / name}: this class has no picture ({', '.join(SUFFIXES)})")
+            raise FileError(f"{split / name}: this class has no image ({', '.join(SUFFIXES)})")
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
     rounds = max(map(len, per_class))
     chosen = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
     return Listing(tuple(file for file, _ in chosen), torch.tensor([k for _, k in chosen]), tuple(classes))
 
 
-def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: Checkpoint = NOTHING_KEPT) -> None:
-    """Decode the photographs and write them like `data.write`, (N, 3, size, size), straight into the file.
+def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: Checkpoint = NO_CHECKPOINT) -> None:
+    """Decode the photographs and write them as .npy, (N, 3, size, size) uint8, straight into the file.
 
     Args:
         threads: that decode at once.
         checkpoint: of the job, for its part that is called like the file.
 
     Raises:
-        FileError: a file that is no picture, or a full disk, before anything is decoded.
+        FileError: a file that is no image, or a full disk, before anything is decoded.
     """
-    tensors = {
-        "labels": listing.labels,
-        "images": torch.empty(len(listing), 3, size, size, dtype=torch.uint8, device="meta"),
-    }
-    metadata = {"classes": list(listing.classes)}
     progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
     part = checkpoint.part(path.stem)
     if part.result is not None and path.exists():
         return
     begun = temporary_of(path).exists() and part.step > 0
-    with writing_tensors(path, tensors, metadata, begun) as (mapped, flush), ThreadPoolExecutor(threads) as pool:
+    shape = (len(listing), 3, size, size)
+    with writing_array(path, shape, "uint8", begun) as array, ThreadPoolExecutor(threads) as pool:
 
         def block(first: int) -> int:
             files = listing.files[first : first + _BLOCK]
             for i, file in enumerate(files, first):
-                mapped["images"][i] = read(file, size)
+                array[i] = read(file, size)
             return first + len(files)
 
         waiting = [pool.submit(block, first) for first in range(part.step if begun else 0, len(listing), _BLOCK)]
@@ -95,23 +91,23 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
                 done = each.result()
                 progress(done)
                 if checkpoint.due():
-                    flush()
-                    part.keep(done)
+                    array.flush()
+                    part.save(done)
         finally:
             pool.shutdown(cancel_futures=True)
-    part.end()
+    part.finish()
 
 
 def read(path: Path, size: int) -> Tensor:
-    """The central square of a picture as RGB, resized to (3, size, size) uint8."""
+    """The central square of an image as RGB, resized to (3, size, size) uint8."""
     try:
         with Image.open(path) as file:
-            picture = ImageOps.exif_transpose(file)
-            if picture.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
-                picture = picture.convert("I").point(lambda value: value * (1 / 256)).convert("L")
-            picture = ImageOps.fit(picture.convert("RGB"), (size, size), Image.Resampling.BICUBIC)
+            image = ImageOps.exif_transpose(file)
+            if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
+                image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
+            image = ImageOps.fit(image.convert("RGB"), (size, size), Image.Resampling.BICUBIC)
     except (
         Exception
     ) as error:  # OSError, SyntaxError, ValueError, DecompressionBombError, ..., whichever decoder notices
-        raise FileError(f"{path}: cannot be read as a picture ({error})") from error
-    return torch.from_numpy(numpy.array(picture)).permute(2, 0, 1)
+        raise FileError(f"{path}: cannot be read as an image ({error})") from error
+    return torch.from_numpy(numpy.array(image)).permute(2, 0, 1)

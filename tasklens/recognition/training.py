@@ -1,4 +1,4 @@
-"""The one training loop for classifiers: sharp pictures, captures or restored captures."""
+"""The one training loop for classifiers: sharp images, captures or restored captures."""
 
 import math
 from collections.abc import Callable
@@ -8,12 +8,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, SequentialLR
 
-from tasklens.recognition.dataset import Pictures
-from tasklens.runtime.checkpoints import NOTHING_KEPT, Checkpoint
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
-from tasklens.runtime.distributed import ALONE, Team
+from tasklens.runtime.distributed import SINGLE_PROCESS, ProcessGroup
 from tasklens.runtime.progress import Progress
-from tasklens.study.settings import Training
+from tasklens.study.settings import TrainingSettings
 
 
 def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict]:
@@ -32,17 +32,17 @@ def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -
 
 
 class Shuffled:
-    """Indices of batches without end: permutations of all `count` pictures, one after the other, none left out."""
+    """Indices of batches without end: permutations of all `count` images, one after the other, none left out."""
 
     def __init__(self, count: int, batch: int, generator: torch.Generator):
-        self.count, self.batch, self.generator = count, batch, generator
+        self.count, self.batch_size, self.generator = count, batch, generator
         self.queue = torch.empty(0, dtype=torch.long)
 
     def next(self) -> Tensor:
         """(batch,) indices."""
-        while len(self.queue) < self.batch:
+        while len(self.queue) < self.batch_size:
             self.queue = torch.cat([self.queue, torch.randperm(self.count, generator=self.generator)])
-        indices, self.queue = self.queue[: self.batch], self.queue[self.batch :]
+        indices, self.queue = self.queue[: self.batch_size], self.queue[self.batch_size :]
         return indices
 
     def state_dict(self) -> dict:
@@ -61,22 +61,22 @@ def reseed(seed: int) -> None:
 
 
 def fit(
-    recogniser: nn.Module,
-    pictures: Pictures,
-    training: Training,
+    classifier: nn.Module,
+    dataset: ImageDataset,
+    training: TrainingSettings,
     seed: int,
     label: str,
     see: Callable[[Tensor, torch.Generator, slice], Tensor] = lambda images, generator, share: images[share],
-    checkpoint: Checkpoint = NOTHING_KEPT,
-    team: Team = ALONE,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    group: ProcessGroup = SINGLE_PROCESS,
 ) -> None:
     """Train a classifier in place with cross-entropy; it is left in `eval()`.
 
     Args:
-        recogniser: takes images (B, 3, H, W) in [0, 1].
-        pictures: the sharp training pictures.
+        classifier: takes images (B, 3, H, W) in [0, 1].
+        images: the sharp training images.
         training: budget and rates.
-        seed: of the order of the pictures, the flips and the network's own randomness.
+        seed: of the order of the images, the flips and the network's own randomness.
         label: for the progress lines.
         see: what the classifier sees instead of the sharp images (B, 3, H, W), given a random generator, of which it
             takes the same numbers whatever the share of the images that is wanted.
@@ -86,28 +86,30 @@ def fit(
     Raises:
         FloatingPointError: the loss stopped being finite, or the weights did at the last step.
     """
-    share, together = team.share(training.batch), team.together(recogniser)
+    share, together = group.share(training.batch_size), group.wrap(classifier)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    steps = max(1, round(training.epochs * len(pictures) / training.batch))
-    optimizer = torch.optim.AdamW(parameter_groups(recogniser, training.weight_decay), lr=training.rate, fused=True)
+    steps = max(1, round(training.epochs * len(dataset) / training.batch_size))
+    optimizer = torch.optim.AdamW(
+        parameter_groups(classifier, training.weight_decay), lr=training.learning_rate, fused=True
+    )
     schedule = warmup_cosine(optimizer, steps, training.warmup)
-    order = Shuffled(len(pictures), training.batch, generator)
+    order = Shuffled(len(dataset), training.batch_size, generator)
     progress = Progress(label, steps)
-    part = checkpoint.part(label, network=recogniser, optimizer=optimizer, schedule=schedule, order=order)
+    part = checkpoint.part(label, network=classifier, optimizer=optimizer, schedule=schedule, order=order)
 
     def judge(step: int, loss: float) -> None:
         if not math.isfinite(loss):
             raise FloatingPointError(f"{label}: the loss became {loss} at step {step} of {steps}")
-        if team.first:
+        if group.is_first:
             progress(step, loss=loss)
 
     before = None
-    recogniser.train()
+    classifier.train()
     for step in range(part.step + 1, steps + 1):
-        images, labels = pictures.batch(order.next())
+        images, labels = dataset.batch(order.next())
         flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
-        if before is not None:  # only now, so that a GPU has the step before to compute while pictures are fetched
+        if before is not None:  # only now, so that a GPU has the step before to compute while images are fetched
             judge(step - 1, before.item())
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(together(see(images, generator, share)), labels[share])
@@ -116,10 +118,10 @@ def fit(
         optimizer.step()
         schedule.step()
         before = loss.detach()
-        if team.first:
-            part.keep(step, loss=before)
+        if group.is_first:
+            part.save(step, loss=before)
     if before is not None:
         judge(steps, before.item())
-    if not all(parameter.isfinite().all() for parameter in recogniser.parameters()):
+    if not all(parameter.isfinite().all() for parameter in classifier.parameters()):
         raise FloatingPointError(f"{label}: the weights stopped being finite at step {steps} of {steps}")
-    recogniser.eval()
+    classifier.eval()

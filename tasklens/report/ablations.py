@@ -1,34 +1,30 @@
 """The table of one ablation: a design and its variants, with what each changes in accuracy."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pandas
 
-from tasklens.pipeline.layout import Layout
 from tasklens.report import verdicts
-from tasklens.report.tables import lens_values, measured_values
-from tasklens.runtime.files import write_text
-from tasklens.study.claims import AblationJob
+from tasklens.report.measurements import Measurements
+from tasklens.report.publish import publish, rounded
+from tasklens.study.claims import AblationClaims
 
 _NOTE = """\
-Study `{study}`. Difference: accuracy less that of `{base}` [points], with its 95 % interval over test pictures{seeds};
+Study `{study}`. Difference: accuracy less that of `{base}` [points], with its 95 % interval over test images{seeds};
 with fewer than {least} seeds it is undecided, whatever its interval. A variant of the capture is also measured with
 its capture."""
 
 
-def collect(job: AblationJob, layout: Layout) -> pandas.DataFrame:
-    """A row for the design that is varied, then one per variant: accuracy, difference with interval, the lens' figures.
-
-    Raises:
-        FileNotFoundError: a lens or a measurement is missing.
-    """
-    differences = verdicts.collect(job.verdicts, layout).set_index("lens")
-    seeds, classifier = job.verdicts.seeds, job.verdicts.claims[0].classifier
+def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.DataFrame:
+    """A row for the base, then one per variant: accuracy, difference with interval, the figures of the lens."""
+    claims = ablation.claims
+    differences = verdicts.collect(claims, measurements).set_index("lens")
+    classifier = claims.claims[0].classifier
     rows = []
-    for lens in (job.base, *differences.index):
+    for lens in (ablation.base, *differences.index):
         measured = [
-            measured_values(Path(layout.metrics(lens, seed, classifier))) | lens_values(Path(layout.lens(lens, seed)))
-            for seed in seeds
+            measurements.values(lens, classifier, seed) | measurements.lens_values(lens, seed) for seed in claims.seeds
         ]
         means = pandas.DataFrame(measured).mean()
         columns = ["rms_spot_um", "core_radius_um", "energy_in_window", "worst_margin"]
@@ -37,15 +33,11 @@ def collect(job: AblationJob, layout: Layout) -> pandas.DataFrame:
     return pandas.DataFrame(rows).merge(compared, on="lens", how="left")
 
 
-def make(job: AblationJob, layout: Layout, study: str) -> None:
+def make(ablation: AblationClaims, measurements: Measurements, outputs: Mapping[str, Path]) -> None:
     """Write the table as CSV and Markdown."""
-    rows = collect(job, layout)
-    write_text(Path(layout.ablation(job.name, "csv")), rows.to_csv(index=False))
-    digits = dict.fromkeys(("difference", "low", "high"), "{:+.2f}")
-    digits |= dict.fromkeys(("accuracy", "rms_spot_um", "core_radius_um"), "{:.2f}")
-    digits |= dict.fromkeys(("energy_in_window", "worst_margin"), "{:.3f}") | {"seeds": "{:.0f}"}
-    shown = rows.assign(**{name: rows[name].map(form.format, na_action="ignore") for name, form in digits.items()})
-    table = shown.fillna("–").to_markdown(index=False, disable_numparse=True)
-    several = " and seeds" if len(job.verdicts.seeds) > 1 else ""
-    note = _NOTE.format(study=study, base=job.base, seeds=several, least=verdicts.LEAST_SEEDS)
-    write_text(Path(layout.ablation(job.name, "md")), f"**Ablation: {job.name}**\n\n{table}\n\n{note}\n")
+    rows = collect(ablation, measurements)
+    digits = {"": ".2f", "energy": ".3f", "worst": ".3f", "seeds": ".0f"}
+    shown = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
+    claims = ablation.claims
+    note = _NOTE.format(study=claims.study, base=ablation.base, seeds=verdicts.over(claims), least=verdicts.LEAST_SEEDS)
+    publish(outputs, f"Ablation: {ablation.name}", rows, shown, note)

@@ -1,6 +1,6 @@
-"""Confidence intervals by resampling test pictures and seeds (Efron and Tibshirani 1993, chapters 6 and 13).
+"""Confidence intervals by resampling test images and seeds (Efron and Tibshirani 1993, chapters 6 and 13).
 
-A row stands for one picture: the mean over its nine captures, which stay together since they are not independent.
+A row stands for one image: the mean over its nine captures, which stay together since they are not independent.
 """
 
 import numpy
@@ -9,13 +9,13 @@ from scipy.special import ndtri, stdtrit
 
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
-_BLOCK = 2_000_000  # picture counts held at once
+_BLOCK = 2_000_000  # image counts held at once
 
 
 def resampled_means(values: ndarray, seed: int = 0, resamples: int = RESAMPLES) -> ndarray:
     """Means (R, C) of the columns of `values` (N, C) over R draws of N rows with replacement.
 
-    All columns see the same draws: what is measured on the same pictures stays paired.
+    All columns see the same draws: what is measured on the same images stays paired.
     """
     count = len(values)
     generator = numpy.random.default_rng(seed)

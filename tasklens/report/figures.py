@@ -1,4 +1,4 @@
-"""Pictures of lenses: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
+"""Images of lenses: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Panel:
 
 
 def draw(path: Path, panels: Sequence[Panel]) -> None:
-    """Write the picture of one lens, or of several, one above the other."""
+    """Write the image of one lens, or of several, one above the other."""
     whole = plt.figure(figsize=(13, 6 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
@@ -61,7 +61,7 @@ def _draw(part, panel: Panel) -> None:
     rays = trace_fields(lens, view, sobol_disc(1024, 0))
     spots = 1e3 * spot_diagram(rays, centroid(rays))[:, 1]
     fans = ray_fans(lens, view, 41)
-    half = view.kernel * view.pixel_pitch / 2
+    half = view.kernel_size * view.pixel_pitch / 2
     for k, (field, name) in enumerate(_SHOWN.items()):
         column = 4 + 2 * k
         axes = part.add_subplot(grid[0, column : column + 2])
@@ -96,7 +96,7 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
             for sign in (1, -1):
                 rim = sign * float(lens.semi_diameter[i])
                 axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2)
-        if i in lens.glass:
+        if i in lens.refracting_surfaces:
             axes.plot(z, height, color="black", lw=1)
     for i, medium in enumerate(lens.media[:-1]):
         if medium != AIR:
@@ -111,8 +111,8 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
     image = trace_fields(lens, along_y, fan, record)
     image_z = float(vertices[-1] + lens.thickness[-1])
     # Not to a stop behind the first vertex and back: straight to the glass, and from the foremost plane of the lens.
-    z = [record[i].z[:, 0] + vertices[i] for i in lens.glass]
-    y = [record[i].y[:, 0] for i in lens.glass]
+    z = [record[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
+    y = [record[i].y[:, 0] for i in lens.refracting_surfaces]
     front = torch.full_like(z[0], float(vertices.min()))
     before = y[0] - along_y.tangents[:, 1, None] * (z[0] - front)
     z = torch.stack([front, *z, torch.full_like(front, image_z)])

@@ -1,4 +1,4 @@
-"""Which test pictures a classifier recognised, from the files that fine-tuning and reproduction leave."""
+"""Which test images were classified correctly, from the files that fine-tuning and reproduction leave."""
 
 from pathlib import Path
 
@@ -8,26 +8,26 @@ from tasklens.runtime.files import FileError
 
 
 def read(path: str | Path) -> pandas.DataFrame:
-    """1 where a picture is recognised at a field, else 0: a row per (picture, label), a column per field.
+    """1 where an image is classified correctly at a field, else 0: a row per (image, label), a column per field.
 
     Raises:
         FileError: the file holds anything else.
     """
     try:
-        frame = pandas.read_csv(path, dtype={"label": str}, keep_default_na=False).set_index(["picture", "label"])
+        frame = pandas.read_csv(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])
     except (KeyError, ValueError) as error:
-        raise FileError(f"{path}: not a table of recognised pictures: {error}") from error
+        raise FileError(f"{path}: not a table of predictions: {error}") from error
     if frame.empty or not frame.isin([0, 1]).all(axis=None):
-        raise FileError(f"{path}: expected a row per picture, with 0 or 1 for each field")
+        raise FileError(f"{path}: expected a row per image, with 0 or 1 for each field")
     return frame
 
 
-def accuracy_by_field(recognised: pandas.DataFrame) -> list[float]:
+def accuracy_by_field(correct: pandas.DataFrame) -> list[float]:
     """Accuracy [%] at each field."""
-    return (100 * recognised.mean()).tolist()
+    return (100 * correct.mean()).tolist()
 
 
-def same_pictures(first: pandas.DataFrame, second: pandas.DataFrame, where: str) -> None:
-    """Raise FileError unless two files are about the same pictures in the same order."""
+def same_images(first: pandas.DataFrame, second: pandas.DataFrame, where: str) -> None:
+    """Raise FileError unless two files are about the same images in the same order."""
     if not first.index.equals(second.index):
-        raise FileError(f"{where}: not about the same test pictures")
+        raise FileError(f"{where}: not about the same test images")

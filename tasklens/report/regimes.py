@@ -1,15 +1,15 @@
 """Where task-driven design pays: its difference to the best imaging lens over element counts and specifications."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from statistics import mean
 
 import pandas
 
-from tasklens.pipeline.layout import Layout
 from tasklens.report import verdicts
-from tasklens.report.tables import lens_file, lens_values
-from tasklens.runtime.files import write_text
-from tasklens.study.claims import VerdictsJob
+from tasklens.report.measurements import Measurements
+from tasklens.report.publish import publish, rounded
+from tasklens.study.claims import Claims
 
 _NOTE = """\
 Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens of the seed by minival [points],
@@ -17,18 +17,14 @@ its 95 % interval, and the mean RMS spots of the two [um]. A difference whose in
 five seeds, is undecided."""
 
 
-def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
-    """A row per task-driven lens: elements, field of view, F-number, difference [points] with interval, RMS spots [um].
-
-    Raises:
-        FileNotFoundError: a lens or a measurement is missing.
-    """
-    rows = verdicts.collect(job, layout)
+def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
+    """A row per task-driven lens: specification, difference [points] with interval, RMS spots [um]."""
+    rows = verdicts.collect(claims, measurements)
 
     def rms_um(lens: str, seed: int) -> float:
-        return lens_values(Path(layout.lens(lens, seed)))["rms_spot_um"]
+        return measurements.lens_values(lens, seed)["rms_spot_um"]
 
-    specs = [lens_file(Path(layout.lens(lens, job.seeds[0])))["spec"] for lens in rows["lens"]]
+    specs = [measurements.lens_file(lens, claims.seeds[0])["spec"] for lens in rows["lens"]]
     return pandas.DataFrame(
         {
             "elements": rows["lens"].str.partition("-")[0],
@@ -37,23 +33,20 @@ def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
             "difference": rows["difference"],
             "low": rows["low"],
             "high": rows["high"],
-            "rms_task_um": [mean(rms_um(claim.lens, seed) for seed in job.seeds) for claim in job.claims],
+            "rms_task_um": [mean(rms_um(claim.lens, seed) for seed in claims.seeds) for claim in claims.claims],
             "rms_imaging_um": [
-                mean(rms_um(verdicts.opponent(claim, seed, layout), seed) for seed in job.seeds) for claim in job.claims
+                mean(rms_um(measurements.strongest_baseline(claim, seed), seed) for seed in claims.seeds)
+                for claim in claims.claims
             ],
-            "opponent": rows["opponent"],
+            "baseline": rows["baseline"],
             "seeds": rows["seeds"],
             "verdict": rows["verdict"],
         }
     )
 
 
-def make(job: VerdictsJob, layout: Layout, study: str) -> None:
+def make(claims: Claims, measurements: Measurements, outputs: Mapping[str, Path]) -> None:
     """Write the map as CSV and Markdown."""
-    rows = collect(job, layout)
-    write_text(Path(layout.table("regimes", "csv")), rows.to_csv(index=False))
-    signed, plain = dict.fromkeys(("difference", "low", "high"), "{:+.2f}"), "{:.1f}"
-    digits = signed | {"rms_task_um": plain, "rms_imaging_um": plain}
-    shown = rows.assign(**{name: rows[name].map(form.format) for name, form in digits.items()})
-    table = shown.to_markdown(index=False, disable_numparse=True)
-    write_text(Path(layout.table("regimes", "md")), f"**Where it pays**\n\n{table}\n\n{_NOTE.format(study=study)}\n")
+    rows = collect(claims, measurements)
+    shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
+    publish(outputs, "Where it pays", rows, shown, _NOTE.format(study=claims.study))

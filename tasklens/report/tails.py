@@ -1,12 +1,14 @@
 """The tails of all PSFs of a study as one table, and their curves of encircled energy as another."""
 
+from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 
 import pandas
 
-from tasklens.pipeline.jobs import TailJob
-from tasklens.pipeline.layout import Layout
+from tasklens.report.publish import publish, rounded
 from tasklens.runtime.files import write_text
+from tasklens.study.tables import TailContents
 
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
@@ -15,13 +17,15 @@ outside 3 core radii, `outside_window` that outside the PSF window; the RMS is o
 with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian spot."""
 
 
-def collect(job: TailJob, layout: Layout) -> pandas.DataFrame:
+Files = Mapping[tuple[str, int], Path]  # by (lens, seed)
+
+
+def collect(contents: TailContents, by_field: Files) -> pandas.DataFrame:
     """One row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
     rows = []
-    for lens in job.lenses:
-        for seed in job.seeds:
-            fields = pandas.read_csv(layout.tail(lens, seed)).drop(columns="field")
-            rows.append({"lens": lens, "seed": seed} | fields.mean(skipna=False).to_dict())
+    for lens, seed in product(contents.lenses, contents.seeds):
+        fields = pandas.read_csv(by_field[lens, seed]).drop(columns="field")
+        rows.append({"lens": lens, "seed": seed} | fields.mean(skipna=False).to_dict())
     found = pandas.DataFrame(rows)
     found["rms_over_core"] = found["rms_um"] / found["core_radius_um"]
     return found
@@ -36,26 +40,16 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
     return table.reset_index()
 
 
-def curves(job: TailJob, layout: Layout) -> pandas.DataFrame:
+def curves(contents: TailContents, encircled_energy: Files) -> pandas.DataFrame:
     """Encircled energy of every lens: lens, seed, field, radius_um, fraction."""
-    return pandas.concat(
-        [
-            pandas.read_csv(layout.encircled_energy(lens, seed)).assign(lens=lens, seed=seed)
-            for lens in job.lenses
-            for seed in job.seeds
-        ]
-    )[["lens", "seed", "field", "radius_um", "fraction"]]
+    pairs = product(contents.lenses, contents.seeds)
+    each = [pandas.read_csv(encircled_energy[lens, seed]).assign(lens=lens, seed=seed) for lens, seed in pairs]
+    return pandas.concat(each)[["lens", "seed", "field", "radius_um", "fraction"]]
 
 
-def make(job: TailJob, layout: Layout, study: str) -> None:
+def make(contents: TailContents, by_field: Files, encircled_energy: Files, outputs: Mapping[str, Path]) -> None:
     """Write the table as CSV and Markdown, and the curves as CSV."""
-    table = summarise(collect(job, layout))
-    write_text(Path(layout.table("psf_tail", "csv")), table.to_csv(index=False))
-    shown = table.copy()
-    for name in shown.columns.drop("lens"):
-        digits = 3 if name.startswith(("tail", "outside")) else 2
-        shown[name] = shown[name].map(lambda v, d=digits: "–" if pandas.isna(v) else f"{v:.{d}f}")
-    markdown = shown.to_markdown(index=False, disable_numparse=True)
-    note = _NOTE.format(study=study)
-    write_text(Path(layout.table("psf_tail", "md")), f"**Tails of the PSFs**\n\n{markdown}\n\n{note}\n")
-    write_text(Path(layout.table("encircled_energy", "csv")), curves(job, layout).to_csv(index=False))
+    table = summarise(collect(contents, by_field))
+    shown = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
+    publish(outputs, "Tails of the PSFs", table, shown, _NOTE.format(study=contents.study))
+    write_text(outputs["encircled_energy"], curves(contents, encircled_energy).to_csv(index=False))

@@ -1,7 +1,7 @@
 """Whether the claims of the paper hold for the lenses of a study: differences, their intervals, and verdicts by rule.
 
-The difference is in points of accuracy, mean over fields, pictures and seeds, paired by seed and by picture. Its 95 %
-interval comes from 10 000 resamples of the test pictures, and of the seeds where several ran. A claim
+The difference is in points of accuracy, mean over fields, images and seeds, paired by seed and by image. Its 95 %
+interval comes from 10 000 resamples of the test images, and of the seeds where several ran. A claim
 
     holds           where the whole interval is above zero,
     does not hold   where the whole interval is below zero,
@@ -15,24 +15,23 @@ from pathlib import Path
 import numpy
 import pandas
 
-from tasklens.pipeline.layout import SHARP, Layout
-from tasklens.report import bootstrap
-from tasklens.report import predictions as pictures
-from tasklens.report.tables import lens_values, measured_values
-from tasklens.runtime.files import write_text
-from tasklens.study.claims import FLAT_FAILS, Claim, VerdictsJob
+from tasklens.report import bootstrap, predictions
+from tasklens.report.measurements import Measurements
+from tasklens.report.publish import publish, rounded
+from tasklens.study.claims import Claim, Claims
+from tasklens.study.names import SHARP
 
 LEAST_SEEDS = 5  # three decide nothing: t(2) = 4.30
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 COLUMNS = [
-    *("table", "claim", "lens", "opponent", "classifier"),
+    *("table", "claim", "lens", "baseline", "classifier"),
     *("difference", "low", "high", "seeds", "verdict", "reason"),
 ]
 
 _NOTE = """\
-Study `{study}`. Differences in points of accuracy with their 95 % interval, over test pictures{seeds}. A claim holds
+Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
 where the whole interval is above zero, does not hold where it is below, and is undecided else, or with fewer than
-{least} seeds. The opponent of each seed is the best of its kind by minival accuracy (in brackets: in how many seeds).
+{least} seeds. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in how many seeds).
 For the claim about convergence, the difference is how far the rule of table 3 is missed: half of the light in the
 window, half of the accuracy above chance."""
 
@@ -48,101 +47,92 @@ def verdict(low: float, high: float, seeds: int) -> tuple[str, str]:
     return UNDECIDED, "interval holds zero"
 
 
-def opponent(claim: Claim, seed: int, layout: Layout) -> str:
-    """The rival with the best minival accuracy with the claim's classifier and this seed; "" without rivals.
-
-    Of each seed anew: whoever has two designs at hand keeps the better one.
-    """
-
-    def minival(rival: str) -> float:
-        return measured_values(Path(layout.metrics(rival, seed, claim.classifier)))["minival_accuracy"]
-
-    return max(claim.rivals, key=minival, default="")
-
-
-def by_picture(lenses: Mapping[int, str], classifier: str, layout: Layout) -> pandas.DataFrame:
-    """Accuracy [%] of each test picture, mean over fields: a row per picture, a column per seed.
+def accuracy_by_image(lenses: Mapping[int, str], classifier: str, measurements: Measurements) -> pandas.DataFrame:
+    """Accuracy [%] of each test image, mean over fields: a row per image, a column per seed.
 
     Args:
         lenses: by seed.
 
     Raises:
-        FileError: the seeds have different pictures.
+        FileError: the seeds have different images.
     """
-    columns = {}
+    columns: dict[int, pandas.Series] = {}
     for seed, lens in lenses.items():
-        path = layout.pictures(lens, seed, classifier)
-        columns[seed] = 100 * pictures.read(path).mean(axis=1)
-        pictures.same_pictures(next(iter(columns.values())), columns[seed], path)
+        columns[seed] = 100 * measurements.correct(lens, classifier, seed).mean(axis=1)
+        where = f"{lens} with {classifier}, seed {seed}"
+        predictions.same_images(next(iter(columns.values())), columns[seed], where)
     return pandas.DataFrame(columns)
 
 
-def advantage(claim: Claim, rivals: Mapping[int, str], layout: Layout) -> tuple[pandas.DataFrame, numpy.ndarray]:
-    """What speaks for a claim [points], and the least that its mean over pictures counts for.
+def advantage(
+    claim: Claim, baselines: Mapping[int, str], measurements: Measurements
+) -> tuple[pandas.DataFrame, numpy.ndarray]:
+    """What speaks for a claim [points], and the least that its mean over images counts for.
 
     For a claim about two lenses, the difference of their accuracies; it counts as it is. For convergence, what the
-    accuracy lacks of half-way from chance to that of sharp pictures; and where the PSF window lacks more of half of the
+    accuracy lacks of half-way from chance to that of sharp images; and where the PSF window lacks more of half of the
     light, that counts instead.
 
     Args:
-        rivals: the opponent of each seed.
+        baselines: the strongest baseline of each seed.
 
     Returns:
-        A row per picture and a column per seed; and (S,) least values of the means.
+        A row per image and a column per seed; and (S,) least values of the means.
     """
-    seeds = list(rivals)
-    own = by_picture(dict.fromkeys(seeds, claim.lens), claim.classifier, layout)
-    if claim.text == FLAT_FAILS:
-        sharp = by_picture(dict.fromkeys(seeds, SHARP), claim.reference, layout)
-        chance = measured_values(Path(layout.metrics(SHARP, seeds[0], claim.reference)))["chance"]
-        inside = [lens_values(Path(layout.lens(claim.lens, seed)))["energy_in_window"] for seed in seeds]
+    seeds = list(baselines)
+    own = accuracy_by_image(dict.fromkeys(seeds, claim.lens), claim.classifier, measurements)
+    if claim.about_convergence:
+        sharp = accuracy_by_image(dict.fromkeys(seeds, SHARP), claim.reference, measurements)
+        chance = measurements.values(SHARP, claim.reference, seeds[0])["chance"]
+        inside = [measurements.lens_values(claim.lens, seed)["energy_in_window"] for seed in seeds]
         other, own, least = own, (sharp + chance) / 2, 50 - 100 * numpy.array(inside)
     else:
-        other, least = by_picture(rivals, claim.classifier, layout), numpy.full(len(seeds), -numpy.inf)
-    pictures.same_pictures(own, other, f"{claim.lens} and {rivals[seeds[0]] or SHARP}")
+        other = accuracy_by_image(baselines, claim.classifier, measurements)
+        least = numpy.full(len(seeds), -numpy.inf)
+    predictions.same_images(own, other, f"{claim.lens} and {baselines[seeds[0]] or SHARP}")
     return own - other, least
 
 
-def collect(job: VerdictsJob, layout: Layout) -> pandas.DataFrame:
-    """A row per claim, with the columns `COLUMNS`.
-
-    Raises:
-        FileNotFoundError: a measurement is missing.
-    """
-    rivals = [{seed: opponent(claim, seed, layout) for seed in job.seeds} for claim in job.claims]
-    found = [advantage(*pair, layout) for pair in zip(job.claims, rivals, strict=True)]
+def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
+    """A row per claim, with the columns `COLUMNS`."""
+    baselines = [
+        {seed: measurements.strongest_baseline(claim, seed) for seed in claims.seeds} for claim in claims.claims
+    ]
+    found = [advantage(*pair, measurements) for pair in zip(claims.claims, baselines, strict=True)]
     if not found:
         return pandas.DataFrame(columns=COLUMNS)
-    for claim, (frame, _) in zip(job.claims, found, strict=True):
-        pictures.same_pictures(found[0][0], frame, f"{claim.lens} with {claim.classifier}")
-    values = numpy.stack([frame.to_numpy() for frame, _ in found])  # claim, picture, seed
-    claims, count, seeds = values.shape
-    resampled = bootstrap.resampled_means(values.transpose(1, 0, 2).reshape(count, claims * seeds))
+    for claim, (frame, _) in zip(claims.claims, found, strict=True):
+        predictions.same_images(found[0][0], frame, f"{claim.lens} with {claim.classifier}")
+    values = numpy.stack([frame.to_numpy() for frame, _ in found])  # claim, image, seed
+    count, images, seeds = values.shape
+    resampled = bootstrap.resampled_means(values.transpose(1, 0, 2).reshape(images, count * seeds))
     rows = []
-    for k, (claim, rival) in enumerate(zip(job.claims, rivals, strict=True)):
+    for k, (claim, baseline) in enumerate(zip(claims.claims, baselines, strict=True)):
         least = found[k][1]
         low, high = bootstrap.interval(numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least))
         difference = float(numpy.maximum(values[k].mean(0), least).mean())
-        judged = verdict(low, high, seeds)
-        keys = (claim.table, claim.text, claim.lens, _named(rival.values()), claim.classifier)
-        rows.append((*keys, difference, low, high, seeds, *judged))
+        keys = (claim.table, claim.text, claim.lens, _named(baseline.values()), claim.classifier)
+        rows.append((*keys, difference, low, high, seeds, *verdict(low, high, seeds)))
     return pandas.DataFrame(rows, columns=COLUMNS)
 
 
-def _named(opponents: Iterable[str]) -> str:
-    """The opponent of all seeds; or each, the most frequent first, with the number of its seeds."""
-    counts = Counter(opponents)
+def _named(baselines: Iterable[str]) -> str:
+    """The baseline of all seeds; or each, the most frequent first, with the number of its seeds."""
+    counts = Counter(baselines)
     if len(counts) == 1:
         return next(iter(counts))
     return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
 
 
-def make(job: VerdictsJob, layout: Layout, study: str) -> None:
+def over(claims: Claims) -> str:
+    """What the intervals of some claims are taken over beside test images, in words."""
+    return " and seeds" if len(claims.seeds) > 1 else ""
+
+
+def make(claims: Claims, measurements: Measurements, outputs: Mapping[str, Path]) -> None:
     """Write the verdicts as CSV and Markdown."""
-    rows = collect(job, layout)
-    write_text(Path(layout.table("verdicts", "csv")), rows.to_csv(index=False))
-    shown = rows.assign(**{name: rows[name].map("{:+.2f}".format) for name in ("difference", "low", "high")})
-    table = shown.replace("", "–").to_markdown(index=False, disable_numparse=True)
-    note = _NOTE.format(study=study, seeds=" and seeds" if len(job.seeds) > 1 else "", least=LEAST_SEEDS)
-    text = f"{table}\n\n{note}" if len(rows) else f"Study `{study}` has no lenses that the paper's claims are about."
-    write_text(Path(layout.table("verdicts", "md")), f"**Verdicts on the paper's claims**\n\n{text}\n")
+    rows = collect(claims, measurements)
+    shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f"))
+    note = _NOTE.format(study=claims.study, seeds=over(claims), least=LEAST_SEEDS)
+    note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
+    publish(outputs, "Verdicts on the paper's claims", rows, shown, note)

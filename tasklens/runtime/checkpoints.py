@@ -1,8 +1,8 @@
-"""Where a long job stands, on disk, so that it ends with the same numbers when it is killed and run again.
+"""Checkpoints of long jobs: a resumed job gives the same numbers.
 
-A job has parts with names, one after the other: a walk, a training. A part that has ended is known by its result, the
+A job has parts with names, one after the other: a descent, a training. A part that has ended is known by its result, the
 one under way by its state; either is kept with torch's random state and the history so far. The file is named after
-what the job computes (`key`), so that a changed job never goes on from it, and stands outside the job's outputs, which
+what the job computes (`key`), so that a changed job never resumes from it, and stands outside the job's outputs, which
 Snakemake deletes when a job fails.
 """
 
@@ -22,7 +22,7 @@ INTERVAL = 60.0  # seconds from one writing of a file to the next, at least
 def key(*parts: str, inputs: Sequence[Path] = ()) -> str:
     """Digest of what a job computes: texts such as its slice of the study and its code, and its input files.
 
-    Input files count by size and time of change, since pictures can be hundreds of gigabytes.
+    Input files count by size and time of change, since images can be hundreds of gigabytes.
     """
     texts = list(parts)
     for path in inputs:
@@ -85,7 +85,7 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
 
 
-NOTHING_KEPT = Checkpoint()
+NO_CHECKPOINT = Checkpoint()
 
 
 def _finite(state: object) -> bool:

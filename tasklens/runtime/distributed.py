@@ -12,11 +12,11 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from tasklens.runtime.devices import CPU, claim, claim_several
-from tasklens.study.study import StudyError
+from tasklens.runtime.errors import InputError
 
 
 @dataclass(frozen=True)
-class Team:
+class ProcessGroup:
     """Which of how many processes this one is, and where it computes; the first also writes."""
 
     rank: int = 0
@@ -28,13 +28,15 @@ class Team:
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Which of the `batch` pictures of a step are this process'.
+        """Which of the `batch` images of a step are this process'.
 
         Raises:
-            StudyError: the shares would differ in size, and the mean of their gradients would not be that of the batch.
+            InputError: the shares would differ in size, and the mean of their gradients would not be that of the batch.
         """
         if batch % self.size:
-            raise StudyError(f"fine_tuning.batch: {batch} is no multiple of the {self.size} processes of a classifier")
+            raise InputError(
+                f"fine_tuning.batch_size: {batch} is no multiple of the {self.size} processes of a classifier"
+            )
         return slice(self.rank, None, self.size)
 
     def together(self, network: nn.Module) -> nn.Module:
@@ -49,22 +51,22 @@ class Team:
         return DistributedDataParallel(network)
 
 
-ALONE = Team()
+SINGLE_PROCESS = ProcessGroup()
 
 
 @contextmanager
-def joined() -> Iterator[Team]:
+def process_group() -> Iterator[ProcessGroup]:
     """The team that `torchrun` has started, each process with a GPU of its own if there is one, or this one alone.
 
     Raises:
-        StudyError: the machine has GPUs, but fewer than the team has processes.
+        InputError: the machine has GPUs, but fewer than the group has processes.
     """
     if "WORLD_SIZE" not in os.environ:
-        yield Team(device=claim())
+        yield ProcessGroup(device=claim())
         return
     count = torch.cuda.device_count()
     if 0 < count < int(os.environ["WORLD_SIZE"]):
-        raise StudyError(f"processes: those of a classifier want a GPU each, {os.environ['WORLD_SIZE']}; found {count}")
+        raise InputError(f"processes: those of a classifier want a GPU each, {os.environ['WORLD_SIZE']}; found {count}")
     waiting = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
     backends = "cpu:gloo,cuda:nccl" if count else "gloo"
     torch.distributed.init_process_group(backends, timeout=waiting)
@@ -75,6 +77,6 @@ def joined() -> Iterator[Team]:
         torch.distributed.broadcast_object_list(devices, device=CPU)
         if devices[rank] != CPU:
             torch.cuda.set_device(devices[rank])
-        yield Team(rank, size, devices[rank])
+        yield ProcessGroup(rank, size, devices[rank])
     finally:
         torch.distributed.destroy_process_group()

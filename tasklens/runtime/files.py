@@ -5,12 +5,20 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tasklens.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy
+    import torch
 
 
-class FileError(ValueError):
+class FileError(InputError):
     """A file that does not hold what it should; the message names it and says what was expected."""
 
 
@@ -57,7 +65,7 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> None:
+def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: Mapping[str, Any]) -> None:
     """Write a safetensors file; the metadata are one JSON text, since the order of several would change by chance."""
     from safetensors.torch import save_file
 
@@ -66,90 +74,51 @@ def write_tensors(path: Path, tensors: Mapping, metadata: Mapping) -> None:
         save_file(contiguous, temporary, {"json": json.dumps(metadata)})
 
 
-_DTYPES = {"uint8": "U8", "int64": "I64"}  # as safetensors calls them
-
-
 @contextmanager
-def writing_tensors(
-    path: Path, tensors: Mapping, metadata: Mapping, begun: bool = False
-) -> Iterator[tuple[dict, Callable[[], None]]]:
-    """The tensors of a safetensors file that is being written, mapped: for more than fits into memory.
+def writing_array(
+    path: Path, shape: tuple[int, ...], dtype: str, begun: bool = False
+) -> Iterator["numpy.memmap[Any, Any]"]:
+    """An array in a .npy file that is being written, mapped: for more than fits into memory.
 
     Args:
-        tensors: (by name) int64 or uint8, the former first, so that all are aligned; those on the device `meta` have a
-            shape, and the block has to fill them in.
-        begun: go on with the file that a killed writer of the same tensors has left, whose values are kept.
-
-    Yields:
-        The tensors, and a function after which all that was written to them survives the machine.
+        begun: go on with the file that a killed writer of the same array has left, whose values are kept.
 
     Raises:
         FileError: the disk has no room for the file; before the block.
-
-    Source: the format, in the README of safetensors 0.4.
     """
     import numpy
-    import torch
 
-    header: dict = {"__metadata__": {"json": json.dumps(metadata)}}
-    end = 0
-    for name, tensor in tensors.items():
-        begin, end = end, end + tensor.nbytes
-        dtype = _DTYPES[str(tensor.dtype).removeprefix("torch.")]
-        header[name] = {"dtype": dtype, "shape": list(tensor.shape), "data_offsets": [begin, end]}
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
     with replacing(path, begun) as temporary:
         if not begun:
-            with open(temporary, "wb") as file:
-                file.write(len(text).to_bytes(8, "little") + text)
-                free = shutil.disk_usage(temporary.parent).free  # a mapped file without room kills the job instead
-                if free < end:
-                    raise FileError(f"{path}: needs {end / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
-                file.truncate(file.tell() + end)
-        raw = numpy.memmap(temporary, numpy.uint8, "r+", offset=8 + len(text))
-        mapped = {}
-        for name, tensor in tensors.items():
-            part = torch.from_numpy(raw[slice(*header[name]["data_offsets"])])
-            mapped[name] = part.view(tensor.dtype).view(tensor.shape)
-            if not tensor.is_meta:
-                mapped[name].copy_(tensor)
-        yield mapped, raw.flush
-        raw.flush()
+            size = numpy.dtype(dtype).itemsize * math.prod(shape)
+            free = shutil.disk_usage(temporary.parent).free  # a mapped file without room kills the job instead
+            if free < size:
+                raise FileError(f"{path}: needs {size / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
+        mapped = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
+        yield mapped
+        mapped.flush()
 
 
-def map_tensors(path: Path) -> tuple[dict, dict]:
-    """Tensors (int64, uint8) and metadata of a safetensors file, mapped read-only: for more than fits into memory.
-
-    Linux refuses mappings that could be written to, such as those of `read_tensors`, beyond memory and swap.
+def map_array(path: Path) -> "torch.Tensor":
+    """The array of a .npy file as a tensor that is mapped read-only: for more than fits into memory.
 
     Raises:
         FileError: the file is not complete.
     """
-    import warnings
-
     import numpy
     import torch
 
-    kinds = {name: dtype for dtype, name in _DTYPES.items()}
     try:
-        with open(path, "rb") as file:
-            length = int.from_bytes(file.read(8), "little")
-            header = json.loads(file.read(length))
-        raw = numpy.memmap(path, numpy.uint8, "r", offset=8 + length)
-        metadata = json.loads(header.pop("__metadata__")["json"])
-        mapped = {}
-        for name, entry in header.items():
-            part = raw[slice(*entry["data_offsets"])]
-            with warnings.catch_warnings(action="ignore", category=UserWarning):  # torch's, that nothing may be written
-                tensor = torch.from_numpy(part)
-            mapped[name] = tensor.view(getattr(torch, kinds[entry["dtype"]])).view(entry["shape"])
-    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-        raise FileError(f"{path}: no complete file of labelled pictures; remove it ({error})") from error
-    return mapped, metadata
+        array = numpy.lib.format.open_memmap(path, "r")
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # torch's, that nothing may be written
+            return torch.from_numpy(array)
+    except FileNotFoundError:
+        raise
+    except (ValueError, TypeError, OSError) as error:
+        raise FileError(f"{path}: no complete array; remove it ({error})") from error
 
 
-def read_tensors(path: Path) -> tuple[dict, dict]:
+def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]:
     """Tensors and metadata of a safetensors file; the tensors are mapped from the file, not copied."""
     from safetensors import safe_open
 
@@ -159,7 +128,7 @@ def read_tensors(path: Path) -> tuple[dict, dict]:
     return tensors, metadata
 
 
-def write_rows(path: Path, rows: list[dict]) -> None:
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as CSV; the columns are the keys of all rows, in order of appearance."""
     import csv
 

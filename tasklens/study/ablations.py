@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
-from tasklens.study.design_settings import Design, Lens
-from tasklens.study.settings import Capture, Frozen, Name
+from tasklens.study.design_settings import DesignSettings, LensEntry
+from tasklens.study.settings import CaptureSettings, Frozen, Name
 
-_DESIGN = TypeAdapter(Design)
+_DESIGN = TypeAdapter(DesignSettings)
 
 
 class Ablation(Frozen):
@@ -28,7 +28,7 @@ class Ablation(Frozen):
         return f"{self.design}_{ablation}_{variant}"
 
 
-def varied(base: Lens, capture: Capture, name: str, ablation: Ablation, variant: str) -> Lens:
+def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation: Ablation, variant: str) -> LensEntry:
     """The lens that a variant of the ablation `name` makes of the lens `base`, in a study that captures by `capture`.
 
     Raises:
@@ -39,13 +39,13 @@ def varied(base: Lens, capture: Capture, name: str, ablation: Ablation, variant:
     if not isinstance(other, dict | None):
         raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {other!r}")
     design_name = ablation.name(name, variant)
-    return Lens(
+    return LensEntry(
         name=f"{base.elements}-{design_name}",
         elements=base.elements,
         plastics=base.plastics,
         design_name=design_name,
         design=_DESIGN.validate_python(_merged(base.design.model_dump(), changes)),
-        capture=None if other is None else Capture.model_validate(capture.model_dump() | other),
+        capture=None if other is None else CaptureSettings.model_validate(capture.model_dump() | other),
     )
 
 

@@ -1,15 +1,15 @@
 """Whether lenses of a specification can be made at all: what a study is asked before its first job; no torch here."""
 
 from tasklens.materials.material import Material
-from tasklens.study.settings import FLAT_TRACK, Constraints, Spec
+from tasklens.study.settings import Constraints, Spec
 
 
 def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
-    """Raise ValueError unless the plastics cover the colours, the kernel suits the pictures, and flat plates have room.
+    """Raise ValueError unless the plastics cover the colours, the PSF window the images, and flat plates have room.
 
     Args:
         name: of the elements.
-        size: side of the pictures [pixels].
+        size: side of the images [pixels].
     """
     for material in plastics:
         for wavelength in spec.wavelengths_um:
@@ -19,9 +19,10 @@ def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constra
                     f"spec.wavelengths_um: {wavelength} um is outside the {low} to {high} um in which the "
                     f"coefficients of {material.name} hold"
                 )
-    if spec.kernel // 2 >= size:
+    if spec.kernel_size // 2 >= size:
         raise ValueError(
-            f"spec.kernel: half of {spec.kernel} must be less than images.size = {size}, since borders are reflected"
+            f"spec.kernel_size: half of {spec.kernel_size} must be less than images.size = {size}, since borders are "
+            "reflected"
         )
     if limits.min_centre_thickness >= limits.max_centre_thickness:
         raise ValueError(
@@ -31,10 +32,10 @@ def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constra
     elements = len(plastics)
     least = limits.stop_distance + limits.min_back_focus
     least += elements * limits.min_centre_thickness + (elements - 1) * limits.min_air_gap
-    available = min(limits.max_track, FLAT_TRACK * spec.efl_mm)
+    available = min(limits.max_track, limits.flat_track * spec.efl_mm)
     if least >= available:
         raise ValueError(
             f"constraints: a {name} takes at least {least:.2f} mm from stop to image, more than the "
-            f"{available:.2f} mm of max_track = {limits.max_track} and of {FLAT_TRACK} focal lengths; a flat start "
-            "would have a negative thickness"
+            f"{available:.2f} mm of max_track = {limits.max_track} and of {limits.flat_track} focal lengths; a flat "
+            "start would have a negative thickness"
         )

@@ -1,4 +1,8 @@
-"""What the stages of a study are told: frozen typed classes with units, limits and defaults; no torch here."""
+"""Settings of a study: frozen, typed, with units, limits and defaults; no torch here.
+
+This module holds data alone. Stages compute with the values of these classes, which are in the slice of the study that
+Snakemake compares; a constant that is computed with therefore never stands here.
+"""
 
 import math
 from pathlib import Path
@@ -12,34 +16,58 @@ Count = Annotated[int, Field(gt=0)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 
 
+def renamed(names: dict[str, str]) -> Any:
+    """Validator that refuses keys of format 1 with the name that replaces each, or the reason why it is gone.
+
+    Args:
+        names: by old key, the new one; or a sentence, where there is none.
+    """
+
+    def refuse(cls: type[BaseModel], given: Any) -> Any:
+        found = [old for old in names if isinstance(given, dict) and old in given]
+        if found:
+            words = (f"`{o}` is {'gone: ' if ' ' in names[o] else 'now called '}{names[o]}" for o in found)
+            raise ValueError(f"since format 2 {'; '.join(words)}")
+        return given
+
+    return model_validator(mode="before")(classmethod(refuse))
+
+
 class Frozen(BaseModel):
+    """Base of all settings: immutable, and without unknown keys."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Spec(Frozen):
-    """What every lens of the study has to do; the defaults are the paper's (section 3.3 and 4)."""
+    """What every lens of the study has to do; the defaults are those of Yang et al. 2024, sections 3.3 and 4."""
 
-    diagonal_mm: Positive = 4.0
-    aspect: tuple[Count, Count] = (16, 9)
-    field_of_view_deg: Annotated[float, Field(gt=0, lt=150)] = 68.8
-    f_number: Positive = 2.8
-    pixel_pitch_um: Positive = 1.8
-    kernel: Annotated[int, Field(ge=3)] = 51
-    wavelengths_um: tuple[Positive, Positive, Positive] = (0.6563, 0.5893, 0.4861)
+    _renamed = renamed({"kernel": "kernel_size"})
+
+    diagonal_mm: Positive = Field(4.0, description="Diagonal of the sensor [mm].")
+    aspect: tuple[Count, Count] = Field((16, 9), description="Width to height of the sensor.")
+    field_of_view_deg: float = Field(68.8, gt=0, lt=150, description="Full field of view on the diagonal [degrees].")
+    f_number: Positive = Field(2.8, description="Focal length over diameter of the entrance pupil.")
+    pixel_pitch_um: Positive = Field(1.8, description="Pixel pitch [um].")
+    kernel_size: int = Field(51, ge=3, description="Width of the square PSF window [pixels], odd.")
+    wavelengths_um: tuple[Positive, Positive, Positive] = Field(
+        (0.6563, 0.5893, 0.4861),
+        description="Red, green and blue [um]; the middle one is the reference. C, D, F lines.",
+    )
 
     @field_validator("wavelengths_um")
     @classmethod
-    def _descending(cls, wavelengths: tuple) -> tuple:
+    def _descending(cls, wavelengths: tuple[float, float, float]) -> tuple[float, float, float]:
         if not wavelengths[0] > wavelengths[1] > wavelengths[2]:
             raise ValueError("expected red, green, blue: descending wavelengths")
         return wavelengths
 
-    @field_validator("kernel")
+    @field_validator("kernel_size")
     @classmethod
-    def _odd(cls, kernel: int) -> int:
-        if kernel % 2 == 0:
-            raise ValueError("expected an odd number, so that the kernel has a central pixel")
-        return kernel
+    def _odd(cls, kernel_size: int) -> int:
+        if kernel_size % 2 == 0:
+            raise ValueError("expected an odd number, so that the PSF has a central pixel")
+        return kernel_size
 
     @computed_field
     @property
@@ -62,81 +90,88 @@ class Spec(Frozen):
         return tuple((u * width, v * height) for v in (0, 0.5, 1) for u in (0, 0.5, 1))
 
 
-FLAT_TRACK = 1.3  # from the stop to the image of a flat start, in focal lengths
-
-
 class Constraints(Frozen):
-    """Limits that every design keeps [mm; slope is d sag / d r]: moulded plastic elements in a phone."""
+    """Limits that every design keeps [mm; slope is d sag / d r]: moulded plastic elements in a phone.
 
-    min_centre_thickness: Positive = 0.25
-    max_centre_thickness: Positive = 1.5
-    min_edge_thickness: Positive = 0.2
-    min_air_gap: Positive = 0.05
-    min_back_focus: Positive = 0.7
-    max_track: Positive = 4.4
-    max_slope: Positive = 0.57
-    stop_distance: Positive = 0.1
-    efl_tolerance: Fraction = 0.02
-    distortion: Fraction = 0.03
-
-
-RENDERED_CLASSES = 10  # of the built-in pictures, recognition.scenes
-
-
-class Images(Frozen):
-    """The labelled pictures: rendered by us, or read from `folder`: train/<class>/* and test/<class>/* (or val).
-
-    Counts limit what is read from a folder; null means all. The minival is cut out of the training pictures.
+    The paper states none; these are our choice.
     """
 
-    size: Annotated[int, Field(ge=16)] = 64
-    train: Count | None = None
-    minival: Count = 500
-    test: Count | None = None
-    seed: int = 0
-    folder: Path | None = None
+    min_centre_thickness: Positive = Field(0.25, description="Least centre thickness of an element [mm].")
+    max_centre_thickness: Positive = Field(1.5, description="Largest centre thickness of an element [mm].")
+    min_edge_thickness: Positive = Field(0.2, description="Least thickness of an element within its aperture [mm].")
+    min_air_gap: Positive = Field(0.05, description="Least air space between elements within their apertures [mm].")
+    min_back_focus: Positive = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
+    max_track: Positive = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
+    max_slope: Positive = Field(0.57, description="Largest slope d sag / d r of a surface.")
+    stop_distance: Positive = Field(0.1, description="From the stop to the first surface of a flat start [mm].")
+    flat_track: Positive = Field(1.3, description="From the stop to the sensor of a flat start [focal lengths].")
+    efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
+    distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
+
+
+RENDERED_CLASSES = 10  # least number of rendered images: a check of settings alone; the classes are in scenes.CLASSES
+
+
+class ImageSettings(Frozen):
+    """The labelled images: rendered by us, or read from `folder`: train/<class>/* and test/<class>/* (or val)."""
+
+    size: int = Field(64, ge=16, description="Side of the square images [pixels].")
+    train: Count | None = Field(None, description="Training images; of a folder at most, null for all.")
+    minival: Count = Field(500, description="Images for selection, cut out of the training images.")
+    test: Count | None = Field(None, description="Test images; of a folder at most, null for all.")
+    seed: int = Field(0, description="Seed of the rendering, or of the choice and the split of a folder's images.")
+    folder: Path | None = Field(None, description="Folder of photographs; null renders textures.")
 
     @model_validator(mode="after")
-    def _rendered_need_counts(self):
-        if self.folder is None and (self.train is None or self.test is None):
+    def _rendered_need_counts(self) -> "ImageSettings":
+        if self.folder is not None:
+            return self
+        if self.train is None or self.test is None:
             raise ValueError("rendered images need the counts `train` and `test`")
-        if self.folder is None and min(self.train + self.minival, self.test) < RENDERED_CLASSES:
-            raise ValueError(f"expected at least {RENDERED_CLASSES} rendered pictures of each split, one per class")
+        if min(self.train + self.minival, self.test) < RENDERED_CLASSES:
+            raise ValueError(f"expected at least {RENDERED_CLASSES} rendered images of each split, one per class")
         return self
 
 
-class Training(Frozen):
+class TrainingSettings(Frozen):
     """AdamW with linear warm-up and cosine; weight decay spares biases and norms."""
 
-    epochs: Positive
-    rate: Positive
-    batch: Count = 64
-    weight_decay: Annotated[float, Field(ge=0)] = 0.05
-    warmup: Fraction = 0.05
+    _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
+
+    epochs: Positive = Field(description="Passes over the training images; need not be whole.")
+    learning_rate: Positive = Field(description="Largest learning rate, after the warm-up.")
+    batch_size: Count = Field(64, description="Images per step.")
+    weight_decay: float = Field(0.05, ge=0, description="Of matrices and convolutions.")
+    warmup: Fraction = Field(0.05, description="Part of the steps in which the learning rate rises linearly.")
 
 
-class Classifier(Frozen):
-    """A timm network: its name and tag, keywords for `timm.create_model`, and where its weights come from.
+class ClassifierSettings(Frozen):
+    """A timm network: its name and tag, keywords for `timm.create_model`, and where its weights come from."""
 
-    `training` trains it on the sharp images, from `pretrained` (timm's hub), from `weights` (.safetensors; .pth, of
-    which only tensors are read; .npz, where timm's model reads it) or from scratch; null takes it as loaded.
-
-    Attributes:
-        outputs: one per class of the pictures, or the 1000 of ImageNet, among which folders named by WordNet ids are
-            found; the others then take no part but in the zero-shot accuracy.
-        processes: that fine-tune it together on one machine, each on its share of every batch, and on a GPU of its own.
-    """
-
-    model: str
-    arguments: dict[str, Any] = {}
-    pretrained: bool = False
-    weights: Path | None = None
-    outputs: Literal["classes", "imagenet"] = "classes"
-    training: Training | None = None
-    processes: Count = 1
+    model: str = Field(description="timm's name of the network, with the tag of its weights.")
+    arguments: dict[str, Any] = Field({}, description="Keywords for `timm.create_model`, such as a smaller width.")
+    pretrained: bool = Field(False, description="Start from the weights of timm's hub.")
+    weights: Path | None = Field(
+        None,
+        description="Start from a local file: .safetensors; .pth, of which only tensors are read; .npz, where timm's "
+        "model reads it.",
+    )
+    outputs: Literal["classes", "imagenet"] = Field(
+        "classes",
+        description="One output per class of the images; or ImageNet's 1000, among which folders named by WordNet ids "
+        "are found. The others then take no part but in the zero-shot accuracy.",
+    )
+    training: TrainingSettings | None = Field(
+        None, description="Training on the sharp images; null takes the network as loaded."
+    )
+    processes: Count = Field(
+        1,
+        description="Processes that fine-tune it together on one machine, each on its share of every batch, and on a "
+        "GPU of its own if there is one.",
+    )
 
     @model_validator(mode="after")
-    def _one_origin(self):
+    def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:
             raise ValueError("take either `pretrained` or `weights`, not both")
         if not (self.pretrained or self.weights or self.training):
@@ -144,20 +179,22 @@ class Classifier(Frozen):
         return self
 
 
-class Restoration(Frozen):
-    """NAFNet and its training; the default size is the paper's (section 5.3)."""
+class RestorationSettings(Frozen):
+    """NAFNet and its training; the default size is that of Yang et al. 2024, section 5.3."""
 
-    width: Count = 32
-    encoder: tuple[Count, ...] = (1, 1, 1, 8)
-    middle: Count = 1
-    decoder: tuple[Count, ...] = (1, 1, 1, 1)
-    steps: Count  # at most: it ends where it has converged
-    check: Count = 200  # steps from one look at the minival to the next
-    batch: Count = 32
-    rate: Positive = 1e-3
+    _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
+
+    width: Count = Field(32, description="Channels at full resolution; each encoder level doubles them.")
+    encoder: tuple[Count, ...] = Field((1, 1, 1, 8), description="Blocks of each encoder level.")
+    middle: Count = Field(1, description="Blocks between encoder and decoder.")
+    decoder: tuple[Count, ...] = Field((1, 1, 1, 1), description="Blocks of each decoder level.")
+    steps: Count = Field(description="Steps at most: training ends where it has converged.")
+    check: Count = Field(200, description="Steps from one validation on the minival to the next.")
+    batch_size: Count = Field(32, description="Captures per step.")
+    learning_rate: Positive = Field(1e-3, description="Learning rate of AdamW before it drops to a tenth.")
 
     @model_validator(mode="after")
-    def _symmetric(self):
+    def _symmetric(self) -> "RestorationSettings":
         if len(self.encoder) != len(self.decoder):
             raise ValueError("`encoder` and `decoder` need the same number of levels")
         return self
@@ -168,8 +205,16 @@ class Restoration(Frozen):
         return 2 ** len(self.encoder)
 
 
-class Capture(Frozen):
-    """How a picture becomes a capture: what the light outside the PSF window does, and where blur is applied."""
+class CaptureSettings(Frozen):
+    """How an image becomes a capture: what the light outside the PSF window does, and where blur is applied."""
 
-    outside: Literal["veil", "renormalise"] = "veil"
-    colour: Literal["srgb", "linear"] = "srgb"
+    _renamed = renamed({"outside": "outside_window"})
+
+    outside_window: Literal["veil", "renormalise"] = Field(
+        "veil",
+        description="Light beside the PSF window: a uniform veil that conserves the mean, or renormalised away, as in "
+        "the authors' code.",
+    )
+    colour: Literal["srgb", "linear"] = Field(
+        "srgb", description="Light adds up in the values as they are (the paper's reading), or in linear light."
+    )

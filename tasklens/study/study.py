@@ -14,79 +14,83 @@ from pydantic import Field, ValidationError, ValidationInfo, field_serializer, f
 
 from tasklens.materials.catalogues import collect
 from tasklens.materials.material import Material, from_definitions
+from tasklens.runtime.errors import InputError
 from tasklens.study import feasibility
-from tasklens.study.ablations import Ablation, varied
-from tasklens.study.design_settings import Design, EndToEnd, LeastSquares, Lens, Outside, Spot
+from tasklens.study.ablations import Ablation, variant_entry
+from tasklens.study.design_settings import (
+    DesignSettings,
+    EndToEndSettings,
+    ImportedLens,
+    LeastSquaresSettings,
+    LensEntry,
+    SpotSettings,
+)
 from tasklens.study.settings import (
-    Capture,
-    Classifier,
+    CaptureSettings,
+    ClassifierSettings,
     Constraints,
     Count,
     Frozen,
-    Images,
+    ImageSettings,
     Name,
-    Restoration,
+    RestorationSettings,
     Spec,
-    Training,
+    TrainingSettings,
+    renamed,
 )
-
-STAGES = (
-    "images",
-    "reference",
-    "design",
-    "psf",
-    "tail",
-    "certificate",
-    "fine_tune",
-    "restore",
-    "fine_tune_restored",
-    "reproduce",
-    "reproduce_restored",
-    "table",
-    "psf_tail",
-    "verdicts",
-    "regimes",
-    "ablation",
-    "figure",
-    "comparison",
-)
-
 
 TABLES = ("table1", "table2", "table3", "table4")
 
 
-class StudyError(ValueError):
+class StudyError(InputError):
     """A study file that cannot be run; the message names the key, the value and what was expected."""
 
 
 class Study(Frozen):
-    """Everything a study is made of. `lenses` = every entry of `elements` with every one of `designs`, and `outside`.
+    """Everything a study is made of.
 
-    `materials` is given as a list of files (YAML or AGF) or as definitions; it becomes the definitions of the plastics
-    that `elements` use, so that a resolved study needs no other file.
+    Its lenses are every entry of `elements` with every one of `designs`, and those of `imported`. `materials` is given
+    as a list of files (YAML or AGF) or as definitions; it becomes the definitions of the plastics that `elements` use,
+    so that a resolved study needs no other file.
     """
 
-    format: Literal[1]
-    name: Name
-    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
-    images: Images
-    spec: Spec = Spec()
-    specs: Annotated[dict[Name, dict[str, Any]], Field(default_factory=dict)]  # by elements: what differs from `spec`
-    constraints: Constraints = Constraints()
-    capture: Capture = Capture()
-    evaluation_rays: Count = 4096
-    elements: Annotated[dict[Name, tuple[str, ...]], Field(min_length=1)]
-    materials: Annotated[dict[str, Material], Field(default_factory=dict, validate_default=True)]
-    designs: Annotated[dict[Name, Design], Field(min_length=1)]
-    outside: Annotated[dict[Name, Outside], Field(default_factory=dict)]
-    ablations: Annotated[dict[Name, Ablation], Field(default_factory=dict)]
-    classifiers: Annotated[dict[Name, Classifier], Field(min_length=1)]
-    tables: Annotated[tuple[Literal[TABLES], ...], Field(min_length=1)] = TABLES  # made, judged and verified together
-    supervisor: Name  # the classifier that supervises the task-driven designs, and judges all lenses in tables 1, 3, 4
-    fine_tuning: Training
-    restoration: Restoration
-    restored: tuple[Name, ...] | None = None  # elements whose captures are restored, table 4; null means all
-    minutes: dict[Literal[STAGES], Annotated[float, Field(ge=0)]]  # measured per job of a stage: the forecast
+    _renamed = renamed(
+        {
+            "outside": "imported",
+            "minutes": "the forecast is computed from the benchmarks of finished jobs; remove it",
+        }
+    )
+
+    format: Literal[2] = Field(description="Version of the keys of a study file.")
+    name: Name = Field(description="Name of the study: results are in results/<name>.")
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+        (0,), min_length=1, description="Seeds of design, fine-tuning and data order; everything runs once for each."
+    )
+    images: ImageSettings = Field(description="The labelled images.")
+    spec: Spec = Field(Spec(), description="Specification of all lenses.")
+    specs: dict[Name, dict[str, Any]] = Field(
+        default_factory=dict, description="By elements: the keys of `spec` that differ for them."
+    )
+    constraints: Constraints = Field(Constraints(), description="Limits that every design keeps.")
+    capture: CaptureSettings = Field(CaptureSettings(), description="How images become captures.")
+    evaluation_rays: Count = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
+    elements: dict[Name, tuple[str, ...]] = Field(min_length=1, description="By name: plastics from front to back.")
+    materials: dict[str, Material] = Field(
+        default_factory=dict, validate_default=True, description="Files of further plastics (.yaml, .agf)."
+    )
+    designs: dict[Name, DesignSettings] = Field(min_length=1, description="By name: how lenses are designed.")
+    imported: dict[Name, ImportedLens] = Field(default_factory=dict, description="By name: lenses from files.")
+    ablations: dict[Name, Ablation] = Field(default_factory=dict, description="By name: a design beside variants.")
+    classifiers: dict[Name, ClassifierSettings] = Field(min_length=1, description="By name: the networks.")
+    tables: tuple[Literal["table1", "table2", "table3", "table4"], ...] = Field(
+        TABLES, min_length=1, description="The tables that the study makes, judges and verifies."
+    )
+    supervisor: Name = Field(
+        description="The classifier that supervises task-driven designs, and judges lenses in tables 1, 3 and 4."
+    )
+    fine_tuning: TrainingSettings = Field(description="Of every classifier on every lens, and on the sharp images.")
+    restoration: RestorationSettings = Field(description="The restoration network of table 4.")
+    restored: tuple[Name, ...] | None = Field(None, description="Elements of table 4; null means all.")
 
     @field_validator("seeds", "tables")
     @classmethod
@@ -131,43 +135,30 @@ class Study(Frozen):
         return {name: material.definition() for name, material in materials.items()}
 
     @model_validator(mode="after")
-    def _consistent(self):
+    def _names_are_known(self) -> "Study":
         if self.supervisor not in self.classifiers:
             raise ValueError(f"supervisor: {self.supervisor!r} is not one of {', '.join(self.classifiers)}")
-        for name, classifier in self.classifiers.items():
-            if self.fine_tuning.batch % classifier.processes:
-                raise ValueError(
-                    f"classifiers.{name}.processes: {classifier.processes} processes cannot share "
-                    f"fine_tuning.batch = {self.fine_tuning.batch} equally"
-                )
-        for name in self.outside:
+        for name in self.imported:
             if name in self.designs:
-                raise ValueError(f"outside.{name}: one of the designs is called {name} too; rename one")
-        known = dict.fromkeys([*self.elements, *(lens.elements for lens in self.outside.values())])
+                raise ValueError(f"imported.{name}: one of the designs is called {name} too; rename one")
+        known = dict.fromkeys([*self.elements, *(lens.elements for lens in self.imported.values())])
         for name in self.specs:
             if name not in known:
                 raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
         for name in self.restored or ():
             if name not in known:
                 raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")
-        for name, plastics in self.elements.items():
-            materials = tuple(self.materials[plastic] for plastic in plastics)
-            feasibility.check(name, materials, self.spec_of(name), self.constraints, self.images.size)
         for name in self.ablations:
             self._check_ablation(name)
-        for lens in (self.lenses | self.variants).values():
-            kernel = self.spec_of(lens.elements).kernel
-            for part in (lens.design, getattr(lens.design, "polish", None)):
-                size = getattr(part, "size", None)
-                if size is not None and not kernel // 2 < size <= self.images.size:
-                    raise ValueError(
-                        f"designs.{lens.design_name}: size: expected more than half of spec.kernel = {kernel} and at "
-                        f"most images.size = {self.images.size}, got {size}"
-                    )
-            starts = lens.design.start if isinstance(lens.design, EndToEnd) else None
-            if starts == "best_imaging" and not self.imaging_designs:
+        return self
+
+    @model_validator(mode="after")
+    def _networks_fit(self) -> "Study":
+        for name, classifier in self.classifiers.items():
+            if self.fine_tuning.batch_size % classifier.processes:
                 raise ValueError(
-                    f"designs.{lens.design_name}.start: 'best_imaging' needs a design by spot or least_squares"
+                    f"classifiers.{name}.processes: {classifier.processes} processes cannot share "
+                    f"fine_tuning.batch_size = {self.fine_tuning.batch_size} equally"
                 )
         if self.images.size % self.restoration.multiple:
             raise ValueError(
@@ -175,6 +166,30 @@ class Study(Frozen):
                 f"restoration network of {len(self.restoration.encoder)} levels needs"
             )
         return self
+
+    @model_validator(mode="after")
+    def _lenses_are_feasible(self) -> "Study":
+        for name, plastics in self.elements.items():
+            materials = tuple(self.materials[plastic] for plastic in plastics)
+            feasibility.check(name, materials, self.spec_of(name), self.constraints, self.images.size)
+        for lens in (self.lenses | self.variants).values():
+            self._check_design(lens)
+        return self
+
+    def _check_design(self, lens: LensEntry) -> None:
+        kernel_size = self.spec_of(lens.elements).kernel_size
+        for part in (lens.design, getattr(lens.design, "polish", None)):
+            size = getattr(part, "size", None)
+            if size is not None and not kernel_size // 2 < size <= self.images.size:
+                raise ValueError(
+                    f"designs.{lens.design_name}: size: expected more than half of spec.kernel_size = {kernel_size} "
+                    f"and at most images.size = {self.images.size}, got {size}"
+                )
+        start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
+        if start == "best_imaging" and not self.imaging_designs:
+            raise ValueError(
+                f"designs.{lens.design_name}.start: 'best_imaging' needs a design by spot or least_squares"
+            )
 
     def _check_ablation(self, name: str) -> None:
         ablation = self.ablations[name]
@@ -186,14 +201,14 @@ class Study(Frozen):
                 lens = self._variant(name, variant)
             except ValidationError as error:
                 raise ValueError(f"ablations.{name}.variants.{variant}.{_problems(error)}") from None
-            named = [*self.designs, *self.outside]
+            named = [*self.designs, *self.imported]
             named += [item.name(key, other) for key, item in self.ablations.items() for other in item.variants]
             if named.count(lens.design_name) > 1:
                 raise ValueError(f"ablations.{name}: {lens.design_name} is the name of another design too; rename one")
 
-    def _variant(self, name: str, variant: str) -> Lens:
+    def _variant(self, name: str, variant: str) -> LensEntry:
         ablation = self.ablations[name]
-        return varied(self._designed(ablation.elements, ablation.design), self.capture, name, ablation, variant)
+        return variant_entry(self._designed(ablation.elements, ablation.design), self.capture, name, ablation, variant)
 
     def spec_of(self, elements: str) -> Spec:
         """The specification of these elements: `spec` with what `specs` says of them."""
@@ -203,23 +218,23 @@ class Study(Frozen):
         except ValidationError as error:
             raise ValueError(f"specs.{elements}.{_problems(error)}") from None
 
-    def capture_of(self, lens: str) -> Capture:
-        """How pictures become captures of this lens: as in `capture`, unless an ablation changes it."""
+    def capture_of(self, lens: str) -> CaptureSettings:
+        """How images become captures of this lens: as in `capture`, unless an ablation changes it."""
         return self.lens(lens).capture or self.capture
 
     @property
-    def lenses(self) -> dict[str, Lens]:
-        """Every lens by name, `{elements}-{design}`; those from outside last."""
+    def lenses(self) -> dict[str, LensEntry]:
+        """Every lens by name, `{elements}-{design}`; the imported ones last."""
         designed = [self._designed(elements, name) for elements in self.elements for name in self.designs]
         return {lens.name: lens for lens in designed} | {
-            f"{lens.elements}-{name}": Lens(
+            f"{lens.elements}-{name}": LensEntry(
                 name=f"{lens.elements}-{name}", elements=lens.elements, plastics=(), design_name=name, design=lens
             )
-            for name, lens in self.outside.items()
+            for name, lens in self.imported.items()
         }
 
-    def _designed(self, elements: str, design: str) -> Lens:
-        return Lens(
+    def _designed(self, elements: str, design: str) -> LensEntry:
+        return LensEntry(
             name=f"{elements}-{design}",
             elements=elements,
             plastics=tuple(self.materials[plastic] for plastic in self.elements[elements]),
@@ -228,7 +243,7 @@ class Study(Frozen):
         )
 
     @property
-    def variants(self) -> dict[str, Lens]:
+    def variants(self) -> dict[str, LensEntry]:
         """Every lens by name that only an ablation asks for."""
         found = [self._variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
         return {lens.name: lens for lens in found}
@@ -236,13 +251,15 @@ class Study(Frozen):
     @property
     def imaging_designs(self) -> tuple[str, ...]:
         """Names of the designs that image quality alone supervises."""
-        return tuple(name for name, design in self.designs.items() if isinstance(design, Spot | LeastSquares))
+        return tuple(
+            name for name, design in self.designs.items() if isinstance(design, SpotSettings | LeastSquaresSettings)
+        )
 
-    def lens(self, name: str) -> Lens:
+    def lens(self, name: str) -> LensEntry:
         """The lens `name`; raises StudyError with the known names."""
         return pick(self.lenses | self.variants, name, "lens")
 
-    def classifier(self, name: str) -> Classifier:
+    def classifier(self, name: str) -> ClassifierSettings:
         """The classifier `name`; raises StudyError with the known names."""
         return pick(self.classifiers, name, "classifier")
 

@@ -28,14 +28,14 @@ def view_of(lens: Lens, content: dict, name: str) -> View:
     """
     spec = content.get("spec")
     if not isinstance(spec, dict):
-        raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel)")
+        raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel_size)")
     try:
         view = View(
             torch.tensor(spec["fields_mm"], dtype=torch.float64).reshape(-1, 2),
             float(spec["efl_mm"]),
             tuple(map(float, spec["wavelengths_um"])),
             float(spec["pixel_pitch_um"]),
-            int(spec["kernel"]),
+            int(spec["kernel_size"]),
         )
         lens.refractive_indices(view.wavelengths)
     except KeyError as error:
@@ -92,14 +92,14 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     traced, chief_ray = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_rays(lens, view)
     middle, chief = centroid(traced), torch.cat([chief_ray.x[:, 0], chief_ray.y[:, 0]], -1)
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
-    inside = traced.valid & (torch.maximum(*offset) < view.kernel * view.pixel_pitch / 2e3)
+    inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch / 2e3)
     quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)
     mtf_tangential, mtf_sagittal = geometric_mtf(traced, view.directions, quarter_and_half)
     focus_tangential, focus_sagittal = field_curvature(lens, view)
     found = {
         "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
         "valid_fraction": traced.valid.double().mean((1, 2)),
-        "energy_in_window": inside.double().sum((1, 2)) / (~traced.stopped).double().sum((1, 2)).clamp(min=1),
+        "energy_in_window": inside.double().sum((1, 2)) / (~traced.vignetted).double().sum((1, 2)).clamp(min=1),
         "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
         "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
         "radius_50_um": 1e3 * encircled_energy_radius(traced, middle, 0.5),

@@ -43,7 +43,7 @@ def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
     return points.reshape(-1, 2), weights.reshape(-1)
 
 
-def bundles(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
+def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
     """Collimated bundles that fill the paraxial entrance pupil, at the first vertex plane.
 
     Args:

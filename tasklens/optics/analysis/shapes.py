@@ -31,7 +31,7 @@ class Shape:
 
 def shapes(lens: Lens) -> list[Shape]:
     """The shape of every surface that bounds an element; the lens has finite clear apertures."""
-    return [_shape(lens.detached(), i) for i in lens.glass]
+    return [_shape(lens.detached(), i) for i in lens.refracting_surfaces]
 
 
 def _shape(lens: Lens, i: int) -> Shape:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.pupil import bundles, rim, sobol_disc
+from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.tracing.rays import Rays
@@ -24,7 +24,7 @@ OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) of the pupil
 
 def trace_fields(lens: Lens, view: View, pupil: Tensor, record: list | None = None) -> Rays:
     """Rays (F, W, N) of every field and wavelength of `view` through the points `pupil` (N, 2), on the image plane."""
-    rays = bundles(lens, view.tangents, pupil, view.wavelengths)
+    rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
     return trace(lens, rays, lens.refractive_indices(view.wavelengths), record)
 
 
@@ -131,5 +131,5 @@ def evaluation_psf(lens: Lens, view: View, rays: int) -> Tensor:
     Of the light that the clear apertures let through: what they stop is dark, and not light beside the window.
     """
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
-    passed = (~traced.stopped).to(lens.dtype).mean(-1).clamp(min=1 / rays)
-    return psf(traced, chief_points(lens, view), view.pixel_pitch, view.kernel) / passed[..., None, None]
+    passed = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)
+    return psf(traced, chief_points(lens, view), view.pixel_pitch, view.kernel_size) / passed[..., None, None]

@@ -41,9 +41,9 @@ def errors_by_part(lens: Lens, view: View, rays: int) -> tuple[float, dict[str, 
         worse = max(rms(_changed(lens, name, surface, by)) for by in (error, -error))
         found[part] = max(0.0, worse**2 - nominal**2) ** 0.5
 
-    for i in lens.glass:
+    for i in lens.refracting_surfaces:
         record(f"radius {i}", "curvature", i, RADIUS * float(lens.curvature[i]))
-    for i in range(lens.glass[0], lens.glass[-1]):
+    for i in range(lens.refracting_surfaces[0], lens.refracting_surfaces[-1]):
         record(f"thickness {i}", "thickness", i, THICKNESS)
     return nominal, found
 

@@ -3,25 +3,25 @@
 import torch
 from torch import Tensor
 
-from tasklens.optics.tracing.rays import Fate
-from tasklens.optics.tracing.refraction import Bundle
+from tasklens.optics.tracing.rays import RayStatus
+from tasklens.optics.tracing.refraction import RayState
 
 
-class Losses:
+class LostRays:
     """Which rays were lost, where and why; lost rays run on along the axis, where nothing happens to them."""
 
-    def __init__(self, fate: Tensor, lost_at: Tensor):
-        self.fate, self.lost_at = fate, lost_at
+    def __init__(self, status: Tensor, lost_at: Tensor):
+        self.status, self.lost_at = status, lost_at
         self.alive: Tensor | None = None  # None while nothing is lost: the common case pays for nothing
         self.last: tuple[Tensor, ...]  # x, y, z and path where a ray was lost
 
-    def add(self, lost: Tensor, fate: Fate, surface: int, rays: Bundle, path: Tensor) -> Bundle:
+    def add(self, lost: Tensor, status: RayStatus, surface: int, rays: RayState, path: Tensor) -> RayState:
         """Note that rays are lost where they are now, and park them."""
-        self.fate = torch.where(lost, torch.tensor(fate, dtype=torch.int8), self.fate)
+        self.status = torch.where(lost, torch.tensor(status, dtype=torch.int8), self.status)
         self.lost_at = torch.where(lost, torch.tensor(surface, dtype=torch.int8), self.lost_at)
         return self.park(lost, rays, path)
 
-    def park(self, lost: Tensor, rays: Bundle, path: Tensor) -> Bundle:
+    def park(self, lost: Tensor, rays: RayState, path: Tensor) -> RayState:
         """Put rays on the axis."""
         now = (*rays[:3], path)
         if self.alive is None:
@@ -30,7 +30,7 @@ class Losses:
             self.alive = self.alive & ~lost
             self.last = tuple(torch.where(lost, v, old) for v, old in zip(now, self.last, strict=True))
         axis = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-        return Bundle(*(torch.where(lost, on_axis, v) for on_axis, v in zip(axis, rays, strict=True)))
+        return RayState(*(torch.where(lost, on_axis, v) for on_axis, v in zip(axis, rays, strict=True)))
 
     def where_lost(self, *now: Tensor) -> tuple[Tensor, ...]:
         """(x, y, z, path), for lost rays those of their last point."""

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 
-class Fate(IntEnum):
+class RayStatus(IntEnum):
     """What became of a ray."""
 
-    HIT = 0  # reached the image plane
+    OK = 0  # reached the image plane
     MISSED = 1  # never met a surface
-    OUTSIDE = 2  # met it outside its clear aperture
-    REFLECTED = 3  # total internal reflection
+    VIGNETTED = 2  # met it outside its clear aperture
+    TOTAL_INTERNAL_REFLECTION = 3  # total internal reflection
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Rays:
         x, y, z: position [mm] relative to the vertex of the present surface (after `trace`: of the image plane).
         l, m, n: direction cosines, l^2 + m^2 + n^2 = 1.
         path: optical path n s since the launch [mm].
-        fate: `Fate` of each ray, int8.
+        status: `Fate` of each ray, int8.
         lost_at: surface at which the ray was lost, -1 while it is not, int8.
     """
 
@@ -35,22 +35,22 @@ class Rays:
     m: Tensor
     n: Tensor
     path: Tensor
-    fate: Tensor
+    status: Tensor
     lost_at: Tensor
 
     @property
     def valid(self) -> Tensor:
         """True for rays that reached the image plane."""
-        return self.fate == Fate.HIT
+        return self.status == RayStatus.OK
 
     @property
     def stopped(self) -> Tensor:
         """True for rays that met a surface outside its clear aperture: vignetted ones."""
-        return self.fate == Fate.OUTSIDE
+        return self.status == RayStatus.VIGNETTED
 
 
 def launch(x: Tensor, y: Tensor, z: Tensor, l: Tensor, m: Tensor, n: Tensor) -> Rays:
     """Rays that start at (x, y, z) [mm from the first vertex] along (l, m, n); the arguments broadcast."""
     x, y, z, l, m, n = torch.broadcast_tensors(x, y, z, l, m, n)
-    fate = torch.zeros(x.shape, dtype=torch.int8)
-    return Rays(x, y, z, l, m, n, torch.zeros_like(x), fate, fate - 1)
+    status = torch.zeros(x.shape, dtype=torch.int8)
+    return Rays(x, y, z, l, m, n, torch.zeros_like(x), status, status - 1)

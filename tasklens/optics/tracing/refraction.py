@@ -23,7 +23,7 @@ from torch import Tensor
 from tasklens.optics.tracing.intersection import GRAZING, Surface, slope
 
 
-class Bundle(NamedTuple):
+class RayState(NamedTuple):
     """Rays: position, z from a vertex, and direction cosines; or a change of them, or a gradient at them."""
 
     x: Tensor
@@ -34,7 +34,7 @@ class Bundle(NamedTuple):
     n: Tensor
 
 
-class Crossing(NamedTuple):
+class Refraction(NamedTuple):
     """Rays at one surface, by the names of the equations above: what `push` and `pull` need."""
 
     x: Tensor
@@ -54,7 +54,7 @@ class Crossing(NamedTuple):
     b: Tensor
 
 
-def cross(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bundle, Tensor, Crossing]:
+def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[RayState, Tensor, Refraction]:
     """Bend rays at the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
 
     Returns:
@@ -71,11 +71,13 @@ def cross(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bund
     inverse_root = torch.rsqrt(safe)
     b = torch.addcmul(mu_q, safe, inverse_root, value=-1) / -g2
     be = b * e
-    behind = Bundle(x, y, z, torch.addcmul(mu * l, be, x), torch.addcmul(mu * m, be, y), torch.addcmul(b, mu, n))
-    return behind, squared, Crossing(x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b)
+    behind = RayState(x, y, z, torch.addcmul(mu * l, be, x), torch.addcmul(mu * m, be, y), torch.addcmul(b, mu, n))
+    return behind, squared, Refraction(x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b)
 
 
-def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Surface) -> tuple[Bundle, Tensor]:
+def refract_jvp(
+    before: RayState, mu_change, parameters, refraction: Refraction, surface: Surface
+) -> tuple[RayState, Tensor]:
     """Carry small changes of the rays before a surface, and of the surface, to the rays behind it.
 
     Args:
@@ -86,7 +88,7 @@ def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Sur
     Returns:
         changes of the rays behind it, and of t.
     """
-    x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b = crossing
+    x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b = refraction
     dx, dy, dz, dl, dm, dn = before
     dc, dk, da = parameters
     v = w / (1 + w)  # 1 / (1 + sqrt(1 - (1 + k) c^2 u))
@@ -112,10 +114,10 @@ def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Sur
     be, d_be = b * e, db * e + b * de
     dl = mu * dl + mu_change * l + d_be * x + be * dx
     dm = mu * dm + mu_change * m + d_be * y + be * dy
-    return Bundle(dx, dy, dz, dl, dm, mu * dn + mu_change * n + db), dt
+    return RayState(dx, dy, dz, dl, dm, mu * dn + mu_change * n + db), dt
 
 
-def pull(after: Bundle, along: Tensor, crossing: Crossing, surface: Surface, index: bool):
+def refract_vjp(after: RayState, along: Tensor, refraction: Refraction, surface: Surface, index: bool):
     """Carry the gradient at the rays behind a surface back to the rays before it, and to the surface.
 
     Args:
@@ -127,7 +129,7 @@ def pull(after: Bundle, along: Tensor, crossing: Crossing, surface: Surface, ind
         gradient at the rays before it, z from the same vertex; at curvature and conic, 0-dim, and at alpha (M,);
         at mu, of the rays' shape, or None.
     """
-    x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b = crossing
+    x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b = refraction
     b_x, b_y, b_z, b_l, b_m, b_n = after
     # D' = mu D + b e P,  n' = mu n + b
     b_be, be = torch.addcmul(b_l * x, b_m, y), b * e
@@ -153,7 +155,7 @@ def pull(after: Bundle, along: Tensor, crossing: Crossing, surface: Surface, ind
     b_u = torch.addcmul(b_u, tau, e, value=-1)
     b_x, b_y, b_z = torch.addcmul(b_x, b_u, x), torch.addcmul(b_y, b_u, y), b_z - tau
     b_l, b_m, b_n = torch.addcmul(b_l, t, b_x), torch.addcmul(b_m, t, b_y), torch.addcmul(b_n, t, b_z)
-    return Bundle(b_x, b_y, b_z, b_l, b_m, b_n), _at_surface(tau * u, b_slope, u, w, powers, surface), b_mu
+    return RayState(b_x, b_y, b_z, b_l, b_m, b_n), _at_surface(tau * u, b_slope, u, w, powers, surface), b_mu
 
 
 def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: Surface):

@@ -1,4 +1,4 @@
-"""Sequential ray tracing in which every ray has a fate and every number a gradient."""
+"""Sequential ray tracing in which every ray has a status and every number a gradient."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -10,9 +10,9 @@ from torch import Tensor
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.intersection import GRAZING, Surface, distance, surfaces
-from tasklens.optics.tracing.lost_rays import Losses
-from tasklens.optics.tracing.rays import Fate, Rays
-from tasklens.optics.tracing.refraction import Bundle, Crossing, cross, pull, push
+from tasklens.optics.tracing.lost_rays import LostRays
+from tasklens.optics.tracing.rays import Rays, RayStatus
+from tasklens.optics.tracing.refraction import RayState, Refraction, refract, refract_jvp, refract_vjp
 
 _TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
 
@@ -24,8 +24,8 @@ class _Notes:
         self.semi_diameters = semi_diameters
         self.record = record
         self.to_index = to_index
-        self.crossings: list[Crossing | None] | None = [] if keep else None  # None: a plane that bends nothing
-        self.losses: Losses
+        self.refractions: list[Refraction | None] | None = [] if keep else None  # None: a plane that bends nothing
+        self.losses: LostRays
         self.surfaces: list[Surface]
         self.last: tuple[Tensor, ...]  # l, m, n and t from the last surface to the image plane
 
@@ -34,36 +34,36 @@ class _Sequence(torch.autograd.Function):
     """Rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): the loop over `cross`, `push` and `pull`."""
 
     @staticmethod
-    def forward(notes: _Notes, fate, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
-        notes.losses = losses = Losses(fate, lost_at)
+    def forward(notes: _Notes, status, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
+        notes.losses = losses = LostRays(status, lost_at)
         notes.surfaces = surfaces(curvature, conic, alpha)
-        rays = Bundle(x, y, z, l, m, n)
-        if bool(fate.any()):
-            rays = losses.park(fate != Fate.HIT, rays, path)
+        rays = RayState(x, y, z, l, m, n)
+        if bool(status.any()):
+            rays = losses.park(status != RayStatus.OK, rays, path)
         if float(rays.n.min()) <= GRAZING:  # along the first surface or away from it
-            rays = losses.add(rays.n <= GRAZING, Fate.MISSED, 0, rays, path)
+            rays = losses.add(rays.n <= GRAZING, RayStatus.MISSED, 0, rays, path)
         index, space = indices.unbind(), thickness.unbind()
         for i, (surface, semi_diameter) in enumerate(zip(notes.surfaces, notes.semi_diameters, strict=True)):
             media = (index[i], index[i + 1])
-            crossing = None
+            refraction = None
             if surface.plane and not notes.to_index and torch.equal(*media):
                 rays = _through(rays, path, i, semi_diameter, media[0], losses)
             else:
-                rays, path, crossing = _onward(rays, path, i, surface, semi_diameter, media, losses)
-            if notes.crossings is not None:
-                notes.crossings.append(crossing)
+                rays, path, refraction = _onward(rays, path, i, surface, semi_diameter, media, losses)
+            if notes.refractions is not None:
+                notes.refractions.append(refraction)
             if notes.record is not None:
-                at, so_far = (rays, path) if crossing is not None else _on_plane(rays, path, media[0])
+                at, so_far = (rays, path) if refraction is not None else _on_plane(rays, path, media[0])
                 x, y, z, so_far = losses.where_lost(*at[:3], so_far)
-                notes.record.append(Rays(x, y, z, *rays[3:], so_far, losses.fate, losses.lost_at))
-            del crossing  # or its memory would not serve the next one
+                notes.record.append(Rays(x, y, z, *rays[3:], so_far, losses.status, losses.lost_at))
+            del refraction  # or its memory would not serve the next one
             rays = rays._replace(z=rays.z - space[i])
         x, y, z, l, m, n = rays
         t = -z / n
         x, y, path = torch.addcmul(x, t, l), torch.addcmul(y, t, m), torch.addcmul(path, index[-1], t)
         x, y, _, path = losses.where_lost(x, y, z, path)
         notes.last = (l.detach(), m.detach(), n.detach(), t)
-        return x, y, l, m, n, path, losses.fate, losses.lost_at
+        return x, y, l, m, n, path, losses.status, losses.lost_at
 
     @staticmethod
     def setup_context(ctx, inputs, output):
@@ -83,21 +83,21 @@ class _Sequence(torch.autograd.Function):
         l, m, n, t = notes.last
         tau = torch.addcmul(torch.addcmul(b_path * index[-1], b_x, l), b_y, m) / n
         b_l, b_m, b_n = torch.addcmul(b_l, t, b_x), torch.addcmul(b_m, t, b_y), torch.addcmul(b_n, t, tau, value=-1)
-        rays = Bundle(b_x, b_y, -tau, b_l, b_m, b_n)
+        rays = RayState(b_x, b_y, -tau, b_l, b_m, b_n)
         b_index = [_over_rays(t * b_path, index[-1])] if wanted else []
         b_shapes, b_spaces = [], []
         for i in reversed(range(len(notes.surfaces))):
-            crossing = notes.crossings[i]
+            refraction = notes.refractions[i]
             b_spaces.append(-rays.z.sum())
-            if crossing is None:
+            if refraction is None:
                 b_shapes.append(None)
                 continue
-            rays, b_shape, b_mu = pull(rays, b_path * index[i], crossing, notes.surfaces[i], wanted)
+            rays, b_shape, b_mu = refract_vjp(rays, b_path * index[i], refraction, notes.surfaces[i], wanted)
             b_shapes.append(b_shape)
             if wanted:
                 b_ratio = b_mu / index[i + 1]
-                b_index[-1] = b_index[-1] - _over_rays(b_ratio * crossing.mu, index[i])
-                b_index.append(_over_rays(b_ratio + crossing.t * b_path, index[i]))
+                b_index[-1] = b_index[-1] - _over_rays(b_ratio * refraction.mu, index[i])
+                b_index.append(_over_rays(b_ratio + refraction.t * b_path, index[i]))
         none = (zero, zero, indices.new_zeros(ctx.orders))
         b_curvature, b_conic, b_alpha = (torch.stack(v[::-1]) for v in zip(*(b or none for b in b_shapes), strict=True))
         b_path = None if gradients[5] is None else b_path
@@ -117,18 +117,18 @@ def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, 
     Those of x and y behind every surface are appended to `record`.
     """
     zero, index = indices.new_zeros(()), indices.unbind()
-    rays, d_path = Bundle(*(zero if v is None else v for v in rays)), zero if d_path is None else d_path
+    rays, d_path = RayState(*(zero if v is None else v for v in rays)), zero if d_path is None else d_path
 
     def at(change: Tensor | None, i: int) -> Tensor:
         return zero if change is None else change[..., i, None, None, None]
 
-    for i, (crossing, surface) in enumerate(zip(notes.crossings, notes.surfaces, strict=True)):
-        if crossing is not None:
+    for i, (refraction, surface) in enumerate(zip(notes.refractions, notes.surfaces, strict=True)):
+        if refraction is not None:
             before, behind = (zero, zero) if d_indices is None else (d_indices[i], d_indices[i + 1])
             coefficients = torch.zeros_like(surface.orders) if alpha is None else alpha[..., i, :]
             shape = (at(curvature, i), at(conic, i), coefficients)
-            rays, dt = push(rays, (before - crossing.mu * behind) / index[i + 1], shape, crossing, surface)
-            d_path = d_path + before * crossing.t + index[i] * dt
+            rays, dt = refract_jvp(rays, (before - refraction.mu * behind) / index[i + 1], shape, refraction, surface)
+            d_path = d_path + before * refraction.t + index[i] * dt
         if record is not None:
             record.append((rays.x, rays.y))
         rays = rays._replace(z=rays.z - at(thickness, i))
@@ -146,29 +146,29 @@ def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
 
 
 def _onward(
-    rays: Bundle, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: Losses
-) -> tuple[Bundle, Tensor, Crossing]:
+    rays: RayState, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: LostRays
+) -> tuple[RayState, Tensor, Refraction]:
     """Rays before surface i, z from its vertex, to behind it, and their optical path; the lost are noted and parked."""
     x, y, z, l, m, n = rays
     t = z / n  # back to the vertex plane
     x, y = torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1)
     beyond, u, h, met = distance(x, y, l, m, n, surface)
     if met is not None:
-        *_, l, m, n = losses.add(~met, Fate.MISSED, i, rays, path)
+        *_, l, m, n = losses.add(~met, RayStatus.MISSED, i, rays, path)
         x, y = torch.where(met, x, 0.0), torch.where(met, y, 0.0)
     t, x, y, z = beyond - t, torch.addcmul(x, beyond, l), torch.addcmul(y, beyond, m), beyond * n
     path = torch.addcmul(path, media[0], t)
-    behind, squared, crossing = cross(x, y, z, l, m, n, t, u, h, media[0] / media[1], surface)
+    behind, squared, refraction = refract(x, y, z, l, m, n, t, u, h, media[0] / media[1], surface)
     limit = _limit(semi_diameter)
     if limit < math.inf and float(u.max()) > limit:
-        behind = losses.add(u > limit, Fate.OUTSIDE, i, behind, path)
+        behind = losses.add(u > limit, RayStatus.VIGNETTED, i, behind, path)
     if not (float(squared.min()) > GRAZING**2 and float(behind.n.min()) > GRAZING):
         lost = (squared <= GRAZING**2) | (behind.n <= GRAZING)
-        behind = losses.add(lost, Fate.REFLECTED, i, behind, path)
-    return behind, path, crossing
+        behind = losses.add(lost, RayStatus.TOTAL_INTERNAL_REFLECTION, i, behind, path)
+    return behind, path, refraction
 
 
-def _through(rays: Bundle, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: Losses) -> Bundle:
+def _through(rays: RayState, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: LostRays) -> RayState:
     """Rays at a plane in one medium, such as a stop in air: as before it, but for those that its aperture stops."""
     limit = _limit(semi_diameter)
     if limit < math.inf:
@@ -176,15 +176,17 @@ def _through(rays: Bundle, path: Tensor, i: int, semi_diameter: float, index: Te
         u = torch.addcmul(at.x * at.x, at.y, at.y)
         if float(u.max()) > limit:
             stopped = u > limit
-            return Bundle(*map(partial(torch.where, stopped), losses.add(stopped, Fate.OUTSIDE, i, at, so_far), rays))
+            return RayState(
+                *map(partial(torch.where, stopped), losses.add(stopped, RayStatus.VIGNETTED, i, at, so_far), rays)
+            )
     return rays
 
 
-def _on_plane(rays: Bundle, path: Tensor, index: Tensor) -> tuple[Bundle, Tensor]:
+def _on_plane(rays: RayState, path: Tensor, index: Tensor) -> tuple[RayState, Tensor]:
     """Rays and their paths where they cross the plane z = 0."""
     x, y, z, l, m, n = rays
     t = z / n
-    at = Bundle(torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1), torch.zeros_like(n), l, m, n)
+    at = RayState(torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1), torch.zeros_like(n), l, m, n)
     return at, torch.addcmul(path, index, t, value=-1)
 
 
@@ -219,7 +221,7 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
     def batch(values: Tensor) -> Tensor:
         return values.expand(size).reshape(stack)
 
-    start = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
+    start = (rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = [batch(v) for v in start]
     fields = len(start[0])
     tile = fields if record is not None else max(1, _TILE // (size[-2] * size[-1] * start[2].element_size()))
@@ -234,13 +236,13 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
     ends = [torch.cat(v) if len(v) > 1 else v[0] for v in zip(*ends, strict=True)]
     if record is not None:
         record[:] = [Rays(*(v.reshape(size) for v in vars(at).values())) for at in record]
-    x, y, l, m, n, path, fate, lost_at = (v.reshape(size) for v in ends)
-    return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at)
+    x, y, l, m, n, path, status, lost_at = (v.reshape(size) for v in ends)
+    return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at)
 
 
 def linearise(
     lens: Lens, rays: Rays, indices: Tensor, record: list | None = None
-) -> tuple[Rays, Callable[..., Bundle]]:
+) -> tuple[Rays, Callable[..., RayState]]:
     """Trace rays (F, W, N) as `trace` does but without a graph, and give the derivative along changes of the lens.
 
     Returns:
@@ -250,15 +252,15 @@ def linearise(
         behind every surface, of a shape that broadcasts with those.
     """
     notes = _Notes(lens.semi_diameter.tolist(), record, keep=True, to_index=False)
-    parts = (rays.fate, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
+    parts = (rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
     with torch.no_grad():
-        x, y, l, m, n, path, fate, lost_at = _Sequence.forward(notes, *parts, indices[..., None], *shape)
+        x, y, l, m, n, path, status, lost_at = _Sequence.forward(notes, *parts, indices[..., None], *shape)
 
-    def derivative(changes: Mapping[str, Tensor], behind: list | None = None) -> Bundle:
+    def derivative(changes: Mapping[str, Tensor], behind: list | None = None) -> RayState:
         kinds = (changes.get(name) for name in ("curvature", "conic", "alpha", "thickness"))
         with torch.no_grad():
             dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds, behind)
-        return Bundle(dx, dy, torch.zeros_like(dx), dl, dm, dn)
+        return RayState(dx, dy, torch.zeros_like(dx), dl, dm, dn)
 
-    return Rays(x, y, torch.zeros_like(x), l, m, n, path, fate, lost_at), derivative
+    return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at), derivative

@@ -1,110 +1,111 @@
-"""The stages that tell: tables, verdicts, pages and pictures, from what the others have measured.
+"""The stages that tell: tables, verdicts, pages and figures, from what the others have measured.
 
-torch is imported inside the stages that need it.
+Each is a function of settings, inputs and outputs. torch is imported inside the stages that need it.
 """
 
-import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tasklens.pipeline import jobs
-from tasklens.pipeline.layout import Layout
-from tasklens.study import claims
-from tasklens.study.study import Study
+from tasklens.pipeline.stage import Files, Slice
+
+if TYPE_CHECKING:
+    from tasklens.report.figures import Panel
+    from tasklens.study.claims import AblationClaims, Claims
+    from tasklens.study.tables import TableContents, TailContents, VerificationContents
 
 
-def table(study: Study, args: argparse.Namespace) -> None:
+def table(settings: "TableContents", inputs: Files, outputs: Files) -> None:
     """make one table of the paper as CSV, Markdown and LaTeX"""
     from tasklens.report import tables
+    from tasklens.report.measurements import Measurements
 
-    tables.make(jobs.table(study, args.table), Layout.of(study), study.name, partial=args.partial)
+    tables.make(settings, Measurements(inputs.lenses, inputs.metrics), inputs.paper, vars(outputs))
 
 
-def psf_tail(study: Study, args: argparse.Namespace) -> None:
+def psf_tail(settings: "TailContents", inputs: Files, outputs: Files) -> None:
     """make the table of the tails of all PSFs, and their curves of encircled energy"""
     from tasklens.report import tails
 
-    tails.make(jobs.psf_tail(study), Layout.of(study), study.name)
+    tails.make(settings, inputs.psf_tail, inputs.encircled_energy, vars(outputs))
 
 
-def verdicts(study: Study, args: argparse.Namespace) -> None:
+def verdicts(settings: "Claims", inputs: Files, outputs: Files) -> None:
     """judge the paper's claims by the measured accuracies"""
     from tasklens.report import verdicts
+    from tasklens.report.measurements import Measurements
 
-    verdicts.make(claims.verdicts(study), Layout.of(study), study.name)
+    verdicts.make(settings, Measurements(inputs.lenses, inputs.metrics, inputs.predictions), vars(outputs))
 
 
-def regimes(study: Study, args: argparse.Namespace) -> None:
+def regimes(settings: "Claims", inputs: Files, outputs: Files) -> None:
     """make the map of what task-driven design gains over element counts and specifications"""
     from tasklens.report import regimes
+    from tasklens.report.measurements import Measurements
 
-    regimes.make(claims.regimes(study), Layout.of(study), study.name)
+    regimes.make(settings, Measurements(inputs.lenses, inputs.metrics, inputs.predictions), vars(outputs))
 
 
-def ablation(study: Study, args: argparse.Namespace) -> None:
+def ablation(settings: "AblationClaims", inputs: Files, outputs: Files) -> None:
     """make the table of one ablation: a design beside its variants"""
     from tasklens.report import ablations
+    from tasklens.report.measurements import Measurements
 
-    ablations.make(claims.ablation(study, args.ablation), Layout.of(study), study.name)
+    ablations.make(settings, Measurements(inputs.lenses, inputs.metrics, inputs.predictions), vars(outputs))
 
 
-def certificate(study: Study, args: argparse.Namespace) -> None:
-    """write the page of a lens: its figures, its limits, and who would make it"""
+def certificate(settings: Slice, inputs: Files, outputs: Files) -> None:
+    """write the page of a lens: its figures, its limits, and its manufacturability"""
     from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
     from tasklens.optics.analysis.shapes import shapes
     from tasklens.optics.analysis.tolerances import errors_by_part
     from tasklens.optics.io import prescription
-    from tasklens.report import certificate, making
+    from tasklens.report import certificate, manufacturability
     from tasklens.runtime.files import write_text
 
-    layout = Layout.of(study)
-    path = Path(layout.lens(args.lens, args.seed))
-    found, content = prescription.read(path)
+    found, content = prescription.read(inputs.lens)
     lens = found.lens
-    view = view_of(lens, content, str(path))
-    title = f"{args.lens}, seed {args.seed}"
-    figures = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(lens, view))
+    view = view_of(lens, content, str(inputs.lens))
+    figures = certificate.markdown(settings.title, view.fields.tolist(), content, seidel_by_surface(lens, view))
     errors = errors_by_part(lens, view, content["figures"]["rays"])
-    page = f"{figures}\n{making.markdown(content['margins'], shapes(lens), *errors)}"
-    write_text(Path(layout.certificate(args.lens, args.seed)), page)
+    write_text(outputs.page, f"{figures}\n{manufacturability.markdown(content['margins'], shapes(lens), *errors)}")
 
 
-def figure(study: Study, args: argparse.Namespace) -> None:
+def figure(settings: Slice, inputs: Files, outputs: Files) -> None:
     """draw a lens: cross-section with rays, spot diagrams and PSFs"""
     from tasklens.report import figures
 
-    layout = Layout.of(study)
-    figures.draw(Path(layout.figure(args.lens, args.seed)), [_panel(layout, args.lens, args.seed)])
+    figures.draw(outputs.figure, [_panel(settings.title, inputs.lens, inputs.psf)])
 
 
-def comparison(study: Study, args: argparse.Namespace) -> None:
+def comparison(settings: Slice, inputs: Files, outputs: Files) -> None:
     """draw the task-driven lens of some elements beside the best imaging lens of as many (the paper's figure 3)"""
-    from tasklens.report import figures, verdicts
+    from tasklens.report import figures
+    from tasklens.report.measurements import Measurements
 
-    layout = Layout.of(study)
-    claim = claims.over_imaging(study, args.elements)
-    lenses = (claim.lens, verdicts.opponent(claim, args.seed, layout))
-    panels = [_panel(layout, lens, args.seed) for lens in lenses]
-    figures.draw(Path(layout.comparison(args.elements, args.seed)), panels)
+    claim = settings.claim
+    metrics = {(lens, claim.classifier, settings.seed): path for lens, path in inputs.metrics.items()}
+    lenses = (claim.lens, Measurements({}, metrics).strongest_baseline(claim, settings.seed))
+    figures.draw(outputs.figure, [_panel(lens, inputs.lenses[lens], inputs.psfs[lens]) for lens in lenses])
 
 
-def _panel(layout: Layout, lens: str, seed: int):
+def _panel(title: str, path: Path, psf: Path) -> "Panel":
     from tasklens.optics.analysis.datasheet import view_of
     from tasklens.optics.io import prescription
     from tasklens.report.figures import Panel
     from tasklens.runtime.files import read_tensors
 
-    path = layout.lens(lens, seed)
-    shown, content = prescription.read(Path(path))
-    grid = read_tensors(Path(layout.psf(lens, seed)))[0]["psf"]
-    return Panel(lens, shown.lens, view_of(shown.lens, content, path), grid, content["figures"])
+    found, content = prescription.read(path)
+    view = view_of(found.lens, content, str(path))
+    return Panel(title, found.lens, view, read_tensors(psf)[0]["psf"], content["figures"])
 
 
-def verify(study: Study, args: argparse.Namespace) -> int:
+def verify(settings: "VerificationContents", inputs: Files, outputs: Files) -> int:
     """check the limits of all lenses and that all accuracies come out again; print failures and verdicts"""
     from tasklens.report import verification
+    from tasklens.report.measurements import Measurements
 
-    layout = Layout.of(study)
-    findings = verification.verify(jobs.verify(study), layout)
-    print(Path(layout.table("verdicts", "md")).read_text())
+    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
+    findings = verification.verify(settings, measurements, inputs.reproduced, inputs.tables)
+    print(inputs.verdicts.read_text())
     print(verification.summary(findings))  # all on standard output: Snakemake shows no log under --quiet
     return 1 if findings.failures else 0

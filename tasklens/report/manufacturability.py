@@ -1,4 +1,4 @@
-"""Whether anyone would make a lens, and why not: its limits, its surfaces, and what moulding errors do to its spots."""
+"""Manufacturability of a lens: its limits, its surfaces, and what moulding errors do to its spots."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -51,7 +51,7 @@ def markdown(
         "decentre come on top."
     )
     parts = [
-        "## Who would make it?",
+        "## Manufacturability",
         verdict(margins, nominal_um, built_um),
         tolerances,
         _table(limits),
@@ -61,15 +61,15 @@ def markdown(
 
 
 def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) -> str:
-    """Who would make it, in a sentence or two."""
+    """Manufacturability in a sentence or two."""
     broken = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
     if broken:
-        return f"Nobody as it stands: it breaks {', '.join(broken)}."
+        return f"Not as it stands: it violates {', '.join(broken)}."
     growth = built_um / nominal_um
     if growth <= ROBUST:
-        return f"A moulder of phone lenses: all limits are kept, and its errors enlarge the spot {growth:.1f} times."
+        return f"Within precision moulding: all limits are kept, and its errors enlarge the spot {growth:.1f} times."
     return (
-        f"A moulder who holds tighter tolerances than precision moulding states: all limits are kept, but those errors "
+        f"Needs tighter tolerances than precision moulding states: all limits are kept, but those errors "
         f"enlarge the spot {growth:.1f} times."
     )
 

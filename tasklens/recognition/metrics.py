@@ -1,0 +1,10 @@
+"""Metrics files: rows (field, metric, value) of one classifier on the captures of one lens; no torch here."""
+
+from pathlib import Path
+
+import pandas
+
+
+def mean_metrics(path: Path) -> dict[str, float]:
+    """Mean over fields of every metric in a metrics file, by its name."""
+    return pandas.read_csv(path).groupby("metric")["value"].mean().to_dict()

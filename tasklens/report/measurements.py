@@ -1,0 +1,64 @@
+"""What was measured in a study, from its files: lenses, metrics and predictions; no torch here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas
+import yaml
+
+from tasklens.recognition.metrics import mean_metrics
+from tasklens.report import predictions
+from tasklens.study.claims import Claim
+
+
+def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
+    """Means over the nine fields of what a lens file says: RMS and 50 % radius [um], energy inside the window.
+
+    And its worst margin, negative where the lens violates a limit of manufacturing [mm], focal length or distortion.
+    """
+    figures = content["figures"]
+
+    def mean(key: str) -> float:
+        return sum(figures[key]) / len(figures[key])
+
+    return {
+        "rms_spot_um": mean("rms_centroid_um"),
+        "core_radius_um": mean("radius_50_um"),
+        "energy_in_window": mean("energy_in_window"),
+        "worst_margin": content["worst_margin"]["value"],
+    }
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Files of lenses by (lens, seed), of metrics and predictions by (lens, measured name, seed)."""
+
+    lenses: Mapping[tuple[str, int], Path]
+    metrics: Mapping[tuple[str, str, int], Path]
+    predictions: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
+
+    def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
+        """What a lens file says, unchecked and without torch."""
+        return yaml.load(self.lenses[lens, seed].read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+    def lens_values(self, lens: str, seed: int) -> dict[str, float]:
+        """As the function `lens_values`, of a lens of the study."""
+        return lens_values(self.lens_file(lens, seed))
+
+    def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
+        """Mean over fields of every metric."""
+        return mean_metrics(self.metrics[lens, classifier, seed])
+
+    def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+        """1 where an image is classified correctly, else 0: a row per image, a column per field."""
+        return predictions.read(self.predictions[lens, classifier, seed])
+
+    def strongest_baseline(self, claim: Claim, seed: int) -> str:
+        """The baseline of a claim with the best minival accuracy with this seed; "" without baselines.
+
+        Of each seed anew: whoever has two designs at hand keeps the better one.
+        """
+        accuracy = {name: self.values(name, claim.classifier, seed)["minival_accuracy"] for name in claim.baselines}
+        return max(accuracy, key=lambda name: accuracy[name], default="")

@@ -1,0 +1,42 @@
+"""A table as people and programs read it: CSV with every digit, Markdown rounded, with a title and a note."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pandas
+
+from tasklens.runtime.files import write_text
+
+GAP = "–"
+
+
+def rounded(table: pandas.DataFrame, digits: Mapping[str, str]) -> pandas.DataFrame:
+    """The table as text: each column by the format of the longest beginning of its name in `digits`, gaps as dashes.
+
+    Args:
+        digits: by column, or the beginning of its name, a format such as "+.2f"; "" is for all other numbers.
+    """
+    shown = table.astype(object)
+    for column in table.columns:
+        known = [begin for begin in digits if str(column).startswith(begin)]
+        if known and pandas.api.types.is_numeric_dtype(table[column]) and table[column].dtype != bool:
+            shown[column] = table[column].map(_formatter(digits[max(known, key=len)]))
+    return shown.where(table.notna(), GAP).replace("", GAP)
+
+
+def _formatter(form: str) -> Callable[[float], str]:
+    return lambda value: GAP if pandas.isna(value) else format(value, form)
+
+
+def publish(
+    outputs: Mapping[str, Path], title: str, table: pandas.DataFrame, shown: pandas.DataFrame, note: str
+) -> None:
+    """Write a table: `outputs["csv"]` and `outputs["md"]`.
+
+    Args:
+        shown: the table as text, from `rounded`.
+        note: below the Markdown table, which is left out where it has no rows.
+    """
+    write_text(outputs["csv"], table.to_csv(index=False))
+    body = f"{shown.to_markdown(index=False, disable_numparse=True)}\n\n" if len(table) else ""
+    write_text(outputs["md"], f"**{title}**\n\n{body}{note}\n")
