@@ -6,8 +6,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-EDGE = 1e-6  # smallest argument of the square root that still counts as inside the conic
-GRAZING = 1e-6  # cosines below this are no crossing
+from tasklens.optics.aspheres import EDGE
+from tasklens.optics.rays import GRAZING
+
 _NEWTON_STEPS = 8  # for all rays together; what has not converged then is taken aside
 _CAREFUL_STEPS = 30
 _STEEP = 1e-3  # smallest derivative of the distance to a surface along a ray that the careful iteration divides by

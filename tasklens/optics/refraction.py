@@ -13,6 +13,7 @@ iteration: by the implicit function theorem q dt = ds - dz - t dn - e P'.(dP + t
 by the surface's own parameters.
 
 Rays have the shape (F, W, N), mu (W, 1). The code is plain arithmetic in as few passes over the rays as we found.
+`surface` states the same in a few lines of autograd, and the tests compare the two.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tasklens.optics.intersection import GRAZING, Surface, slope
+from tasklens.optics.intersection import Surface, slope
+from tasklens.optics.rays import GRAZING
 
 
 class Bundle(NamedTuple):

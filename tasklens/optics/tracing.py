@@ -8,10 +8,10 @@ import torch
 import torch.autograd.forward_ad as fwAD
 from torch import Tensor
 
-from tasklens.optics.intersection import GRAZING, Surface, distance, surfaces
+from tasklens.optics.intersection import Surface, distance, surfaces
 from tasklens.optics.lens import Lens
 from tasklens.optics.losses import Losses
-from tasklens.optics.rays import Fate, Rays
+from tasklens.optics.rays import GRAZING, RIM, Fate, Rays
 from tasklens.optics.refraction import Bundle, Crossing, cross, pull, push
 
 _TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
@@ -190,7 +190,7 @@ def _on_plane(rays: Bundle, path: Tensor, index: Tensor) -> tuple[Bundle, Tensor
 
 def _limit(semi_diameter: float) -> float:
     """Largest x^2 + y^2 that passes an aperture: rays on the rim do."""
-    return semi_diameter * semi_diameter * (1 + 2e-6)
+    return semi_diameter * semi_diameter * (1 + RIM)
 
 
 def _carries_derivative(values: Tensor) -> bool:
