@@ -21,7 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tasklens.optics.intersection import Surface, slope
+from tasklens.optics.intersection import PreparedSurface, slope
 from tasklens.optics.rays import GRAZING
 
 
@@ -56,7 +56,7 @@ class Crossing(NamedTuple):
     b: Tensor
 
 
-def cross(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bundle, Tensor, Crossing]:
+def cross(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: PreparedSurface) -> tuple[Bundle, Tensor, Crossing]:
     """Bend rays at the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
 
     Returns:
@@ -77,7 +77,7 @@ def cross(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Bund
     return behind, squared, Crossing(x, y, l, m, n, t, mu, u, w, e, h, q, g2, inverse_root, b)
 
 
-def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Surface) -> tuple[Bundle, Tensor]:
+def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: PreparedSurface) -> tuple[Bundle, Tensor]:
     """Carry small changes of the rays before a surface, and of the surface, to the rays behind it.
 
     Args:
@@ -117,7 +117,7 @@ def push(before: Bundle, mu_change, parameters, crossing: Crossing, surface: Sur
     return Bundle(dx, dy, dz, dl, dm, mu * dn + mu_change * n + db), dt
 
 
-def pull(after: Bundle, along: Tensor, crossing: Crossing, surface: Surface, index: bool):
+def pull(after: Bundle, along: Tensor, crossing: Crossing, surface: PreparedSurface, index: bool):
     """Carry the gradient at the rays behind a surface back to the rays before it, and to the surface.
 
     Args:
@@ -158,7 +158,7 @@ def pull(after: Bundle, along: Tensor, crossing: Crossing, surface: Surface, ind
     return Bundle(b_x, b_y, b_z, b_l, b_m, b_n), _at_surface(tau * u, b_slope, u, w, powers, surface), b_mu
 
 
-def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: Surface):
+def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: PreparedSurface):
     """Gradient at curvature, conic and alpha, from that at the sag (times u) and at the slope."""
     b_by_u, b_slope, u, w = (v.flatten() for v in (b_by_u, b_slope, u, w))
     cube, v = w * w * w, w / (1 + w)  # v = 1 / (1 + sqrt(1 - (1 + k) c^2 u))
@@ -175,7 +175,7 @@ def _cubed(curvature: float) -> float:
     return curvature * curvature * curvature  # ** would raise where a design has diverged
 
 
-def _curving(w: Tensor, surface: Surface, powers: Tensor | None) -> Tensor:
+def _curving(w: Tensor, surface: PreparedSurface, powers: Tensor | None) -> Tensor:
     """d^2 s / du^2."""
     conic = w * w * w * (-0.25 * surface.minus_kappa * surface.curvature)
     if powers is None or len(powers) < 2:

@@ -8,7 +8,7 @@ import torch
 import torch.autograd.forward_ad as fwAD
 from torch import Tensor
 
-from tasklens.optics.intersection import Surface, distance, surfaces
+from tasklens.optics.intersection import PreparedSurface, distance, surfaces
 from tasklens.optics.lens import Lens
 from tasklens.optics.losses import Losses
 from tasklens.optics.rays import GRAZING, RIM, Fate, Rays
@@ -26,7 +26,7 @@ class _Notes:
         self.to_index = to_index
         self.crossings: list[Crossing | None] | None = [] if keep else None  # None: a plane that bends nothing
         self.losses: Losses
-        self.surfaces: list[Surface]
+        self.surfaces: list[PreparedSurface]
         self.last: tuple[Tensor, ...]  # l, m, n and t from the last surface to the image plane
 
 
@@ -146,7 +146,7 @@ def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
 
 
 def _onward(
-    rays: Bundle, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: Losses
+    rays: Bundle, path: Tensor, i: int, surface: PreparedSurface, semi_diameter: float, media: tuple, losses: Losses
 ) -> tuple[Bundle, Tensor, Crossing]:
     """Rays before surface i, z from its vertex, to behind it, and their optical path; the lost are noted and parked."""
     x, y, z, l, m, n = rays
