@@ -17,7 +17,7 @@ from torch import Tensor
 from tasklens.materials import material as materials
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.tracing.rays import Rays, launch
+from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.trace import trace
 
 # The three plastic elements of US 8,558,939 B2, without the filter and cover glass, focused by the last space, behind a

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Rays, launch
+from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit

@@ -20,7 +20,7 @@ from tasklens.optics.analysis.spots import (
     spot_diagram,
     trace_fields,
 )
-from tasklens.optics.tracing.rays import RayStatus
+from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import View
 
 ORIGIN = f64([[0.0, 0.0]])

@@ -9,7 +9,7 @@ import torch
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import launch
+from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference" / "rays.json"

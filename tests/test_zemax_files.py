@@ -20,7 +20,7 @@ from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
-from tasklens.optics.tracing.rays import launch
+from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
 from tasklens.runtime.files import FileError
 

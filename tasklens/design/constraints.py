@@ -10,8 +10,8 @@ from torch import Tensor
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, distortion
+from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.aspheres import radial_slope, sag
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 

@@ -11,7 +11,7 @@ from tasklens.optics.analysis.spots import centroid, chief_rays, rms_spot_radius
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Rays, RayStatus
+from tasklens.optics.rays import Rays, RayStatus
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
 from tasklens.study.design_settings import ImportedLens

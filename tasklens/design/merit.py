@@ -10,7 +10,7 @@ from torch import Tensor
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, violation
 from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from tasklens.materials.material import AIR, Material
+from tasklens.optics.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,12 @@ class Lens:
         """Indices of the surfaces that bound an element: those where the medium changes."""
         before = (AIR, *self.media[:-1])
         return tuple(i for i, (a, b) in enumerate(zip(before, self.media, strict=True)) if a != b)
+
+    @property
+    def surfaces(self) -> list[Surface]:
+        """The S surfaces, each by itself; gradients flow from them to the lens."""
+        numbers = (self.curvature, self.conic, self.alpha, self.semi_diameter)
+        return [Surface(*surface) for surface in zip(*(v.unbind() for v in numbers), strict=True)]
 
     @property
     def vertices(self) -> Tensor:

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.rays import Rays
 
 
 def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Tensor:

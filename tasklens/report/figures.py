@@ -15,8 +15,8 @@ from matplotlib.patches import Circle
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields
+from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.aspheres import sag
 from tasklens.optics.view import View
 from tasklens.runtime.files import replacing
 

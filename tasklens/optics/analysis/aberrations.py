@@ -11,8 +11,8 @@ from torch import Tensor
 
 from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, vertex_curvature
 from tasklens.optics.analysis.spots import chief_rays
+from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.aspheres import sag
 from tasklens.optics.view import View
 
 

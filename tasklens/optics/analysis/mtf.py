@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.rays import Rays
 
 
 def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) -> tuple[Tensor, Tensor]:

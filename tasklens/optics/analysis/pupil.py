@@ -7,7 +7,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Rays, launch
+from tasklens.optics.rays import Rays, launch
 
 
 def sobol_disc(count: int, seed: int) -> Tensor:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import torch
 
+from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.aspheres import radial_slope, sag
 
 _HEIGHTS = torch.linspace(0, 1, 401, dtype=torch.float64)  # parts of the semi-diameter
 

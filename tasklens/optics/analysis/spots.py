@@ -13,7 +13,7 @@ from torch import Tensor
 from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 

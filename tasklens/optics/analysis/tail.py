@@ -16,7 +16,7 @@ from tasklens.optics.analysis.spots import (
     trace_fields,
 )
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 
 TAIL = 3.0  # core radii; the light outside of them is the tail

@@ -13,7 +13,7 @@ from torch import Tensor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.rays import Rays
+from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 
 # Precision moulding of plastic lenses, apollooptical.com/manufacturing-tolerances: +- 0.5 % and +- 0.015 mm.

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-EDGE = 1e-6  # smallest argument of the square root that still counts as inside the conic
-GRAZING = 1e-6  # cosines below this are no crossing
+from tasklens.optics.aspheres import EDGE
+from tasklens.optics.rays import GRAZING
+
 _NEWTON_STEPS = 8  # for all rays together; what has not converged then is taken aside
 _CAREFUL_STEPS = 30
 _STEEP = 1e-3  # smallest derivative of the distance to a surface along a ray that the careful iteration divides by
@@ -15,7 +16,7 @@ _STRIDE = 2.0  # longest Newton step [mm]: without a limit a ray may leave for g
 
 
 @dataclass(frozen=True)
-class Surface:
+class PreparedSurface:
     """The shape of one surface, with what follows from it alone.
 
     Attributes:
@@ -48,7 +49,7 @@ class Shape(NamedTuple):
     argument: Tensor
 
 
-def surfaces(curvature: Tensor, conic: Tensor, alpha: Tensor) -> list[Surface]:
+def surfaces(curvature: Tensor, conic: Tensor, alpha: Tensor) -> list[PreparedSurface]:
     """The S surfaces of (S,), (S,) and (S, M) coefficients."""
     one = torch.ones((), dtype=curvature.dtype, device=curvature.device)
     orders = torch.arange(1, alpha.shape[1] + 1, dtype=alpha.dtype, device=alpha.device)
@@ -57,12 +58,12 @@ def surfaces(curvature: Tensor, conic: Tensor, alpha: Tensor) -> list[Surface]:
     planes = (curvature == 0) & (alpha == 0).all(1)
     numbers = torch.stack([curvature, -(1 + conic) * curvature**2, planes], 1).tolist()
     return [
-        Surface(c, minus_kappa, column.unbind(1), column[1].unbind(), curve, orders, one, bool(plane))
+        PreparedSurface(c, minus_kappa, column.unbind(1), column[1].unbind(), curve, orders, one, bool(plane))
         for (c, minus_kappa, plane), column, curve in zip(numbers, columns.unbind(), curving.unbind(), strict=True)
     ]
 
 
-def shape(u: Tensor, surface: Surface) -> Shape:
+def shape(u: Tensor, surface: PreparedSurface) -> Shape:
     """The surface at u = r^2, as `aspheres.sag` but without a graph and in few operations."""
     w, safe, argument = _root(u, surface)
     conic = torch.addcmul(surface.one, safe, w)  # 1 + sqrt(argument)
@@ -73,14 +74,14 @@ def shape(u: Tensor, surface: Surface) -> Shape:
     return Shape(sag, torch.add(slope, w, alpha=0.5 * surface.curvature), w, argument)
 
 
-def slope(u: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+def slope(u: Tensor, surface: PreparedSurface) -> tuple[Tensor, Tensor]:
     """ds / du and w of `shape` alone."""
     w, *_ = _root(u, surface)
     conic = (0.5 * surface.curvature) * w
     return (conic.add_(_polynomial(u, surface.slopes)) if surface.slopes else conic), w
 
 
-def _root(u: Tensor, surface: Surface) -> tuple[Tensor, Tensor, Tensor]:
+def _root(u: Tensor, surface: PreparedSurface) -> tuple[Tensor, Tensor, Tensor]:
     """1 / sqrt(1 - (1 + k) c^2 u), the argument of the root that was used, and the true one."""
     argument = torch.add(surface.one, u, alpha=surface.minus_kappa)
     safe = argument.clamp(min=EDGE) if surface.minus_kappa < 0 else argument
@@ -96,7 +97,7 @@ def _polynomial(u: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
     return value
 
 
-def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: Surface):
+def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: PreparedSurface):
     """Distance t [mm] at which rays from (x, y) on the vertex plane meet the surface, and which of them do.
 
     Newton's iteration, on all rays together: a step below the square root of the precision leaves an error below the
@@ -138,7 +139,7 @@ def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: Sur
     return *(torch.where(met, v, 0.0) for v in (t, u, h)), met
 
 
-def _careful_distance(a: Tensor, b: Tensor, c: Tensor, n: Tensor, surface: Surface, tolerance: float):
+def _careful_distance(a: Tensor, b: Tensor, c: Tensor, n: Tensor, surface: PreparedSurface, tolerance: float):
     """`distance` for the few: limited steps that never divide by little, from the base conic, then from the plane."""
     # the conic: c (r^2 + (1 + k) z^2) = 2 z with z = t n
     along = n - surface.curvature * b

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from tasklens.optics.tracing.rays import RayStatus
+from tasklens.optics.rays import RayStatus
 from tasklens.optics.tracing.refraction import RayState
 
 

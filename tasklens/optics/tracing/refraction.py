@@ -13,6 +13,7 @@ iteration: by the implicit function theorem q dt = ds - dz - t dn - e P'.(dP + t
 by the surface's own parameters.
 
 Rays have the shape (F, W, N), mu (W, 1). The code is plain arithmetic in as few passes over the rays as we found.
+`surface` states the same in a few lines of autograd, and the tests compare the two.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tasklens.optics.tracing.intersection import GRAZING, Surface, slope
+from tasklens.optics.rays import GRAZING
+from tasklens.optics.tracing.intersection import PreparedSurface, slope
 
 
 class RayState(NamedTuple):
@@ -54,7 +56,7 @@ class Refraction(NamedTuple):
     b: Tensor
 
 
-def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[RayState, Tensor, Refraction]:
+def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: PreparedSurface) -> tuple[RayState, Tensor, Refraction]:
     """Bend rays at the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
 
     Returns:
@@ -76,7 +78,7 @@ def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: Surface) -> tuple[Ra
 
 
 def refract_jvp(
-    before: RayState, mu_change, parameters, refraction: Refraction, surface: Surface
+    before: RayState, mu_change, parameters, refraction: Refraction, surface: PreparedSurface
 ) -> tuple[RayState, Tensor]:
     """Carry small changes of the rays before a surface, and of the surface, to the rays behind it.
 
@@ -117,7 +119,7 @@ def refract_jvp(
     return RayState(dx, dy, dz, dl, dm, mu * dn + mu_change * n + db), dt
 
 
-def refract_vjp(after: RayState, along: Tensor, refraction: Refraction, surface: Surface, index: bool):
+def refract_vjp(after: RayState, along: Tensor, refraction: Refraction, surface: PreparedSurface, index: bool):
     """Carry the gradient at the rays behind a surface back to the rays before it, and to the surface.
 
     Args:
@@ -158,7 +160,7 @@ def refract_vjp(after: RayState, along: Tensor, refraction: Refraction, surface:
     return RayState(b_x, b_y, b_z, b_l, b_m, b_n), _at_surface(tau * u, b_slope, u, w, powers, surface), b_mu
 
 
-def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: Surface):
+def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: PreparedSurface):
     """Gradient at curvature, conic and alpha, from that at the sag (times u) and at the slope."""
     b_by_u, b_slope, u, w = (v.flatten() for v in (b_by_u, b_slope, u, w))
     cube, v = w * w * w, w / (1 + w)  # v = 1 / (1 + sqrt(1 - (1 + k) c^2 u))
@@ -175,7 +177,7 @@ def _cubed(curvature: float) -> float:
     return curvature * curvature * curvature  # ** would raise where a design has diverged
 
 
-def _curving(w: Tensor, surface: Surface, powers: Tensor | None) -> Tensor:
+def _curving(w: Tensor, surface: PreparedSurface, powers: Tensor | None) -> Tensor:
     """d^2 s / du^2."""
     conic = w * w * w * (-0.25 * surface.minus_kappa * surface.curvature)
     if powers is None or len(powers) < 2:

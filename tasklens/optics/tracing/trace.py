@@ -9,9 +9,9 @@ import torch.autograd.forward_ad as fwAD
 from torch import Tensor
 
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.intersection import GRAZING, Surface, distance, surfaces
+from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
+from tasklens.optics.tracing.intersection import PreparedSurface, distance, surfaces
 from tasklens.optics.tracing.lost_rays import LostRays
-from tasklens.optics.tracing.rays import Rays, RayStatus
 from tasklens.optics.tracing.refraction import RayState, Refraction, refract, refract_jvp, refract_vjp
 
 _TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
@@ -26,7 +26,7 @@ class _Notes:
         self.to_index = to_index
         self.refractions: list[Refraction | None] | None = [] if keep else None  # None: a plane that bends nothing
         self.losses: LostRays
-        self.surfaces: list[Surface]
+        self.surfaces: list[PreparedSurface]
         self.last: tuple[Tensor, ...]  # l, m, n and t from the last surface to the image plane
 
 
@@ -146,7 +146,7 @@ def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
 
 
 def _onward(
-    rays: RayState, path: Tensor, i: int, surface: Surface, semi_diameter: float, media: tuple, losses: LostRays
+    rays: RayState, path: Tensor, i: int, surface: PreparedSurface, semi_diameter: float, media: tuple, losses: LostRays
 ) -> tuple[RayState, Tensor, Refraction]:
     """Rays before surface i, z from its vertex, to behind it, and their optical path; the lost are noted and parked."""
     x, y, z, l, m, n = rays
@@ -192,7 +192,7 @@ def _on_plane(rays: RayState, path: Tensor, index: Tensor) -> tuple[RayState, Te
 
 def _limit(semi_diameter: float) -> float:
     """Largest x^2 + y^2 that passes an aperture: rays on the rim do."""
-    return semi_diameter * semi_diameter * (1 + 2e-6)
+    return semi_diameter * semi_diameter * (1 + RIM)
 
 
 def _carries_derivative(values: Tensor) -> bool:

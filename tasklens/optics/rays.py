@@ -6,6 +6,9 @@ from enum import IntEnum
 import torch
 from torch import Tensor
 
+GRAZING = 1e-6  # cosines to the axis or to a normal below this are no crossing
+RIM = 2e-6  # excess of x^2 + y^2, relative, that still passes an aperture: rays on the rim do, however they round
+
 
 class RayStatus(IntEnum):
     """What became of a ray."""

@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-_EDGE = 1e-6  # smallest argument of the square root that still counts as inside the conic
+EDGE = 1e-6  # smallest argument of the square root that still counts as inside the conic
 
 
-def sag(u: Tensor, curvature: Tensor, conic: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def sag(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Sag of an even asphere, its derivative, and where it is defined.
 
     s(u) = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum_j alpha_2j u^j,  u = r^2
@@ -15,16 +15,16 @@ def sag(u: Tensor, curvature: Tensor, conic: Tensor, alpha: Tensor) -> tuple[Ten
 
     Args:
         u: squared radius [mm^2], any shape.
-        curvature: c [1/mm], broadcastable to u.
-        conic: k, broadcastable to u.
+        curvature: c [1/mm], a number or broadcastable to u.
+        conic: k, a number or broadcastable to u.
         alpha: (..., M) coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)]; the leading shape is broadcastable to u.
 
     Returns:
         sag [mm], d sag / d u [1/mm], and a mask that is true inside the conic; each of the broadcast shape.
     """
     argument = 1 - (1 + conic) * curvature**2 * u
-    inside = argument > _EDGE
-    root = torch.sqrt(torch.where(inside, argument, _EDGE))
+    inside = argument > EDGE
+    root = torch.sqrt(torch.where(inside, argument, EDGE))
     value = curvature * u / (1 + root)
     slope = 0.5 * curvature / root
     orders = alpha.unbind(-1)

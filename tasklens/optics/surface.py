@@ -1,0 +1,144 @@
+"""One refracting surface in plain autograd: its sag and normal, where rays meet it and how it bends them."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from tasklens.optics import aspheres
+from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
+
+_NEWTON_STEPS = 30  # from each start
+_STRIDE = 2.0  # longest Newton step [mm]: without a limit a ray may leave for good
+
+
+@dataclass(frozen=True)
+class Surface:
+    """An even asphere of revolution about the z axis with its vertex at z = 0; autograd differentiates every method.
+
+    Attributes:
+        curvature: c [1/mm], number or 0-dim; positive with the centre on the right, 0 for a plane.
+        conic: k, number or 0-dim. k < -1 is a hyperboloid, -1 a paraboloid, -1 < k < 0 a prolate ellipsoid, 0 a sphere,
+            k > 0 an oblate ellipsoid.
+        alpha: (M,) asphere coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)].
+        semi_diameter: radius of the clear aperture [mm], number or 0-dim; infinite where nothing clips.
+    """
+
+    curvature: Tensor | float
+    conic: Tensor | float = 0.0
+    alpha: Tensor | tuple[float, ...] = ()
+    semi_diameter: Tensor | float = torch.inf
+
+    def sag(self, x: Tensor, y: Tensor) -> Tensor:
+        """Height z = s(r^2) of the surface over (x, y) [mm].
+
+        s = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + sum_j alpha_2j r^(2j),  r^2 = x^2 + y^2
+        """
+        return self._profile(x * x + y * y)[0]
+
+    def normal(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Unit normal over (x, y) [mm], with its z component positive.
+
+        N = (-ds/dx, -ds/dy, 1) / sqrt(1 + (ds/dx)^2 + (ds/dy)^2),  ds/dx = 2 x ds/d(r^2)
+        """
+        slope = 2 * self._profile(x * x + y * y)[1]
+        n = torch.rsqrt(1 + slope * slope * (x * x + y * y))
+        return -slope * x * n, -slope * y * n, n
+
+    def intersect(self, rays: Rays, index: Tensor | float = 1.0) -> Rays:
+        """Move rays along P + t D to where they meet the surface, z = s(x^2 + y^2).
+
+        t comes from Newton's iteration without a graph; one more step, with it, makes the derivatives of t exact by
+        the implicit function theorem: F(t, p) = 0 has dt/dp = -(dF/dp) / (dF/dt). Second derivatives are not exact.
+
+        Args:
+            rays: of any shape, z from the vertex [mm].
+            index: refractive index of the space they cross, which their optical path needs; broadcasts with the rays.
+
+        Returns:
+            Rays on the surface. One that does not meet it from the front has the status MISSED and stays where it was;
+            one beyond the clear aperture is VIGNETTED and stays on the surface. Rays lost before are left as they are.
+            `lost_at` is left to the caller, who counts the surfaces.
+        """
+        with torch.no_grad():
+            t, met = self._distance(rays)
+        t = t.detach()  # forward mode looks past no_grad
+        t = torch.where(met, t + self._newton_step(rays, t)[0], 0.0)
+        x, y, z = rays.x + t * rays.l, rays.y + t * rays.m, rays.z + t * rays.n
+        outside = x * x + y * y > self.semi_diameter**2 * (1 + RIM)
+        rays = replace(rays, x=x, y=y, z=z, path=rays.path + index * t)
+        return _lose(_lose(rays, ~met, RayStatus.MISSED), outside, RayStatus.VIGNETTED)
+
+    def refract(self, rays: Rays, index_before: Tensor | float, index_behind: Tensor | float) -> Rays:
+        """Bend rays that lie on the surface by Snell's law, n sin i = n' sin i'.
+
+        D' = mu D + (cos i' - mu cos i) N,  mu = n / n',  cos i = D.N,  cos^2 i' = 1 - mu^2 (1 - cos^2 i)
+
+        Args:
+            rays: of any shape, as from `intersect`.
+            index_before, index_behind: refractive indices n and n'; they broadcast with the rays.
+
+        Returns:
+            The rays behind the surface. Where cos^2 i' is not positive, or the ray would run back, the status is
+            TOTAL_INTERNAL_REFLECTION and the direction stays.
+        """
+        nx, ny, nz = self.normal(rays.x, rays.y)
+        mu = index_before / index_behind
+        cos_i = rays.l * nx + rays.m * ny + rays.n * nz
+        squared = 1 - mu * mu + (mu * cos_i) ** 2
+        passes = squared > GRAZING**2
+        turn = torch.sqrt(torch.where(passes, squared, 1.0)) - mu * cos_i
+        l, m, n = mu * rays.l + turn * nx, mu * rays.m + turn * ny, mu * rays.n + turn * nz
+        passes = passes & (n > GRAZING)
+        bends = passes & rays.valid
+        l, m, n = (torch.where(bends, new, old) for new, old in ((l, rays.l), (m, rays.m), (n, rays.n)))
+        return _lose(replace(rays, l=l, m=m, n=n), ~passes, RayStatus.TOTAL_INTERNAL_REFLECTION)
+
+    def _profile(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Sag, its derivative by u = r^2, and whether u is inside the conic."""
+        return aspheres.sag(u, self.curvature, self.conic, torch.as_tensor(self.alpha, dtype=u.dtype))
+
+    def _newton_step(self, rays: Rays, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Newton's step from t towards F(t) = z + t n - s(r^2) = 0, and whether the point is on the front of the conic.
+
+        dF/dt = n - 2 ds/d(r^2) (x l + y m), which is the cosine of incidence times the length of the normal.
+        """
+        x, y = rays.x + t * rays.l, rays.y + t * rays.m
+        sag, slope, inside = self._profile(x * x + y * y)
+        derivative = rays.n - 2 * slope * (x * rays.l + y * rays.m)
+        safe = torch.copysign(derivative.abs().clamp(min=GRAZING), derivative)
+        return (sag - rays.z - t * rays.n) / safe, inside & (derivative > GRAZING)
+
+    def _distance(self, rays: Rays) -> tuple[Tensor, Tensor]:
+        """Distance t [mm] along each ray to the surface, zero if it does not meet it, and which rays do.
+
+        Newton's iteration starts at the vertex plane; a ray that it loses starts again where it meets the base conic.
+        """
+        tolerance = torch.finfo(rays.n.dtype).eps ** 0.5  # the error behind a Newton step is of the order of its square
+        able = rays.valid & (rays.n > GRAZING)
+        distance, pending = torch.zeros_like(rays.n), able
+        for t in self._starts(rays):
+            for _ in range(_NEWTON_STEPS):
+                step, front = self._newton_step(rays, t)
+                t = t + step.clamp(-_STRIDE, _STRIDE)
+                converged = step.abs() <= tolerance
+                if bool((converged | ~pending).all()):
+                    break
+            found = pending & converged & front
+            distance, pending = torch.where(found, t, distance), pending & ~found
+        return distance, able & ~pending
+
+    def _starts(self, rays: Rays) -> tuple[Tensor, Tensor]:
+        """Distances t [mm] to the vertex plane, and to the base conic c (r^2 + (1 + k) z^2) = 2 z where that is met."""
+        plane = -rays.z / rays.n.clamp(min=GRAZING)
+        x, y, c = rays.x + plane * rays.l, rays.y + plane * rays.m, self.curvature
+        along = rays.n - c * (x * rays.l + y * rays.m)
+        discriminant = along * along - c * c * (1 + self.conic * rays.n * rays.n) * (x * x + y * y)
+        root = along + torch.sqrt(discriminant.clamp(min=0))
+        on_conic = (discriminant > 0) & (root > GRAZING)
+        return plane, plane + torch.where(on_conic, c * (x * x + y * y) / root.clamp(min=GRAZING), 0.0)
+
+
+def _lose(rays: Rays, lost: Tensor, status: RayStatus) -> Rays:
+    """The same rays, with that status where they are `lost` and were not before."""
+    return replace(rays, status=torch.where(rays.valid & lost, torch.tensor(status, dtype=torch.int8), rays.status))

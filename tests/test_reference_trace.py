@@ -1,0 +1,331 @@
+"""The tracer in plain autograd: the laws of one surface, and the fast tracer against it in values and derivatives."""
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, parallel_rays, random_lens, random_rays
+
+from tasklens.optics import aspheres
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays, RayStatus, launch
+from tasklens.optics.surface import Surface
+from tasklens.optics.tracing import intersection
+from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.trace import trace
+
+SEEDS = range(4)
+VALUES = ("x", "y", "z", "l", "m", "n", "path")
+
+
+def exact(found, expected, atol):
+    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+
+
+def curved(seed: int) -> list[Surface]:
+    """Four aspheres with conics between -2 and 1 and coefficients up to alpha_10."""
+    return random_lens(seed).surfaces[1:]
+
+
+def points(seed: int, count: int = 50) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    return tuple(2 * torch.rand(2, count, generator=generator, dtype=torch.float64) - 1)
+
+
+def direction(rays: Rays) -> torch.Tensor:
+    return torch.stack([rays.l, rays.m, rays.n], -1)
+
+
+def position(rays: Rays) -> torch.Tensor:
+    return torch.stack([rays.x, rays.y, rays.z], -1)
+
+
+# ---- one surface
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_sag_is_that_of_the_definition(seed):
+    x, y = points(seed)
+    r = torch.hypot(x, y)
+    for surface in curved(seed):
+        c, k, alpha = surface.curvature, surface.conic, surface.alpha
+        expected = c * r**2 / (1 + torch.sqrt(1 - (1 + k) * c**2 * r**2))
+        expected = expected + sum(a * r ** (2 * j) for j, a in enumerate(alpha, 1))
+        exact(surface.sag(x, y), expected, 1e-15)
+
+
+def test_sag_of_conics():
+    """k = 0 is R - sqrt(R^2 - r^2), k = -1 is r^2 / (2 R), and any conic has c (r^2 + (1 + k) z^2) = 2 z."""
+    radius = 2.0
+    u = torch.linspace(0, 3.9, 40, dtype=torch.float64)
+    x, y = 0.6 * torch.sqrt(u), -0.8 * torch.sqrt(u)
+    exact(Surface(1 / radius).sag(x, y), radius - torch.sqrt(radius**2 - u), 2e-15)
+    exact(Surface(1 / radius, conic=-1.0).sag(x, y), u / (2 * radius), 1e-15)
+    x, y = points(0)
+    for conic in (-2.5, -0.5, 0.7):
+        z = Surface(-1 / radius, conic).sag(x, y)
+        exact((x * x + y * y + (1 + conic) * z * z) / -radius, 2 * z, 2e-15)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_normal_is_the_gradient_of_the_sag(seed):
+    """By five-point differences of 1e-3 mm; unit length; towards positive z."""
+    x, y = points(seed, 10)
+    for surface in curved(seed):
+        normal = torch.stack(surface.normal(x, y), -1)
+        exact(normal.square().sum(-1), 1.0, 1e-15)
+        assert (normal[:, 2] > 0).all()
+        by_x = difference(lambda v: surface.sag(v, y), x, 1e-3).diagonal()  # noqa: B023
+        by_y = difference(lambda v: surface.sag(x, v), y, 1e-3).diagonal()  # noqa: B023
+        exact(normal[:, :2] / normal[:, 2:], -torch.stack([by_x, by_y], -1), 1e-10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_rays_meet_the_surface_on_their_line(seed):
+    """The point is on the surface and on the line of the ray; the path is index times distance."""
+    start = replace(random_rays(100, seed), z=f64(-0.3))
+    start = launch(*(getattr(start, k) for k in "xyzlmn"))
+    for surface in curved(seed):
+        rays = surface.intersect(start, 1.5)
+        assert rays.valid.all()
+        exact(rays.z, surface.sag(rays.x, rays.y), 1e-15)
+        way = position(rays) - position(start)
+        exact(torch.linalg.cross(way, direction(start)), 0.0, 1e-15)
+        exact(rays.path, 1.5 * (way * direction(start)).sum(-1), 1e-15)
+
+
+@pytest.mark.parametrize("indices", [(1.0, 1.6), (1.6, 1.0)], ids=["into glass", "out of glass"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_snells_law(seed, indices):
+    """n D x N = n' D' x N; D, N and D' lie in one plane; both rays are on their side of the surface; |D'| = 1."""
+    for surface in curved(seed):
+        before = surface.intersect(random_rays(100, seed))
+        behind = surface.refract(before, *indices)
+        assert behind.valid.all()
+        normal = torch.stack(surface.normal(before.x, before.y), -1)
+        n, n_behind = indices
+        sines = [torch.linalg.cross(direction(rays), normal) for rays in (before, behind)]
+        exact(n * sines[0] - n_behind * sines[1], 0.0, 1e-15)
+        exact((sines[0] * direction(behind)).sum(-1), 0.0, 1e-15)
+        assert ((direction(behind) * normal).sum(-1) > 0).all()
+        exact(direction(behind).square().sum(-1), 1.0, 2e-15)
+        assert torch.equal(position(behind), position(before))
+
+
+def test_equal_indices_bend_nothing():
+    for surface in curved(0):
+        before = surface.intersect(random_rays(100, 0))
+        exact(direction(surface.refract(before, 1.6, 1.6)), direction(before), 1e-15)
+
+
+def test_paraboloid_focuses_in_reflection():
+    """All light along its axis goes through (0, 0, R / 2); n' = -n in Snell's law is the line of a mirror's ray."""
+    radius = 3.0
+    mirror = Surface(-1 / radius, conic=-1.0)
+    rays = mirror.refract(mirror.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31))), 1.0, -1.0)
+    at_focus = Surface(0.0).intersect(replace(rays, z=rays.z + radius / 2))
+    assert at_focus.valid.all()
+    exact(at_focus.y, 0.0, 1e-15)
+
+
+def test_hyperboloid_focuses_in_refraction():
+    """Leaving glass, a surface of conic -n^2 has no spherical aberration at R / (n - 1), and all paths are equal."""
+    n, radius = 1.5, 2.0
+    back = Surface(-1 / radius, conic=-(n**2))
+    rays = back.refract(back.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31)), n), n, 1.0)
+    focus = radius / (n - 1)
+    at_focus = Surface(0.0).intersect(replace(rays, z=rays.z - focus))
+    assert at_focus.valid.all()
+    exact(at_focus.y, 0.0, 4e-15)
+    exact(at_focus.path, focus, 4e-15)
+
+
+def test_fates_at_one_surface():
+    """Missed: stays. Outside: on the surface. Reflected: on the surface and not turned. Lost before: not touched."""
+    ball = Surface(1.0, semi_diameter=0.9)
+    start = parallel_rays([0.5, 1.5, 0.95, 0.8])
+    start = replace(start, status=torch.tensor([[0, 0, 0, RayStatus.MISSED]], dtype=torch.int8))
+    rays = ball.intersect(start, 1.6)
+    assert rays.status.tolist() == [[RayStatus.OK, RayStatus.MISSED, RayStatus.VIGNETTED, RayStatus.MISSED]]
+    exact(rays.z, [[1 - 0.75**0.5, 0.0, 1 - (1 - 0.95**2) ** 0.5, 0.0]], 1e-15)
+    reflected = Surface(-1.0).refract(Surface(-1.0).intersect(parallel_rays([0.6, 0.7])), 1.6, 1.0)  # 1 / 1.6 = 0.625
+    assert reflected.status.tolist() == [[RayStatus.OK, RayStatus.TOTAL_INTERNAL_REFLECTION]]
+    assert direction(reflected)[0, 1].tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_surface_of_numbers_is_one_of_tensors():
+    x, y = points(1)
+    numbers = Surface(0.2, -0.5, (0.0, 0.01), 1.0)
+    tensors = Surface(f64(0.2), f64(-0.5), f64([0.0, 0.01]), f64(1.0))
+    assert torch.equal(numbers.sag(x, y), tensors.sag(x, y))
+    start = random_rays(50, 2, height=1.5)
+    found, expected = (s.refract(s.intersect(start), 1.0, 1.5) for s in (numbers, tensors))
+    assert len(set(found.status.flatten().tolist())) > 1
+    assert torch.equal(found.status, expected.status)
+    exact(torch.cat([position(found), direction(found)]), torch.cat([position(expected), direction(expected)]), 1e-15)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_prepared_shapes_are_those_of_aspheres(seed):
+    """The fast tracer's own arithmetic: sag, slope and the edge of the conic, inside and beyond it."""
+    lens = random_lens(seed)
+    lens = replace(lens, curvature=6 * lens.curvature)
+    u = torch.linspace(0, 2, 60, dtype=torch.float64).reshape(1, 1, -1)
+    beyond = 0
+    for i, prepared in enumerate(intersection.surfaces(lens.curvature, lens.conic, lens.alpha)):
+        value, slope, inside = aspheres.sag(u, lens.curvature[i], lens.conic[i], lens.alpha[i])
+        found = intersection.shape(u, prepared)
+        torch.testing.assert_close(found.sag, value, rtol=1e-14, atol=1e-15)
+        torch.testing.assert_close(found.slope, slope, rtol=1e-14, atol=1e-15)
+        torch.testing.assert_close(intersection.slope(u, prepared)[0], slope, rtol=1e-14, atol=1e-15)
+        assert torch.equal(found.argument > aspheres.EDGE, inside)
+        beyond += int((~inside).sum())
+    assert beyond
+
+
+# ---- whole lenses, the fast tracer beside the reference
+
+
+def traced(lens: Lens, start: Rays) -> tuple[Rays, Rays]:
+    indices = lens.refractive_indices(WAVELENGTHS)
+    return trace(lens, start, indices), reference_trace(lens, start, indices)
+
+
+def vignetting_triplet() -> Lens:
+    """The Cooke triplet with a stop inside and rims that cut oblique light."""
+    return cooke_triplet(semi_diameter=f64([8.5, 8.5, 5.5, 5.5, 4.0, 6.0, 7.0, torch.inf, torch.inf]))
+
+
+CASES = {
+    **{f"random {seed}": (lambda seed=seed: (random_lens(seed), random_rays(500, seed))) for seed in range(8)},
+    **{
+        f"narrow {seed}": lambda seed=seed: (
+            replace(random_lens(seed), semi_diameter=f64([0.3, 0.5, 0.5, 0.4, 0.5])),
+            random_rays(500, seed, height=0.4, tangent=0.5),
+        )
+        for seed in range(4)
+    },
+    "steep": lambda: (random_lens(0), random_rays(500, 0, height=1.5, tangent=1.0)),
+    "balls": lambda: (
+        make_lens([0.0, 1.0, -1.0, 1.0, -1.0], [0.1] * 5, random_lens(0).media),
+        random_rays(500, 3, height=1.5, tangent=0.5),
+    ),
+    "triplet": lambda: (vignetting_triplet(), random_rays(500, 0, height=8.0, tangent=0.3)),
+    "near object": lambda: (vignetting_triplet(), rays_from(f64([0.0, -40.0, -200.0]))),
+}
+
+
+def rays_from(point: torch.Tensor) -> Rays:
+    """(1, 41) rays from a point [mm] to heights up to 8 mm on the first vertex plane."""
+    height = torch.linspace(-8, 8, 41, dtype=torch.float64)[None]
+    way = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)]) - point[:, None, None]
+    return launch(*point, *(way / way.norm(dim=0)))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_values(name):
+    """The status of each ray and the surface where it was lost; position [mm], direction and path [mm] to 1e-12."""
+    fast, reference = traced(*CASES[name]())
+    assert torch.equal(fast.status, reference.status) and torch.equal(fast.lost_at, reference.lost_at)
+    assert fast.valid.any()
+    for value in VALUES:
+        exact(getattr(reference, value), getattr(fast, value), 1e-12)
+
+
+def test_cases_lose_rays_in_every_way():
+    fates = [traced(*case())[1].status.flatten() for case in CASES.values()]
+    assert set(torch.cat(fates).tolist()) == set(RayStatus)
+    lost = traced(*CASES["triplet"]())[1].lost_at
+    assert {0, 4, 5} <= set(lost.flatten().tolist())
+
+
+# ---- lost rays of which the fast tracer says something else
+
+
+@pytest.mark.parametrize(
+    "tracer",
+    [
+        pytest.param(
+            trace, marks=pytest.mark.xfail(raises=AssertionError, strict=True, reason="REFLECTED, on the axis")
+        ),
+        reference_trace,
+    ],
+)
+def test_a_ray_outside_that_would_be_reflected_is_outside(tracer):
+    lens = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"), semi_diameter=[9.0, 0.5])
+    rays = tracer(lens, parallel_rays([1.0]), lens.refractive_indices(WAVELENGTHS[:1]))
+    assert (int(rays.status), int(rays.lost_at), float(rays.y)) == (RayStatus.VIGNETTED, 1, 1.0)
+
+
+@pytest.mark.parametrize(
+    "tracer",
+    [
+        pytest.param(trace, marks=pytest.mark.xfail(raises=AssertionError, strict=True, reason="where it began")),
+        reference_trace,
+    ],
+)
+def test_a_ray_that_misses_stays_at_the_stop_before(tracer):
+    lens = make_lens([0.0, 1.0], [0.5, 1.0], ("air", "COC"))
+    start = launch(*f64([0.0, 2.0, -1.0, 0.0, 0.6, 0.8]).reshape(6, 1, 1))
+    rays = tracer(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))
+    assert (int(rays.status), int(rays.lost_at)) == (RayStatus.MISSED, 1)
+    exact(rays.y, 2.75, 1e-15)
+
+
+# ---- derivatives
+
+
+def parameters(lens: Lens, start: Rays) -> dict[str, torch.Tensor]:
+    """What a trace can be differentiated by: the lens, the indices, and where rays start."""
+    values = {name: getattr(lens, name) for name in ("curvature", "conic", "alpha", "thickness")}
+    return values | {"indices": lens.refractive_indices(WAVELENGTHS)} | {k: getattr(start, k) for k in VALUES}
+
+
+def outputs_of(tracer, lens: Lens, start: Rays, values: dict[str, torch.Tensor]) -> torch.Tensor:
+    values = dict(values)
+    indices = values.pop("indices")
+    start = replace(start, **{k: values.pop(k) for k in VALUES})
+    rays = tracer(replace(lens, **values), start, indices)
+    return torch.stack([getattr(rays, name) for name in ("x", "y", "l", "m", "n", "path")])
+
+
+def random_like(values: torch.Tensor, seed: int) -> torch.Tensor:
+    return torch.randn(values.shape, generator=torch.Generator().manual_seed(seed), dtype=values.dtype)
+
+
+DERIVED = ["random 0", "random 1", "random 2", "random 3", "narrow 0", "narrow 1", "steep", "triplet"]
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_gradients(name):
+    """Of a random combination of all outputs, lost rays included, by every input: to 1e-10 of the largest element."""
+    lens, start = CASES[name]()
+    values = parameters(lens, start)
+
+    def combined(values, tracer):
+        found = outputs_of(tracer, lens, start, values)
+        return (random_like(found, 5) * found).sum()
+
+    found, expected = (torch.func.grad(combined)(values, tracer) for tracer in (trace, reference_trace))
+    for key in values:
+        if values[key].numel():  # the triplet has no alpha
+            scale = float(expected[key].abs().max())
+            assert scale > 0
+            exact(found[key], expected[key], 1e-10 * scale)
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_forward_mode(name):
+    """Along random changes of each parameter of the lens, and of all start values: to 1e-10 of the largest element."""
+    lens, start = CASES[name]()
+    values = parameters(lens, start)
+    lens_and_indices = [(k,) for k in values if k not in VALUES and values[k].numel()]
+    for changing in (*lens_and_indices, VALUES):
+        tangents = {k: random_like(v, i) * (k in changing) for i, (k, v) in enumerate(values.items())}
+
+        found, expected = (
+            torch.func.jvp(partial(outputs_of, tracer, lens, start), (values,), (tangents,))[1]
+            for tracer in (trace, reference_trace)
+        )
+        exact(found, expected, 1e-10 * float(expected.abs().max()))
