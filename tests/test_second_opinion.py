@@ -1,4 +1,4 @@
-"""Image positions of whole lenses against Optiland, by its public calls; skipped where it is not installed.
+"""Image positions of whole lenses against Optiland, by its public calls.
 
 Optiland launches the rays itself, from field angles and the aperture, so that the bundles are compared as well as the
 tracing. Refractive indices are ours in both.
@@ -22,7 +22,6 @@ from tasklens.optics.pupil import sobol_disc
 from tasklens.settings import Constraints, Spec
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # it draws; nothing is drawn here
-pytest.importorskip("optiland", reason="the second-opinion extra is not installed")
 import optiland.backend
 from optiland.materials import IdealMaterial
 from optiland.optic import Optic
