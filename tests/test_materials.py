@@ -3,18 +3,17 @@
 import json
 import math
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 import yaml
+from reference_files import SHARED, reference_files
 
 from tasklens.materials import catalogues
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, G_LINE, Material, from_definitions, model_glass
 from tasklens.runtime.files import FileError
 
-GLASS = Path(__file__).parents[2] / "shared" / "data" / "glass"
-with_catalogues = pytest.mark.skipif(not GLASS.exists(), reason="no glass catalogues here")
+CATALOGUES = {path.stem: catalogues.read(path) for path in reference_files("glass/*.AGF")}
 NAMES = tuple(yaml.safe_load(PLASTICS.read_text()))
 
 # nd and Vd as the makers of the plastics state them
@@ -88,18 +87,23 @@ def test_model_glass_has_the_three_numbers_that_define_it(nd, vd, dpgf):
     assert model_glass(nd, 0.0, 0.0).refractive_index(0.6) == nd
 
 
-@with_catalogues
 def test_model_glass_is_close_to_real_ones():
-    """With a catalogue's nd, Vd and partial dispersion it gives the index to 1e-4 in the visible for nine of ten."""
+    """With nd, Vd and partial dispersion of a glass, its index in the visible to 5e-4; to 1e-4 but for dense flints.
+
+    Of the whole catalogue, nine of ten glasses are within 1e-4.
+    """
     errors = []
-    for glass in catalogues.read(GLASS / "SCHOTT.AGF").values():
+    for glass in CATALOGUES["SCHOTT"].values():
         if glass.covers(0.41) and glass.covers(0.7):
             nd, vd = abbe(glass)
             ng, nf, nc = (glass.refractive_index(line) for line in (G_LINE, F_LINE, C_LINE))
             model = model_glass(nd, vd, (ng - nf) / (nf - nc) - 0.6438 + 0.001682 * vd)
             visible = [w for w in VISIBLE if 0.43 <= w <= 0.7]
             errors.append(max(abs(glass.refractive_index(w) - model.refractive_index(w)) for w in visible))
-    assert len(errors) > 300 and sorted(errors)[int(0.9 * len(errors))] < 1e-4
+            assert errors[-1] < (1e-4 if vd > 31 else 5e-4), glass.name
+    assert len(errors) > 40
+    if SHARED.exists():
+        assert len(errors) > 300 and sorted(errors)[int(0.9 * len(errors))] < 1e-4
 
 
 # ---- the built-in plastics
@@ -124,7 +128,6 @@ def test_dispersion_is_normal(name):
     assert all(a > b for a, b in pairwise(indices))
 
 
-@with_catalogues
 @pytest.mark.parametrize(
     "name, catalogue, listed",
     [
@@ -137,7 +140,7 @@ def test_dispersion_is_normal(name):
 )
 def test_plastics_are_those_of_the_catalogues(name, catalogue, listed):
     """Coefficients to the six digits that ours have, ranges exactly; no catalogue here has our OKP4."""
-    ours, theirs = builtin(name), catalogues.read(GLASS / f"{catalogue}.AGF")[listed]
+    ours, theirs = builtin(name), CATALOGUES[catalogue][listed]
     assert (ours.formula, ours.range_um) == (theirs.formula, theirs.range_um)
     assert ours.coefficients == pytest.approx(theirs.coefficients, rel=6e-6)
     for w in VISIBLE:
@@ -147,13 +150,13 @@ def test_plastics_are_those_of_the_catalogues(name, catalogue, listed):
 # ---- catalogues
 
 
-@with_catalogues
 def test_catalogue_glasses_have_the_tabulated_index():
     """Every line of a table made by another program from the same catalogues: nd, Vd, nF, nC and the range."""
-    read = {path.name: catalogues.read(path) for path in GLASS.glob("*.AGF")}
-    rows = [line.split(",") for line in (GLASS / "plastics_nd_vd.csv").read_text().splitlines()[1:]]
+    read = {f"{stem}.AGF": glasses for stem, glasses in CATALOGUES.items()}
+    (table,) = reference_files("glass/plastics_nd_vd.csv")
+    rows = [line.split(",") for line in table.read_text().splitlines()[1:]]
     rows = [row for row in rows if row[1] in read]
-    assert len(rows) > 35
+    assert len(rows) > (35 if SHARED.exists() else 15)
     for name, source, _, nd, vd, nf, nc, _, low, high in rows:
         glass = read[source][name]
         assert glass.range_um == (float(low), float(high)) and glass.source == source

@@ -1,10 +1,10 @@
-"""Rays traced to 40 digits by another program (../shared/reference/rays.json); skipped where the file is absent."""
+"""Rays traced to 40 digits by another program: those of tests/data, and all of them where ../shared is there."""
 
 import json
-from pathlib import Path
 
 import pytest
 import torch
+from reference_files import SHIPPED, original_of
 
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
@@ -12,9 +12,14 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
 
-REFERENCE = Path(__file__).parents[2] / "shared" / "reference" / "rays.json"
-LENSES = json.loads(REFERENCE.read_text())["lenses"] if REFERENCE.exists() else []
-pytestmark = pytest.mark.skipif(not LENSES, reason="no reference rays here")
+REFERENCE = SHIPPED / "reference" / "rays.json"
+ENTRIES = {  # by name, so that every lens is traced once: with more rays where there are more
+    entry["name"]: entry
+    for path in (REFERENCE, original_of(REFERENCE))
+    if path.exists()
+    for entry in json.loads(path.read_text())["lenses"]
+}
+LENSES = list(ENTRIES.values())
 
 
 class Tabulated(Lens):
@@ -43,6 +48,19 @@ def read(entry: dict, dtype=torch.float64) -> Lens:
     )
     object.__setattr__(lens, "table", [s["n_after"] for s in surfaces])
     return lens
+
+
+def test_kinds_of_lenses():
+    """Spheres alone, large conics, r^2 terms, aspheres to r^16, stops in front and inside."""
+    assert len(LENSES) >= 4
+    surfaces = [surface for entry in LENSES for surface in entry["surfaces"]]
+    assert any(not any(s["even_asphere"] or s["conic"] for s in entry["surfaces"]) for entry in LENSES)
+    assert max(abs(s["conic"]) for s in surfaces) > 100 and max(len(s["even_asphere"]) for s in surfaces) == 8
+    assert any(s["even_asphere"] and s["even_asphere"][0] for s in surfaces)
+    assert {entry["stop_index"] > 0 for entry in LENSES} == {False, True}
+    for entry in LENSES:
+        assert {trace["wavelength_um"] for trace in entry["traces"]} == set(WAVELENGTHS)
+        assert any("surface_points" in trace and trace["field_deg"][0] for trace in entry["traces"])
 
 
 @pytest.mark.parametrize("entry", LENSES, ids=lambda e: e["name"])

@@ -1,4 +1,4 @@
-"""Image positions of whole lenses against Optiland, by its public calls; skipped where it is not installed.
+"""Image positions of whole lenses against Optiland, by its public calls.
 
 Optiland launches the rays itself, from field angles and the aperture, so that the bundles are compared as well as the
 tracing. Refractive indices are ours in both.
@@ -23,7 +23,6 @@ from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.settings import Constraints, Spec
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # it draws; nothing is drawn here
-pytest.importorskip("optiland", reason="the second-opinion extra is not installed")
 import optiland.backend
 from optiland.materials import IdealMaterial
 from optiland.optic import Optic

@@ -5,10 +5,12 @@ import multiprocessing
 import os
 from pathlib import Path
 
+import numpy
 import pytest
 import torch
 from examples import random_images
 from PIL import Image
+from reference_files import SHIPPED
 
 from tasklens.pipeline.digest import folder_digest
 from tasklens.recognition import dataset as data
@@ -118,6 +120,33 @@ def test_sixteen_bits_are_scaled(tmp_path):
     Image.new("I;16", (16, 16), 30000).save(folder / "val" / "cat" / "deep.png")
     test = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1).int() - 30000 * 255 // 65535).abs().max(1).values.min() <= 1
+
+
+PHOTOGRAPHS = SHIPPED / "photographs"  # one photograph of 48 x 48 pixels, stored in every way
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in PHOTOGRAPHS.iterdir()))
+def test_a_photograph_looks_alike_in_every_format(name):
+    """Nothing is lost but what the format loses, and colours where it has none; 22 levels lie between the two."""
+    with Image.open(PHOTOGRAPHS / "original.png") as original:
+        shown = original.convert("L").convert("RGB") if "grey" in name else original.convert("RGB")
+    expected = torch.from_numpy(numpy.array(shown)).permute(2, 0, 1)
+    found = folders.read(PHOTOGRAPHS / name, 48)
+    lossless = name in ("original.png", "alpha.webp", "deep_grey.png", "deep_colour.png")
+    difference = (found.float() - expected.float()).abs().mean()
+    assert difference == 0 if lossless else difference < 5
+
+
+def test_the_formats_of_the_photographs():
+    """What the files say of themselves: more than one decoder and every conversion is tried."""
+    found = set()
+    for path in PHOTOGRAPHS.iterdir():
+        with Image.open(path) as picture:
+            found.add((picture.format, picture.mode, picture.getexif().get(0x0112, 1)))
+    assert found >= {("JPEG", mode, 1) for mode in ("RGB", "L", "CMYK")} | {("JPEG", "RGB", 6)}
+    assert found >= {("PNG", mode, 1) for mode in ("RGB", "P", "I;16")} | {
+        ("WEBP", mode, 1) for mode in ("RGB", "RGBA")
+    }
 
 
 def test_the_central_square_is_kept(tmp_path):
