@@ -18,7 +18,6 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_points, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
-from tasklens.pipeline.jobs import DesignJob
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import (
@@ -34,7 +33,7 @@ _APERTURE = 1.02  # clear aperture of a lens from a file that gives none, over w
 
 
 def design(
-    job: DesignJob,
+    job: LensDesign,
     classifier: torch.nn.Module | None,
     dataset: ImageDataset | None,
     baselines: Mapping[str, tuple[Lens, Path]],
@@ -103,7 +102,7 @@ def open_apertures(lens: Lens) -> Lens:
     return replace(lens, semi_diameter=semi_diameter)
 
 
-def finished(lens: Lens, clear: Tensor, job: DesignJob, origin: dict) -> tuple[Lens, dict]:
+def finished(lens: Lens, clear: Tensor, job: LensDesign, origin: dict) -> tuple[Lens, dict]:
     """The lens with clear apertures (S,) [mm], where it has none yet, and the notes for its file.
 
     A ray beyond them is lost: classifiers bend the rims of lenses, and a few rays of the pupil's outline go far astray.

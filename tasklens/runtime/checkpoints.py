@@ -103,14 +103,14 @@ class Part:
     Attributes:
         result: what it ended with; None if it has not ended.
         step: how far it came; 0 if it has not begun.
-        state: what its loop gave to `keep` there.
+        state: what its loop gave to `save` there.
     """
 
     def __init__(self, checkpoint: Checkpoint, name: str, record: dict, history: list[dict] | None, holders: dict):
         self.checkpoint, self.name, self.history, self.holders = checkpoint, name, history, holders
         self.result, self.step, self.state = record.get("result"), record.get("step", 0), record.get("state")
 
-    def keep(self, step: int, **state: Any) -> None:
+    def save(self, step: int, **state: Any) -> None:
         """Say where the part stands after a step: written if it is time, and if every number of it is finite."""
         if self.checkpoint.due():
             held = {name: holder.state_dict() for name, holder in self.holders.items()}
@@ -118,7 +118,7 @@ class Part:
                 self._remember({"step": step, "state": state, "holders": held})
                 self.checkpoint.write()
 
-    def end(self, **result: Any) -> None:
+    def finish(self, **result: Any) -> None:
         """Say what the part ended with."""
         if self.checkpoint.path is not None:
             self._remember({"result": result})
