@@ -67,7 +67,7 @@ def _run_stage(stage: Stage, args: argparse.Namespace) -> int:
 def _partial(job: Job) -> Job:
     """The job of a table with the measurements that there are, for <table>-partial."""
     kept = {name: {k: p for k, p in vars(job.inputs)[name].items() if p.exists()} for name in ("lenses", "metrics")}
-    name = job.settings.name
+    name = job.outputs.csv.stem
     outputs = {
         key: path.with_name(path.name.replace(name, f"{name}-partial")) for key, path in vars(job.outputs).items()
     }

@@ -102,7 +102,7 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
 def printed(table: pandas.DataFrame) -> pandas.DataFrame:
     """The table as people read it: rounded, gaps as dashes, a cross where a design did not converge."""
     shown = rounded(table, _DIGITS)
-    for column in [column for column in table if column.startswith("converged")]:
+    for column in [column for column in table.columns if str(column).startswith("converged")]:
         shown[column] = table[column].map(lambda v: GAP if pandas.isna(v) else "yes" if v else "×")
     return shown
 

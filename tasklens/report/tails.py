@@ -34,7 +34,7 @@ def collect(contents: TailContents, by_field: Files) -> pandas.DataFrame:
 def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
     """One row per lens: means over seeds, with `_std` where several ran."""
     groups = rows.drop(columns="seed").groupby("lens", sort=False)
-    table = groups.agg(lambda values: values.mean(skipna=False))
+    table = groups.mean(skipna=False)
     if rows["seed"].nunique() > 1:
         table = table.join(groups.std(ddof=1).add_suffix("_std"))
     return table.reset_index()

@@ -30,7 +30,7 @@ def renamed(names: dict[str, str]) -> Any:
             raise ValueError(f"since format 2 {'; '.join(words)}")
         return given
 
-    return model_validator(mode="before")(classmethod(refuse))
+    return model_validator(mode="before")(classmethod(refuse))  # type: ignore[arg-type]
 
 
 class Frozen(BaseModel):

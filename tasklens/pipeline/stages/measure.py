@@ -35,7 +35,7 @@ def reference(settings: "ClassifierSettings", inputs: Files, outputs: Files, che
     from tasklens.runtime.files import write_tensors
 
     device = claim()
-    train = dataset.read(*inputs.train, device)
+    train = dataset.read(*inputs.train, device=device)
     training.reseed(0)
     classifier = classifiers.build(settings, train.classes).to(device)
     if settings.training is not None:
@@ -55,7 +55,7 @@ def design(settings: "LensDesign", inputs: Files, outputs: Files, checkpoint: "C
     classifier = train = None
     if settings.classifier is not None:
         device = claim()
-        train = dataset.read(*inputs.train, device)
+        train = dataset.read(*inputs.train, device=device)
         classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
     baselines = {
         name: (prescription.read(path)[0].lens, mean_metrics(inputs.metrics[name])["minival_accuracy"])
@@ -107,7 +107,7 @@ def restore(settings: Slice, inputs: Files, outputs: Files, checkpoint: "Checkpo
 
     device, capture = claim(), settings.capture
     camera = Camera(read_tensors(inputs.psf)[0]["psf"].to(device), capture.outside_window, capture.colour)
-    train, minival = (dataset.read(*inputs.images[name], device) for name in ("train", "minival"))
+    train, minival = (dataset.read(*inputs.images[name], device=device) for name in ("train", "minival"))
     network, history = training.train(settings.restoration, train, minival, camera, settings.seed, checkpoint)
     write_rows(outputs.history, history)
     write_tensors(outputs.weights, network.state_dict(), {})
@@ -120,7 +120,7 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: "Check
     from tasklens.runtime.files import write_rows, write_tensors
 
     with process_group() as group:
-        splits = {name: dataset.read(*files, group.device) for name, files in inputs.images.items()}
+        splits = {name: dataset.read(*files, device=group.device) for name, files in inputs.images.items()}
         classifier = classifiers.build(settings.classifier, splits["train"].classes, inputs.weights).to(group.device)
         pipeline = _capture_pipeline(settings, inputs, group.device)
         rows = evaluation.zero_shot(classifier.eval(), splits["test"], pipeline, checkpoint) if group.is_first else []
@@ -141,7 +141,7 @@ def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: "Check
     from tasklens.runtime.files import write_rows
 
     device = claim()
-    test = dataset.read(*inputs.test, device)
+    test = dataset.read(*inputs.test, device=device)
     classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
     pipeline = _capture_pipeline(settings, inputs, device)
     correct, _ = evaluation.evaluate(classifier, test, pipeline, "test", checkpoint)
