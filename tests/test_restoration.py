@@ -15,7 +15,7 @@ def small(seed: int = 0) -> NAFNet:
     return NAFNet(4, (1, 2), 1, (1, 1))
 
 
-def dataset(seed: int, *shape) -> torch.Tensor:
+def images(seed: int, *shape) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
 
 
