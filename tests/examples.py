@@ -13,9 +13,13 @@ from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
+from tasklens.pipeline.run import run
+from tasklens.pipeline.stage import Job, Stage
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
+from tasklens.report.measurements import Measurements
 from tasklens.study.settings import Spec, TrainingSettings
+from tasklens.study.study import Study
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -187,6 +191,18 @@ def changed(study: dict, key: str, value) -> dict:
     """A copy of a study's mapping with the value at a dotted key replaced or added."""
     head, _, rest = key.partition(".")
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
+
+
+def finish(stage: Stage, study: Study, **wildcards: str | int) -> Job:
+    """Do one job of a study in the present folder, as the command line does; returns it for its outputs."""
+    job = stage.job(study, **wildcards)
+    run(stage, job)
+    return job
+
+
+def measurements_of(job: Job) -> Measurements:
+    """What a job is given to judge by."""
+    return Measurements(job.inputs.lenses, job.inputs.metrics, job.inputs.predictions)
 
 
 def write(path: str | Path, text: str) -> None:
