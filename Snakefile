@@ -27,7 +27,7 @@ try:
 except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
-STUDY = f"{results(study)}/study.yaml"  # the study with every default, which jobs read
+RESOLVED = f"{results(study)}/study.yaml"  # the study with every default, which jobs read
 durations = Durations(study.name, results(study))
 LENSES = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
 
@@ -91,11 +91,11 @@ shown = []  # the tables of this run, printed at its end
 
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
-    files.write_if_changed(STUDY, studies.dump(study))
+    files.write_if_changed(RESOLVED, studies.dump(study))
     running = list(workflow.dag.needrun_jobs())
     networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
     if networks or study.imported:
-        shell("tasklens check {STUDY} {networks} > /dev/null")
+        shell("tasklens check {RESOLVED} {networks} > /dev/null")
     found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
         found.discard(jobs.verdicts.output(study, "md"))
@@ -109,4 +109,4 @@ onsuccess:
 
 
 onerror:
-    print(f"Tables of what has finished: tasklens table {STUDY} table1 --partial")
+    print(f"Tables of what has finished: tasklens table {RESOLVED} table1 --partial")

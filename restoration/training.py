@@ -3,6 +3,7 @@
 import copy
 import math
 import sys
+from typing import Any
 
 import torch
 from torch.optim.lr_scheduler import ReduceLROnPlateau
@@ -15,7 +16,7 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.study.settings import RestorationSettings
 
-_JUDGED = 64  # minival images, each at every field
+_VALIDATION_IMAGES = 64  # minival images, each at every field
 _GAIN_DB = 0.1  # less than this above the last check with progress is none
 _DROP = 0.1  # of the rate, at the first check without progress; the second such check says: converged
 
@@ -26,9 +27,8 @@ def train(
     minival: ImageDataset,
     camera: Camera,
     seed: int,
-    history: list[dict],
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> NAFNet:
+) -> tuple[NAFNet, list[dict[str, Any]]]:
     """A NAFNet that restores captures of `camera`, each at a random field, to their sharp images.
 
     The loss is the negative PSNR of each image; AdamW with betas (0.9, 0.9) and gradients clipped at a norm of 0.01, as
@@ -38,14 +38,14 @@ def train(
 
     Args:
         settings: network, rate, and the most steps.
-        images, minival: sharp images to train with and to judge by.
+        dataset, minival: sharp images to train with and to judge by.
         camera: the lens.
         seed: of the network, of the order of the images and of their fields.
-        history: receives a row per check: step, rate, PSNR [dB], and whether the training has converged by then.
         checkpoint: of the job, for its part `restoration`.
 
     Returns:
-        The network of the best check.
+        The network of the best check; and a row per check: step, learning rate, PSNR [dB], and whether the training has
+        converged by then.
 
     Raises:
         FloatingPointError: the PSNR stopped being finite.
@@ -59,7 +59,7 @@ def train(
     progress = Progress("restoration", settings.steps)
     order = Shuffled(len(dataset), settings.batch_size, generator)
     best, found = -torch.inf, {}
-    part = checkpoint.part("restoration", history, network=network, optimizer=optimizer, plateau=plateau, order=order)
+    part = checkpoint.part("restoration", network=network, optimizer=optimizer, plateau=plateau, order=order)
     if part.state is not None:
         best, found = part.state["best"], part.state["found"]
     for step in range(part.step + 1, settings.steps + 1):
@@ -74,26 +74,26 @@ def train(
         optimizer.step()
         progress(step, psnr_db=quality.item())
         if step % settings.check == 0 or step == settings.steps:
-            judged = _judge(network, minival, camera)
-            if not math.isfinite(judged):
-                raise FloatingPointError(f"restoration: the minival's PSNR became {judged} at step {step}")
-            if judged > best:
-                best, found = judged, copy.deepcopy(network.state_dict())
+            validated = _validation_psnr(network, minival, camera)
+            if not math.isfinite(validated):
+                raise FloatingPointError(f"restoration: the minival's PSNR became {validated} at step {step}")
+            if validated > best:
+                best, found = validated, copy.deepcopy(network.state_dict())
             rate = optimizer.param_groups[0]["lr"]
-            plateau.step(judged)
+            plateau.step(validated)
             converged = optimizer.param_groups[0]["lr"] < settings.learning_rate * _DROP
-            history.append({"step": step, "rate": rate, "psnr_db": judged, "converged": converged})
+            part.history.append({"step": step, "learning_rate": rate, "psnr_db": validated, "converged": converged})
             if converged:
                 break
         part.save(step, best=best, found=found)
-    if not history[-1]["converged"]:
+    if not part.history[-1]["converged"]:
         print(f"restoration: not converged within {settings.steps} steps", file=sys.stderr, flush=True)
     network.load_state_dict(found)
-    return network.eval()
+    return network.eval(), part.history
 
 
 @torch.no_grad()
-def _judge(network: NAFNet, minival: ImageDataset, camera: Camera) -> float:
+def _validation_psnr(network: NAFNet, minival: ImageDataset, camera: Camera) -> float:
     """Mean PSNR [dB] over images and fields."""
-    images, _ = minival.batch(torch.arange(min(_JUDGED, len(minival))))
+    images, _ = minival.batch(torch.arange(min(_VALIDATION_IMAGES, len(minival))))
     return float(torch.stack([psnr(network(captures), images).mean() for captures in camera.grid(images)]).mean())

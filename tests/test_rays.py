@@ -11,7 +11,7 @@ from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus, launch
 from tasklens.optics.tracing.reference import reference_trace
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing.trace import trace, trace_full
 
 SEEDS = range(4)
 
@@ -23,8 +23,7 @@ def exact(found, expected, atol):
 def steps(lens: Lens, seed: int):
     """Per surface: the surface, where a ray came from, where it met it, its directions, the normal and both indices."""
     start = random_rays(100, seed)
-    record = []
-    rays = trace(lens, start, lens.refractive_indices(WAVELENGTHS), record)
+    rays, record = trace_full(lens, start, lens.refractive_indices(WAVELENGTHS))
     assert rays.valid.all()
     z = f64([0.0, *lens.vertices.tolist()])
     before = start

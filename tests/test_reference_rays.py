@@ -10,7 +10,7 @@ from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing.trace import trace_full
 
 REFERENCE = SHIPPED / "reference" / "rays.json"
 ENTRIES = {  # by name, so that every lens is traced once: with more rays where there are more
@@ -73,8 +73,7 @@ def test_rays(entry, dtype):
         origin = torch.tensor(reference["origin"], dtype=dtype)
         direction_cosines = torch.tensor(reference["direction"], dtype=dtype)
         indices = lens.refractive_indices((reference["wavelength_um"],))
-        record = []
-        rays = trace(lens, launch(*origin.T[:, None], *direction_cosines), indices, record)
+        rays, record = trace_full(lens, launch(*origin.T[:, None], *direction_cosines), indices)
         assert rays.valid.all()
         expected = torch.tensor(reference["image_xy"], dtype=torch.float64)
         found = torch.stack([rays.x[0], rays.y[0]], -1).double()

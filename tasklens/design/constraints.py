@@ -80,7 +80,7 @@ def corner_view(view: View) -> View:
 
 
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
-    """Sum of squared shortfalls of all margins, for gradient descent."""
+    """Sum of squared violations of all margins, for gradient descent."""
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
     margins = manufacturing_margins(lens, limits, semi_diameter)
     margins |= first_order_margins(lens, limits, view, chief_points(lens, view))

@@ -2,20 +2,24 @@
 
 The way of a lens designer: many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders),
 and fewer of them are kept each time. Those left are perturbed out of their minima again and again, as in Hammer
-optimisation, and again only the best are kept. Budgets count evaluations, so that the result does not depend on the machine.
+optimisation, and again only the best are kept. Budgets count evaluations, so that the result does not depend on the
+machine.
 """
 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy
 import torch
 from scipy.optimize import least_squares
 
-from tasklens.design.merit import VIOLATION, Merit
-from tasklens.design.start import ORDERS, Variables
+from tasklens.design.driver import History
+from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
+from tasklens.design.problem import Problem
+from tasklens.design.variables import ORDERS, Variables
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
@@ -75,24 +79,24 @@ def improve(
 
 def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: numpy.random.Generator) -> list[Lens]:
     """Random paraxial lenses of the right focal length and track, focused; the last curvature is solved for."""
-    glass = list(flat.refracting_surfaces)
+    refracting = list(flat.refracting_surfaces)
     middle = view.wavelengths[len(view.wavelengths) // 2]
     strongest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
     found: list[Lens] = []
     while len(found) < count:
         curvature, thickness = flat.curvature.clone(), flat.thickness.clone()
-        curvature[glass] = torch.from_numpy(rng.uniform(-strongest, strongest, len(glass)))
-        curvature[glass[-1]] = 0
-        for i in glass[:-1]:
+        curvature[refracting] = torch.from_numpy(rng.uniform(-strongest, strongest, len(refracting)))
+        curvature[refracting[-1]] = 0
+        for i in refracting[:-1]:
             least = limits.min_centre_thickness if flat.media[i] != AIR else 2 * limits.min_air_gap
             thickness[i] = rng.uniform(least, _SPACES * view.efl)
         lens = replace(flat, curvature=curvature, thickness=thickness)
         without = paraxial(lens, middle).power
         unit = torch.zeros_like(curvature)
-        unit[glass[-1]] = 1
+        unit[refracting[-1]] = 1
         per_curvature = paraxial(replace(lens, curvature=curvature + unit), middle).power - without
         curvature = curvature + unit * (1 / view.efl - without) / per_curvature
-        if curvature[glass[-1]].abs() > strongest:
+        if curvature[refracting[-1]].abs() > strongest:
             continue
         bfl = paraxial(replace(lens, curvature=curvature), middle).bfl
         thickness = torch.cat([thickness[:-1], bfl[None]])
@@ -101,78 +105,87 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
     return found
 
 
-def design(
-    flat: Lens,
-    view: View,
-    limits: Constraints,
-    settings: LeastSquaresSettings,
-    seed: int,
-    history: list[dict],
-    checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> Lens:
-    """The best lens found within the budget of `settings`; arguments as for `spot.design`, a part per candidate."""
-    rng = numpy.random.default_rng(seed)
-    habits = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
-    merit = Merit(view, limits, *habits)
-    orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
-    progress = Progress("least squares", settings.evaluations)
-    evaluations = itertools.count(1)
+Candidate = tuple[float, int, Lens]  # root-sum-square residual [um], number of its start, lens
 
-    def watch(error: float) -> None:
-        progress(next(evaluations), rms_um=error)
 
-    def log(stage: str, error: float) -> None:
-        history.append({"step": len(history) + 1, "stage": stage, "rms_um": error})
+class _Search:
+    """The improvement of candidates, each of them a part of the job's checkpoint."""
 
-    def onward(candidates: list, part: float, share: float) -> tuple[list, int]:
-        """The best candidates, and how many evaluations each of them may take."""
-        kept = sorted(candidates)[: max(1, round(part * settings.starts))]
-        return kept, round(share * settings.evaluations / len(kept))
+    def __init__(self, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint):
+        self.settings, self.checkpoint = settings, checkpoint
+        self.rng = numpy.random.default_rng(problem.seed)
+        habits = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
+        self.merit = Merit(problem.view, problem.limits, *habits)
+        self.strict = Merit(problem.view, problem.limits, *habits, per_mm=_STRICT * VIOLATION_UM_PER_MM)
+        self.orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
+        self.progress = Progress("least squares", settings.evaluations)
+        self.evaluations = itertools.count(1)
+        self.history: History = []
 
-    def remembered(name: str, search: Callable[[], tuple[float, Lens]]) -> tuple[float, Lens]:
-        """Error and lens that `search` finds, or found before the job was killed."""
-        part = checkpoint.part(name, history)
-        if part.result is None:
-            error, lens = search()
-            shape = {key: getattr(lens, key) for key in _SHAPE}
-            part.finish(error=error, shape=shape, rng=rng.bit_generator.state)
-            return error, lens
-        rng.bit_generator.state = part.result["rng"]
-        return part.result["error"], replace(flat, **part.result["shape"])
+    def improve(self, lens: Lens, merit: Merit, orders: int, evaluations: int) -> tuple[Lens, float]:
+        """As the function `improve`, over curvatures, thicknesses and so many asphere orders, with progress lines."""
+        names = ("curvature", "thickness", *self.orders[:orders])
+        return improve(lens, merit, names, evaluations, lambda e: self.progress(next(self.evaluations), rms_um=e))
 
-    def staged(lens: Lens, count: int, budget: int) -> tuple[float, Lens]:
-        lens, error = improve(lens, merit, ("curvature", "thickness", *orders[:count]), max(2, budget), watch)
-        log(f"{count} orders", error)
-        return error, lens
+    def stage(self, orders: int, candidate: Candidate, count: int, budget: int) -> tuple[Lens, float, str]:
+        """A candidate improved over so many asphere orders."""
+        return *self.improve(candidate[2], self.merit, orders, max(2, budget)), f"{orders} orders"
 
-    def kicked(lens: Lens, best: float, baselines: int, budget: int) -> tuple[float, Lens]:
+    def hop(self, candidate: Candidate, count: int, budget: int) -> tuple[Lens, float, str]:
+        """A candidate perturbed and improved again and again, kept where it is better: basin hopping."""
+        best, _, lens = candidate
         for _ in range(max(1, budget // _PERTURBATION_EVALUATIONS)):
-            other, error = improve(_perturbed(lens, rng), merit, names, _PERTURBATION_EVALUATIONS, watch)
+            perturbed = _perturbed(lens, self.rng)
+            other, error = self.improve(perturbed, self.merit, _STAGES[-1][1], _PERTURBATION_EVALUATIONS)
             if error < best:
                 best, lens = error, other
-            log(f"perturbations of {baselines}", best)
-        return best, lens
+        return lens, best, f"perturbations of {count}"
 
-    candidates = [(0.0, i, lens) for i, lens in enumerate(random_starts(flat, view, limits, settings.starts, rng))]
-    for stage, (share_kept, count, share) in enumerate(_STAGES):
-        kept, budget = onward(candidates, share_kept, share)
-        candidates = []
-        for _, i, lens in kept:
-            error, lens = remembered(f"stage {stage}, start {i}", partial(staged, lens, count, budget))
-            candidates.append((error, i, lens))
-    names = ("curvature", "thickness", *orders[: _STAGES[-1][1]])
-    for stage, (share_kept, share) in enumerate(_PERTURBATIONS):
-        kept, budget = onward(candidates, share_kept, share)
-        candidates = []
-        for error, i, lens in kept:
-            error, lens = remembered(
-                f"perturbations {stage}, start {i}", partial(kicked, lens, error, len(kept), budget)
-            )
-            candidates.append((error, i, lens))
-    strict = Merit(view, limits, *habits, per_mm=_STRICT * VIOLATION)
-    lens, error = improve(min(candidates)[2], strict, names, 2 * _PERTURBATION_EVALUATIONS, watch)
-    log("strict limits", error)
-    return lens
+    def best(
+        self, name: str, candidates: list[Candidate], part: float, share: float, improve: Callable[..., Any]
+    ) -> list[Candidate]:
+        """The best candidates, a part of the starts but one at least, improved with a share of the budget."""
+        kept = sorted(candidates, key=lambda candidate: candidate[:2])[: max(1, round(part * self.settings.starts))]
+        budget = round(share * self.settings.evaluations / len(kept))
+        return [
+            self._resumable(f"{name}, start {each[1]}", each, partial(improve, each, len(kept), budget))
+            for each in kept
+        ]
+
+    def _resumable(self, name: str, candidate: Candidate, improve: Callable[..., Any]) -> Candidate:
+        """What `improve` makes of a candidate, or has made of it before the job was killed."""
+        part = self.checkpoint.part(name)
+        if part.result is None:
+            lens, error, stage = improve()
+            part.history.append({"stage": stage, "start": candidate[1], "rms_um": error})
+            shape = {key: getattr(lens, key) for key in _SHAPE}
+            part.finish(error=error, shape=shape, rng=self.rng.bit_generator.state)
+        else:
+            self.rng.bit_generator.state = part.result["rng"]
+            error, lens = part.result["error"], replace(candidate[2], **part.result["shape"])
+        self.history += part.history
+        return error, candidate[1], lens
+
+
+def design(
+    flat: Lens, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint = NO_CHECKPOINT
+) -> tuple[Lens, History]:
+    """The best lens that is found within the budget of `settings`, and a row per candidate of each stage.
+
+    Args:
+        flat: plates of the right materials, stop and stop distance.
+    """
+    search = _Search(problem, settings, checkpoint)
+    starts = random_starts(flat, problem.view, problem.limits, settings.starts, search.rng)
+    candidates: list[Candidate] = [(0.0, i, lens) for i, lens in enumerate(starts)]
+    for k, (part, orders, share) in enumerate(_STAGES):
+        candidates = search.best(f"stage {k}", candidates, part, share, partial(search.stage, orders))
+    for k, (part, share) in enumerate(_PERTURBATIONS):
+        candidates = search.best(f"perturbations {k}", candidates, part, share, search.hop)
+    _, start, lens = min(candidates, key=lambda candidate: candidate[:2])
+    lens, error = search.improve(lens, search.strict, _STAGES[-1][1], 2 * _PERTURBATION_EVALUATIONS)
+    rows = [*search.history, {"stage": "strict limits", "start": start, "rms_um": error}]
+    return lens, [{"step": step, **row} for step, row in enumerate(rows, 1)]
 
 
 def _perturbed(lens: Lens, rng: numpy.random.Generator) -> Lens:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, violation
 from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
+from tasklens.optics.analysis.spots import trace_fields_full
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise
@@ -17,9 +18,9 @@ from tasklens.study.settings import Constraints
 
 HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as parts of the largest: near the nine
 RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
-_MORE = 1.01  # and a little more
-_LOST = 300.0  # residual of a lost ray [um]
-VIOLATION = 1000.0  # residual per mm of broken limit: 1 um counts as much as a ray error of 1 um over all rays
+_APERTURE_RESERVE = 1.01  # clear apertures over what the rays of the merit function use
+_LOST_RAY_UM = 300.0  # residual of a lost ray
+VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um counts as much as a ray error of 1 um over all rays
 
 
 class Merit:
@@ -38,7 +39,7 @@ class Merit:
         reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
         corner_weight: float = 1.0,
         max_chief_ray_angle_deg: float | None = None,
-        per_mm: float = VIOLATION,
+        per_mm: float = VIOLATION_UM_PER_MM,
         rim: int = 3,
     ):
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
@@ -61,34 +62,31 @@ class Merit:
 
     def clear_semi_diameters(self, lens: Lens) -> Tensor:
         """(S,) apertures at which limits are held [mm]: 1 % more than the rays of the merit function use."""
-        record: list[Rays] = []
-        start = collimated_rays(lens, self.view.tangents, self.pupil, self.view.wavelengths)
-        linearise(lens, start, lens.refractive_indices(self.view.wavelengths), record)
-        return _MORE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, record)])
+        _, behind = trace_fields_full(lens.detached(), self.view, self.pupil)
+        return _APERTURE_RESERVE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, behind)])
 
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """(R,) residuals [um], and the function from V changes of the lens (`tracing.linearise`) to (R, V) columns."""
-        view, record = self.view, []
+        view = self.view
         start = collimated_rays(lens, view.tangents, self.pupil, view.wavelengths)
-        rays, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths), record)
+        rays, behind, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths))
         valid = rays.valid[..., : len(self.weight)]
         errors = [
-            torch.where(valid, 1e3 * self.share * error, _LOST * self.share)
+            torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share)
             for error in self._errors(rays.x, rays.y, valid, change=False)
         ]
-        outermost = [_outermost(behind) for behind in record]
+        outermost = [_outermost(each) for each in behind]
         leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
         leaves["chief"] = torch.stack(
             [v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)]
         ).requires_grad_()
         used = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
-        leaves["semi_diameter"] = (_MORE * used).requires_grad_()
+        leaves["semi_diameter"] = (_APERTURE_RESERVE * used).requires_grad_()
         operands = self._operands(leaves, lens)
         values = torch.cat([*(error.flatten() for error in errors), operands.detach()])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
-            behind: list[tuple[Tensor, Tensor]] = []
-            moved = derivative(changes, behind)
+            moved, changes_behind = derivative(changes)
             rows = [
                 torch.where(valid, 1e3 * self.share * error, 0.0).flatten(1)
                 for error in self._errors(moved.x, moved.y, valid, change=True)
@@ -96,9 +94,9 @@ class Merit:
             chief = torch.stack([v[..., self.middle, -1] for v in (moved.x, moved.y, moved.m, moved.n)], 1)
             aperture = [
                 (x * dx.expand_as(moved.x).flatten(1)[:, i] + y * dy.expand_as(moved.x).flatten(1)[:, i]) / height
-                for (x, y, i), (dx, dy), height in zip(outermost, behind, used, strict=True)
+                for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, used, strict=True)
             ]
-            apertures = _MORE * torch.stack(aperture, -1)
+            apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
             rows.append(_along(operands, leaves, {**changes, "chief": chief, "semi_diameter": apertures}))
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
@@ -141,17 +139,17 @@ def _outermost(rays: Rays) -> tuple[Tensor, Tensor, int]:
 def _along(operands: Tensor, leaves: Mapping[str, Tensor], changes: Mapping[str, Tensor]) -> Tensor:
     """(V, K) changes of K operands along V changes of the leaves; zero for the many operands that are zero."""
     result = operands.new_zeros(len(changes["chief"]), len(operands))
-    broken = operands.detach().nonzero()[:, 0]
-    if len(broken):
+    positive = operands.detach().nonzero()[:, 0]
+    if len(positive):
         names = [name for name in leaves if name in changes]
         gradients = torch.autograd.grad(
-            operands[broken],
+            operands[positive],
             [leaves[name] for name in names],
-            torch.eye(len(broken), dtype=operands.dtype),
+            torch.eye(len(positive), dtype=operands.dtype),
             retain_graph=True,
             is_grads_batched=True,
             materialize_grads=True,
         )
         for name, gradient in zip(names, gradients, strict=True):
-            result[:, broken] += changes[name].flatten(1) @ gradient.flatten(1).T
+            result[:, positive] += changes[name].flatten(1) @ gradient.flatten(1).T
     return result

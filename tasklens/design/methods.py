@@ -1,16 +1,16 @@
-"""From a design job to a finished lens: the method that the study names, then the lens' figures and margins."""
+"""From the settings of a lens to the finished lens: its method, then repair, figures and margins."""
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from tasklens.design import end_to_end as descent
-from tasklens.design import imported as imported
-from tasklens.design import least_squares, spot, task
+from tasklens.design import end_to_end, imported, least_squares, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.driver import History
+from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.datasheet import figures
@@ -24,6 +24,7 @@ from tasklens.study.design_settings import (
     EndToEndSettings,
     ImportedLens,
     LeastSquaresSettings,
+    LensDesign,
     SpotSettings,
     TaskDrivenSettings,
 )
@@ -31,68 +32,77 @@ from tasklens.study.design_settings import (
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first images again
 _APERTURE = 1.02  # clear aperture of a lens from a file that gives none, over what light uses of it
 
+Baselines = Mapping[str, tuple[Lens, float]]  # imaging lenses by name, with their minival accuracy
+Notes = dict[str, Any]  # of a lens file: spec, origin, figures, margins
+
 
 def design(
-    job: LensDesign,
-    classifier: torch.nn.Module | None,
+    wanted: LensDesign,
+    classifier: nn.Module | None,
     dataset: ImageDataset | None,
-    baselines: Mapping[str, tuple[Lens, Path]],
-    history: list[dict],
+    baselines: Baselines,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> tuple[Lens, dict]:
-    """Design a lens by the method of its job, or take it from its file.
+) -> tuple[Lens, Notes, History]:
+    """Design a lens by its method, or take it from its file.
 
     Args:
-        job: what to design and how.
-        classifier, images: the well-trained classifier and the training images, for designs that a task supervises.
-        baselines: imaging lenses by name with the metrics files that judge them, for a design that starts from the best.
-        history: receives a row per logged step.
-        checkpoint: of the job.
+        wanted: what to design and how.
+        classifier, dataset: the well-trained classifier and the training images, for designs that a task supervises.
+        baselines: for a design that starts from the best of them.
+        checkpoint: of the wanted.
 
     Returns:
-        The lens with its clear apertures, and the notes for its file: spec, origin, figures, margins.
+        The lens with its clear apertures, the notes for its file, and a row per logged step.
     """
-    settings, looks = job.lens.design, view_of_spec(job.spec)
+    settings, view = wanted.entry.design, view_of_spec(wanted.spec)
     if isinstance(settings, ImportedLens):
-        lens, fitted = imported.fit(settings, looks, job.spec.f_number, job.rays)
-        used = clear_semi_diameters(lens, looks, torch.cat([OUTLINE, sobol_disc(job.rays, seed=0)]))
-        return finished(lens, _APERTURE * used, job, {"design": job.lens.design_name, "method": "file"} | fitted)
-    start = flat(job.lens.plastics, job.spec, job.constraints)
-    origin: dict = {"design": job.lens.design_name, "method": settings.method, "seed": job.seed, "start": "flat"}
-    match settings:
-        case SpotSettings():
-            lens = spot.design(start, looks, job.constraints, settings, job.seed, history, checkpoint)
-        case LeastSquaresSettings():
-            origin["start"] = "random paraxial lenses"
-            lens = least_squares.design(start, looks, job.constraints, settings, job.seed, history, checkpoint)
-        case TaskDrivenSettings():
-            problem = descent.Problem(looks, job.constraints, job.capture, dataset, job.seed)
-            lens = task.design(start, classifier, problem, settings, history, checkpoint)
-            if settings.polish is not None:
-                fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
-                lens = descent.descend(lens, classifier, fresh, settings.polish, history, "polish", checkpoint)
-        case EndToEndSettings():
-            if baselines:
-                origin["start"] = best(baselines)
-                start = open_apertures(baselines[origin["start"]][0])
-            problem = descent.Problem(looks, job.constraints, job.capture, dataset, job.seed)
-            lens = descent.descend(start, classifier, problem, settings, history, "end-to-end", checkpoint)
-    last = history[-1] if history else {}
-    if "cause" in last:
-        origin["diverged"] = f"step {last['step']}: {last['cause']}"
-    # Limits were soft until here: a little broken, they are mended.
-    return finished(*repair(lens, looks, job.constraints), job, origin)
+        lens, origin = imported.fit(settings, view, wanted.spec.f_number, wanted.rays)
+        used = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(wanted.rays, seed=0)]))
+        origin = {"design": wanted.entry.design_name, "method": "file"} | origin
+        return *finished(lens, _APERTURE * used, wanted, origin), []
+    start, start_name = flat(wanted.entry.plastics, wanted.spec, wanted.constraints), "flat"
+    if isinstance(settings, LeastSquaresSettings):
+        start_name = "random paraxial lenses"
+    if baselines:
+        start_name = max(baselines, key=lambda name: baselines[name][1])
+        start = open_apertures(baselines[start_name][0])
+    problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
+    lens, history = _descend(start, problem, settings, classifier, checkpoint)
+    origin = {
+        "design": wanted.entry.design_name,
+        "method": settings.method,
+        "seed": wanted.seed,
+        "start": start_name,
+    }
+    # A restart that diverged is not the lens; what came after the selection is.
+    wrong = [row for row in history if "cause" in row and not row["phase"].startswith("restart")]
+    if wrong:
+        origin["diverged"] = f"step {wrong[-1]['step']}: {wrong[-1]['cause']}"
+    # Limits were soft until here; small violations are repaired.
+    return *finished(*repair(lens, view, wanted.constraints), wanted, origin), history
 
 
-def best(baselines: Mapping[str, tuple[Lens, Path]]) -> str:
-    """Name of the imaging lens with the highest minival accuracy after fine-tuning."""
-    import pandas
-
-    def accuracy(name: str) -> float:
-        rows = pandas.read_csv(baselines[name][1])
-        return rows.loc[rows["metric"] == "minival_accuracy", "value"].mean()
-
-    return max(baselines, key=accuracy)
+def _descend(
+    start: Lens,
+    problem: Problem,
+    settings: TaskDrivenSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings,
+    classifier: nn.Module | None,
+    checkpoint: Checkpoint,
+) -> tuple[Lens, History]:
+    """The lens that the method of `settings` makes of `start`, and its history."""
+    if isinstance(settings, SpotSettings):
+        return spot.design(start, problem, settings, checkpoint)
+    if isinstance(settings, LeastSquaresSettings):
+        return least_squares.design(start, problem, settings, checkpoint)
+    assert classifier is not None  # a supervised design has one
+    if isinstance(settings, EndToEndSettings):
+        return end_to_end.design(start, classifier, problem, settings, "end-to-end", checkpoint)
+    lens, history = task.design(start, classifier, problem, settings, checkpoint)
+    if settings.polish is None:
+        return lens, history
+    fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
+    lens, rows = end_to_end.design(lens, classifier, fresh, settings.polish, "polish", checkpoint)
+    return lens, history + rows
 
 
 def open_apertures(lens: Lens) -> Lens:
@@ -102,20 +112,20 @@ def open_apertures(lens: Lens) -> Lens:
     return replace(lens, semi_diameter=semi_diameter)
 
 
-def finished(lens: Lens, clear: Tensor, job: LensDesign, origin: dict) -> tuple[Lens, dict]:
+def finished(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
     """The lens with clear apertures (S,) [mm], where it has none yet, and the notes for its file.
 
     A ray beyond them is lost: classifiers bend the rims of lenses, and a few rays of the pupil's outline go far astray.
     """
-    looks = view_of_spec(job.spec)
-    margins = manufacturing_margins(lens, job.constraints, torch.minimum(clear, lens.semi_diameter))
-    margins |= first_order_margins(lens, job.constraints, looks, chief_points(lens, looks))
+    view = view_of_spec(wanted.spec)
+    margins = manufacturing_margins(lens, wanted.constraints, torch.minimum(clear, lens.semi_diameter))
+    margins |= first_order_margins(lens, wanted.constraints, view, chief_points(lens, view))
     name, value = worst_margin(margins)
     lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))
     notes = {
-        "spec": job.spec.model_dump(mode="json"),
+        "spec": wanted.spec.model_dump(mode="json"),
         "origin": origin,
-        "figures": figures(lens, looks, job.rays),
+        "figures": figures(lens, view, wanted.rays),
         "margins": {key: float(margin.min()) for key, margin in margins.items() if margin.numel()},
         "worst_margin": {"limit": name, "value": value},
     }

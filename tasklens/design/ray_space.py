@@ -5,8 +5,8 @@ the sensor. With a gradient g, a step d of the variables solves
 
     minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
 
-where d.M d is the mean squared displacement of rays, s the step size, `scale` a change that is small for a variable, and
-c + C d the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
+where d.M d is the mean squared displacement of rays, s the step size, `scale` a change that is small for a variable,
+and c + C d the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
 Levenberg-Marquardt.
 """
 
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from tasklens.design.merit import Merit
-from tasklens.design.start import Variables
+from tasklens.design.variables import Variables
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.design_settings import LearningRates
@@ -25,11 +25,11 @@ from tasklens.study.settings import Constraints
 
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
-_SCALED = 3.0  # ray displacement [um] that costs as much as a small change, or the step size where that is longer
-_LIMITS = 1000.0  # w [1/mm^2]
-_RIM = 17  # marginal rays: a classifier bends the rim, and with 3 lost limits where none of them went
-_MENDING = 2.0  # step size of the steps that bring a lens back within its limits [um]
-_MENDS = 20  # of them at most
+_DISPLACEMENT_UM = 3.0  # ray displacement that costs as much as a small change, or the step size where that is longer
+_LIMIT_WEIGHT = 1000.0  # w [1/mm^2]
+_MARGINAL_RAYS = 17  # a classifier bends the rim, and with 3 lost limits where none of them went
+_REPAIR_STEP_UM = 2.0  # step size of the steps that bring a lens back within its limits
+_REPAIR_STEPS = 20  # of them at most
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class LinearModel:
     Attributes:
         metric: M, (V, V), mean squared displacement of the rays [um^2].
         scale: (V,) small changes.
-        violation: c, (K,), of the broken limits [mm; fractions without unit].
+        violation: c, (K,), of the violated limits [mm; fractions without unit].
         limits: C, (K, V), their derivatives.
     """
 
@@ -49,20 +49,20 @@ class LinearModel:
     limits: Tensor
 
     @property
-    def broken(self) -> float:
+    def violation_norm(self) -> float:
         """Length of the violation."""
         return float(self.violation.norm())
 
     def step(self, gradient: Tensor, step_size: float, damping: float) -> Tensor:
-        """The change (V,) of the variables that moves rays by `step size` [um] RMS.
+        """The change (V,) of the variables that moves rays by `step_size` [um] RMS.
 
-        Mending broken limits is part of the step size, never on top of it. Where they need less than the whole of it, the
+        Repairing violated limits is part of the step, never on top of it. Where it needs less than the whole of it, the
         gradient has the rest.
         """
-        floor = (max(step_size, _SCALED) / self.scale).square()
+        floor = (max(step_size, _DISPLACEMENT_UM) / self.scale).square()
         regular = self.metric + damping * torch.diag(self.metric.diagonal() + floor)
-        curvature = _LIMITS * self.limits.T @ self.limits
-        slope = gradient + _LIMITS * self.limits.T @ self.violation
+        curvature = _LIMIT_WEIGHT * self.limits.T @ self.limits
+        slope = gradient + _LIMIT_WEIGHT * self.limits.T @ self.violation
 
         def change(log_mu: float) -> Tensor:
             return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
@@ -76,7 +76,7 @@ class RaySpace:
 
     def __init__(self, lens: Lens, view: View, limits: Constraints):
         self.variables = Variables.stepped(lens, view, LearningRates())
-        self.merit = Merit(view, limits, rim=_RIM)
+        self.merit = Merit(view, limits, rim=_MARGINAL_RAYS)
         values = self.variables.values()
         self.names = list(values)
         self.start = torch.cat(list(values.values()))
@@ -87,19 +87,19 @@ class RaySpace:
         """The lens with these values (V,), differentiable in them."""
         return self.variables.assemble_vector(self.names, vector)
 
-    def about(self, vector: Tensor) -> LinearModel:
+    def linearise(self, vector: Tensor) -> LinearModel:
         """Rays and limits about the lens with these values."""
         residuals, columns = self.merit.linearise(self.lens(vector))
         jacobian = columns(self.directions)
         rays, limits = jacobian.split([self.merit.rays, len(jacobian) - self.merit.rays])
         violation = residuals[self.merit.rays :]
-        broken = violation > 0
+        violated = violation > 0
         per_mm = self.merit.per_mm
-        return LinearModel(rays.T @ rays, self.scale, violation[broken] / per_mm, limits[broken] / per_mm)
+        return LinearModel(rays.T @ rays, self.scale, violation[violated] / per_mm, limits[violated] / per_mm)
 
 
 def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
-    """The lens brought back within its limits by steps that move its rays as little as that takes.
+    """Bring a lens back within its limits by steps that move its rays as little as that takes.
 
     If they end before it is, the one of least violation.
 
@@ -109,12 +109,12 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     space = RaySpace(lens, view, limits)
     vector = space.start
     found = []
-    for k in range(_MENDS):
-        local = space.linearise(vector)
-        found.append((local.broken, k, vector))
-        if not local.broken:
+    for k in range(_REPAIR_STEPS):
+        model = space.linearise(vector)
+        found.append((model.violation_norm, k, vector))
+        if not model.violation_norm:
             break
-        vector = vector + local.step(torch.zeros_like(vector), _MENDING, damping=0.1)
+        vector = vector + model.step(torch.zeros_like(vector), _REPAIR_STEP_UM, damping=0.1)
     lens = space.lens(min(found, key=lambda entry: entry[:2])[2])
     return lens, space.merit.clear_semi_diameters(lens)
 

@@ -67,7 +67,7 @@ class Lens:
         rows = [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *self.media)]
         return torch.tensor(rows, dtype=self.dtype)
 
-    def stopped(self, scale: float) -> "Lens":
+    def with_stop_scaled(self, scale: float) -> "Lens":
         """The same lens with the radius of its stop multiplied by `scale`."""
         factor = torch.ones_like(self.semi_diameter)
         factor[self.stop] = scale

@@ -47,7 +47,7 @@ class Rays:
         return self.status == RayStatus.OK
 
     @property
-    def stopped(self) -> Tensor:
+    def vignetted(self) -> Tensor:
         """True for rays that met a surface outside its clear aperture: vignetted ones."""
         return self.status == RayStatus.VIGNETTED
 

@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields
+from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields, trace_fields_full
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -107,12 +107,11 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
     radius = view.fields.norm(dim=-1)[list(_SHOWN)]
     along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, view.wavelengths[1:2], 1.0, 1)
     fan = torch.stack([torch.zeros(9), torch.linspace(-0.98, 0.98, 9)], -1).double()
-    record: list = []
-    image = trace_fields(lens, along_y, fan, record)
+    image, behind = trace_fields_full(lens, along_y, fan)
     image_z = float(vertices[-1] + lens.thickness[-1])
     # Not to a stop behind the first vertex and back: straight to the glass, and from the foremost plane of the lens.
-    z = [record[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
-    y = [record[i].y[:, 0] for i in lens.refracting_surfaces]
+    z = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
+    y = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
     front = torch.full_like(z[0], float(vertices.min()))
     before = y[0] - along_y.tangents[:, 1, None] * (z[0] - front)
     z = torch.stack([front, *z, torch.full_like(front, image_z)])

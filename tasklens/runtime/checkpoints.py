@@ -1,9 +1,9 @@
 """Checkpoints of long jobs: a resumed job gives the same numbers.
 
-A job has parts with names, one after the other: a descent, a training. A part that has ended is known by its result, the
-one under way by its state; either is kept with torch's random state and the history so far. The file is named after
-what the job computes (`key`), so that a changed job never resumes from it, and stands outside the job's outputs, which
-Snakemake deletes when a job fails.
+A job has parts with names, one after the other: a descent, a training. A part that has ended is known by its result,
+the one under way by its state; either is saved with torch's random state and the part's history. The file is named
+after what the job computes (`key`), so that a changed job never resumes from it, and lies outside the job's outputs,
+which Snakemake deletes when a job fails.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ class Checkpoint:
     """The parts of one job.
 
     Args:
-        path: of the file; without one nothing is kept.
+        path: of the file; without one nothing is saved.
 
     Raises:
         FileError: the file is not one of ours.
@@ -51,23 +51,20 @@ class Checkpoint:
             except Exception as error:  # of pickle, zip or torch
                 raise FileError(f"{path}: no checkpoint of this program; remove it ({error})") from error
 
-    def part(self, name: str, history: list[dict] | None = None, **holders: Any) -> "Part":
+    def part(self, name: str, **holders: Any) -> "Part":
         """The part of this name; where it is known, everything becomes what it was when that was written.
 
         Args:
-            history: rows, kept with the part.
-            holders: what has `state_dict` and `load_state_dict`, kept while the part is under way.
+            holders: what has `state_dict` and `load_state_dict`, saved while the part is under way.
         """
         record = self.records.get(name, {})
         if record:
             torch.set_rng_state(record["random"]["cpu"])
             if "gpu" in record["random"] and torch.cuda.is_available():
                 torch.cuda.set_rng_state(record["random"]["gpu"])
-            if history is not None:
-                history[:] = [dict(row) for row in record["history"]]
         for key, state in record.get("holders", {}).items():
             holders[key].load_state_dict(state)
-        return Part(self, name, record, history, holders)
+        return Part(self, name, record, holders)
 
     def due(self) -> bool:
         """Whether it is time to write."""
@@ -104,14 +101,16 @@ class Part:
         result: what it ended with; None if it has not ended.
         step: how far it came; 0 if it has not begun.
         state: what its loop gave to `save` there.
+        history: rows of what happened, which the loop appends; saved with the part.
     """
 
-    def __init__(self, checkpoint: Checkpoint, name: str, record: dict, history: list[dict] | None, holders: dict):
-        self.checkpoint, self.name, self.history, self.holders = checkpoint, name, history, holders
+    def __init__(self, checkpoint: Checkpoint, name: str, record: Mapping[str, Any], holders: Mapping[str, Any]):
+        self.checkpoint, self.name, self.holders = checkpoint, name, holders
         self.result, self.step, self.state = record.get("result"), record.get("step", 0), record.get("state")
+        self.history: list[dict[str, Any]] = [dict(row) for row in record.get("history", ())]
 
     def save(self, step: int, **state: Any) -> None:
-        """Say where the part stands after a step: written if it is time, and if every number of it is finite."""
+        """Say what the state is after a step: written if it is time, and if every number of it is finite."""
         if self.checkpoint.due():
             held = {name: holder.state_dict() for name, holder in self.holders.items()}
             if _finite(held) and _finite(state):
@@ -125,9 +124,9 @@ class Part:
             if self.checkpoint.due():
                 self.checkpoint.write()
 
-    def _remember(self, record: dict) -> None:
-        rows = [dict(row) for row in self.history or ()]
+    def _remember(self, record: dict[str, Any]) -> None:
         random = {"cpu": torch.get_rng_state()}
         if torch.cuda.is_initialized():  # dropout draws there
             random["gpu"] = torch.cuda.get_rng_state()
+        rows = [dict(row) for row in self.history]
         self.checkpoint.records[self.name] = record | {"random": random, "history": rows}

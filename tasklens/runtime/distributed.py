@@ -24,7 +24,7 @@ class ProcessGroup:
     device: torch.device = CPU
 
     @property
-    def first(self) -> bool:
+    def is_first(self) -> bool:
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
@@ -39,7 +39,7 @@ class ProcessGroup:
             )
         return slice(self.rank, None, self.size)
 
-    def together(self, network: nn.Module) -> nn.Module:
+    def wrap(self, network: nn.Module) -> nn.Module:
         """The network, so that a backward pass leaves the mean of all processes' gradients in its parameters.
 
         Batch norms take the statistics of all shares on GPUs, and of their own on CPUs, for which torch has no other.

@@ -7,21 +7,17 @@ def plan_of(stage, wildcards):
     return stage.plan(study, **(named | ({SEED: int(named[SEED])} if SEED in named else {})))
 
 
-def launcher(plan):
-    """The command line, once for every process of a job."""
+def command(stage, wildcards):
+    """What a person would type for this job."""
+    processes = plan_of(stage, wildcards).processes
     # Snakemake sets the threads of a job to its cores, here those of all its processes.
-    together = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {plan.processes} -m tasklens.pipeline.cli"
-    return "tasklens" if plan.processes == 1 else together
+    together = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.pipeline.cli"
+    words = [wildcards[name] for name in stage.wildcards if name != SEED]
+    seed = ["--seed", wildcards[SEED]] if SEED in stage.wildcards else []
+    return " ".join(["tasklens" if processes == 1 else together, stage.name.replace("_", "-"), RESOLVED, *words, *seed])
 
 
-def command(stage):
-    """What a person would type for a job of this stage."""
-    words = [f"{{wildcards.{name}}}" for name in stage.wildcards if name != SEED]
-    seed = ["--seed {wildcards.seed}"] if SEED in stage.wildcards else []
-    return " ".join(["{params.launcher}", stage.name.replace("_", "-"), STUDY, *words, *seed, "2> {log}"])
-
-
-for stage in STAGES.values():
+for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
 
     rule:
         name:
@@ -43,7 +39,7 @@ for stage in STAGES.values():
             gpu=lambda wildcards, stage=stage: plan_of(stage, wildcards).gpus,
         params:
             settings=lambda wildcards, stage=stage: plan_of(stage, wildcards).settings.model_dump_json(),
-            launcher=lambda wildcards, stage=stage: launcher(plan_of(stage, wildcards)),
+            command=lambda wildcards, stage=stage: command(stage, wildcards),
             code=code_digest(stage.function),
         shell:
-            command(stage)
+            "{params.command} 2> {log}"

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, vertex_curvature
-from tasklens.optics.analysis.spots import chief_rays
+from tasklens.optics.analysis.spots import chief_rays_full
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -99,14 +99,13 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
     Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
     """
     turned = view.in_meridian()
-    record: list = []
-    image = chief_rays(lens, turned, record)
+    image, behind_each = chief_rays_full(lens, turned)
     index = lens.refractive_indices((view.reference,))[:, 0]
     n = torch.rsqrt(1 + turned.tangents[:, 1].square())
     m = turned.tangents[:, 1] * n
     tangential = sagittal = (torch.ones_like(n), torch.zeros_like(n))
     z = torch.zeros_like(n)  # of the point before, from the vertex of the surface
-    for i, rays in enumerate(record):
+    for i, rays in enumerate(behind_each):
         distance = (rays.z[:, 0, 0] - z) / n
         y = rays.y[:, 0, 0]
         along, across, cosine = _local_curvatures(lens, i, y)

@@ -14,7 +14,7 @@ from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
 _RIM = 64  # rays around the pupil for semi-diameters
@@ -22,15 +22,26 @@ _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # of the pupil: where chief ra
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) of the pupil
 
 
-def trace_fields(lens: Lens, view: View, pupil: Tensor, record: list | None = None) -> Rays:
+def trace_fields(lens: Lens, view: View, pupil: Tensor) -> Rays:
     """Rays (F, W, N) of every field and wavelength of `view` through the points `pupil` (N, 2), on the image plane."""
     rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
-    return trace(lens, rays, lens.refractive_indices(view.wavelengths), record)
+    return trace(lens, rays, lens.refractive_indices(view.wavelengths))
 
 
-def chief_rays(lens: Lens, view: View, record: list | None = None) -> Rays:
+def trace_fields_full(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, list[Rays]]:
+    """As `trace_fields`, with the rays behind every surface too, z from its vertex, without gradient."""
+    rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
+    return trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
+
+
+def chief_rays(lens: Lens, view: View) -> Rays:
     """Chief rays (F, 1, 1), through the centre of the pupil at the middle wavelength, on the image plane."""
-    return trace_fields(lens, view.in_reference(), _CENTRE, record)
+    return trace_fields(lens, view.in_reference(), _CENTRE)
+
+
+def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, list[Rays]]:
+    """As `chief_rays`, with the rays behind every surface too."""
+    return trace_fields_full(lens, view.in_reference(), _CENTRE)
 
 
 def chief_points(lens: Lens, view: View) -> Tensor:
@@ -119,9 +130,9 @@ def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Ten
 
     Of the rays through `pupil` (N, 2); its outline tells enough unless the lens vignettes.
     """
-    record: list[Rays] = []
-    trace_fields(lens, view, pupil, record)
-    heights = [torch.where(r.lost_at < 0, torch.hypot(r.x, r.y), 0.0).max() for r in record]
+    heights = [
+        torch.where(r.lost_at < 0, torch.hypot(r.x, r.y), 0.0).max() for r in trace_fields_full(lens, view, pupil)[1]
+    ]
     return torch.stack(heights)
 
 

@@ -8,9 +8,9 @@ z = s(u) at P' = P + t D and leaves with D', n':
     b  = (R - mu q) / g^2,  R^2 = g^2 (1 - mu^2) + mu^2 q^2,  mu = n_before / n_behind
     D' = mu D + b e P',  n' = mu n + b                            (Snell's law)
 
-`push` carries small changes forward through these lines, `pull` carries gradients back. t needs no derivative of its
-iteration: by the implicit function theorem q dt = ds - dz - t dn - e P'.(dP + t dD), where ds is the change of the sag
-by the surface's own parameters.
+`refract_jvp` carries small changes forward through these lines, `refract_vjp` carries gradients back. t needs no
+derivative of its iteration: by the implicit function theorem q dt = ds - dz - t dn - e P'.(dP + t dD), where ds is the
+change of the sag by the surface's own parameters.
 
 Rays have the shape (F, W, N), mu (W, 1). The code is plain arithmetic in as few passes over the rays as we found.
 `surface` states the same in a few lines of autograd, and the tests compare the two.
@@ -37,7 +37,7 @@ class RayState(NamedTuple):
 
 
 class Refraction(NamedTuple):
-    """Rays at one surface, by the names of the equations above: what `push` and `pull` need."""
+    """Rays at one surface, by the names of the equations above: what `refract_jvp` and `refract_vjp` need."""
 
     x: Tensor
     y: Tensor
@@ -61,7 +61,7 @@ def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: PreparedSurface) -> 
 
     Returns:
         the rays behind it, z from its vertex; R^2, not positive in total reflection, when the ray behind means nothing
-        but is finite; the Crossing.
+        but is finite; the Refraction.
     """
     e, w = slope(u, surface)
     e *= -2

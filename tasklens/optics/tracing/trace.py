@@ -1,8 +1,9 @@
-"""Sequential ray tracing in which every ray has a status and every number a gradient."""
+"""Differentiable sequential ray tracing; every lost ray has a status and a surface."""
 
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import NamedTuple
 
 import torch
 import torch.autograd.forward_ad as fwAD
@@ -18,7 +19,7 @@ _TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh 
 
 
 class _Notes:
-    """What a `_Sequence` is told beside tensors, and what it keeps for its derivatives."""
+    """What a `_Sequence` needs beside tensors, and what it keeps for its derivatives."""
 
     def __init__(self, semi_diameters: list[float], record: list[Rays] | None, keep: bool, to_index: bool):
         self.semi_diameters = semi_diameters
@@ -31,7 +32,7 @@ class _Notes:
 
 
 class _Sequence(torch.autograd.Function):
-    """Rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): the loop over `cross`, `push` and `pull`."""
+    """Rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): the loop over `refract` and its derivatives."""
 
     @staticmethod
     def forward(notes: _Notes, status, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
@@ -199,7 +200,7 @@ def _carries_derivative(values: Tensor) -> bool:
     return (torch.is_grad_enabled() and values.requires_grad) or fwAD.unpack_dual(values).tangent is not None
 
 
-def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -> Rays:
+def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
     """Trace rays through every surface of a lens to its image plane.
 
     Differentiable, in backward and in forward mode, in the rays, the indices and every parameter of the lens but its
@@ -209,20 +210,28 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
         lens: S surfaces.
         rays: as launched, of a shape that broadcasts with (..., W, N).
         indices: (S + 1, W) refractive indices, as from `Lens.refractive_indices`.
-        record: if given, the Rays behind every surface are appended to it, without gradient.
 
     Returns:
         The rays on the image plane, z = 0.
     """
-    size = torch.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))
+    return _traced(lens, rays, indices, None)
 
+
+def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays]]:
+    """As `trace`, with the rays behind every surface too, z from its vertex, without gradient."""
+    record: list[Rays] = []
+    image = _traced(lens, rays, indices, record)
+    return image, [Rays(*(v.reshape(image.x.shape) for v in vars(at).values())) for at in record]
+
+
+def _traced(lens: Lens, rays: Rays, indices: Tensor, record: list[Rays] | None) -> Rays:
+    size = torch.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))
     stack = (-1, *size[-2:])
 
     def batch(values: Tensor) -> Tensor:
         return values.expand(size).reshape(stack)
 
-    start = (rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
-    start = [batch(v) for v in start]
+    start = [batch(v) for v in _parts(rays)]
     fields = len(start[0])
     tile = fields if record is not None else max(1, _TILE // (size[-2] * size[-1] * start[2].element_size()))
     shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
@@ -234,33 +243,55 @@ def trace(lens: Lens, rays: Rays, indices: Tensor, record: list | None = None) -
         notes = _Notes(semi_diameters, record, keep, to_index)
         ends.append(_Sequence.apply(notes, *(v[first : first + tile] for v in start), indices[..., None], *shape))
     ends = [torch.cat(v) if len(v) > 1 else v[0] for v in zip(*ends, strict=True)]
-    if record is not None:
-        record[:] = [Rays(*(v.reshape(size) for v in vars(at).values())) for at in record]
     x, y, l, m, n, path, status, lost_at = (v.reshape(size) for v in ends)
     return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at)
 
 
-def linearise(
-    lens: Lens, rays: Rays, indices: Tensor, record: list | None = None
-) -> tuple[Rays, Callable[..., RayState]]:
-    """Trace rays (F, W, N) as `trace` does but without a graph, and give the derivative along changes of the lens.
+def _parts(rays: Rays) -> tuple[Tensor, ...]:
+    """The parts of rays in the order of `_Sequence`."""
+    return rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path
 
-    Returns:
-        The rays on the image plane, and the function that takes V changes of the lens at once, `curvature`, `conic` and
-        `thickness` (V, S), `alpha` (V, S, M), where a missing one is zero, to those of the rays there, (V, F, W, N).
-        The rays start as they are, whatever the lens. Its second argument, a list, receives the changes of x and y
-        behind every surface, of a shape that broadcasts with those.
+
+class Derivative(NamedTuple):
+    """Changes of rays by V changes of a lens, each (V, F, W, N) or of a shape that broadcasts with that.
+
+    Attributes:
+        image: of the rays on the image plane.
+        behind: of x and y of the rays behind every surface.
     """
+
+    image: RayState
+    behind: list[tuple[Tensor, Tensor]]
+
+
+class Linearised(NamedTuple):
+    """Rays through a lens, and how they change with it.
+
+    Attributes:
+        image: rays on the image plane.
+        behind: rays behind every surface.
+        derivative: takes V changes of the lens at once, `curvature`, `conic` and `thickness` (V, S), `alpha` (V, S, M),
+            where a missing one is zero. The rays start as they are, whatever the lens.
+    """
+
+    image: Rays
+    behind: list[Rays]
+    derivative: Callable[[Mapping[str, Tensor]], Derivative]
+
+
+def linearise(lens: Lens, rays: Rays, indices: Tensor) -> Linearised:
+    """Trace rays (F, W, N) as `trace_full` does but without a graph, with the derivative along changes of the lens."""
+    record: list[Rays] = []
     notes = _Notes(lens.semi_diameter.tolist(), record, keep=True, to_index=False)
-    parts = (rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
     with torch.no_grad():
-        x, y, l, m, n, path, status, lost_at = _Sequence.forward(notes, *parts, indices[..., None], *shape)
+        x, y, l, m, n, path, status, lost_at = _Sequence.forward(notes, *_parts(rays), indices[..., None], *shape)
 
-    def derivative(changes: Mapping[str, Tensor], behind: list | None = None) -> RayState:
+    def derivative(changes: Mapping[str, Tensor]) -> Derivative:
         kinds = (changes.get(name) for name in ("curvature", "conic", "alpha", "thickness"))
+        behind: list[tuple[Tensor, Tensor]] = []
         with torch.no_grad():
             dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds, behind)
-        return RayState(dx, dy, torch.zeros_like(dx), dl, dm, dn)
+        return Derivative(RayState(dx, dy, torch.zeros_like(dx), dl, dm, dn), behind)
 
-    return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at), derivative
+    return Linearised(Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at), record, derivative)
