@@ -1,7 +1,9 @@
 """Lenses, rays, networks and studies that several test files build on, and differences to check gradients against."""
 
+import csv
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -11,9 +13,13 @@ from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
+from tasklens.pipeline.run import run
+from tasklens.pipeline.stage import Job, Stage
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
+from tasklens.report.measurements import Measurements
 from tasklens.study.settings import Spec, TrainingSettings
+from tasklens.study.study import Study
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -135,7 +141,7 @@ def small_network(seed: int) -> nn.Module:
 def trained_network(seed: int, **settings) -> nn.Module:
     """The small network after training on random images of three classes."""
     network = small_network(0)
-    settings = TrainingSettings(**({"epochs": 4, "rate": 1e-2, "batch": 10} | settings))
+    settings = TrainingSettings(**({"epochs": 4, "learning_rate": 1e-2, "batch_size": 10} | settings))
     fit(network, random_images(60, 16, 3, seed=1), settings, seed, "test")
     return network
 
@@ -144,41 +150,40 @@ def tiny_study() -> dict:
     """A study with one lens of every method, of a size that runs in seconds."""
     rates = {"curvature": 1e-2, "thickness": 5e-3, "alpha_4": 1e-2}
     return {
-        "format": 1,
+        "format": 2,
         "name": "tiny",
         "seeds": [0],
         "images": {"size": 16, "train": 40, "minival": 10, "test": 20},
-        "spec": {"kernel": 11},
+        "spec": {"kernel_size": 11},
         "evaluation_rays": 64,
         "elements": {"singlet": ["COC"]},
         "supervisor": "small",
         "classifiers": {
-            "small": {"model": "test_resnet", "training": {"epochs": 1, "rate": 1e-3, "batch": 20}},
+            "small": {"model": "test_resnet", "training": {"epochs": 1, "learning_rate": 1e-3, "batch_size": 20}},
             "other": {"model": "test_vit", "arguments": {"img_size": 16, "patch_size": 8}, "weights": "/nowhere"},
         },
         "designs": {
             "tasklens": {
                 "method": "task",
-                "images": 2,
+                "batch_size": 2,
                 "rays": 16,
-                "starts": 2,
-                "start": {"steps": 2, "pixels": [20, 5]},
-                "refine": {"steps": 2, "pixels": [5, 1]},
-                "polish": {"steps": 1, "images": 2},
+                "restarts": 2,
+                "restart": {"steps": 2, "pixels": [20, 5]},
+                "refinement": {"steps": 2, "pixels": [5, 1]},
+                "polish": {"steps": 1, "batch_size": 2},
             },
-            "imaging1": {"method": "spot", "steps": 3, "rays": 16, "rates": rates},
+            "imaging1": {"method": "spot", "steps": 3, "rays": 16, "learning_rates": rates},
             "imaging2": {"method": "least_squares", "starts": 3, "evaluations": 6},
-            "end_to_end_from_imaging": {"method": "end_to_end", "start": "best_imaging", "steps": 2, "images": 2},
-            "end_to_end_from_flat": {"method": "end_to_end", "start": "flat", "steps": 2, "images": 2},
+            "end_to_end_from_imaging": {"method": "end_to_end", "start": "best_imaging", "steps": 2, "batch_size": 2},
+            "end_to_end_from_flat": {"method": "end_to_end", "start": "flat", "steps": 2, "batch_size": 2},
         },
-        "fine_tuning": {"epochs": 1, "rate": 1e-3, "batch": 20},
-        "restoration": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1], "steps": 2, "batch": 4},
-        "minutes": {"images": 0.1},
+        "fine_tuning": {"epochs": 1, "learning_rate": 1e-3, "batch_size": 20},
+        "restoration": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1], "steps": 2, "batch_size": 4},
     }
 
 
-def with_outside(**catalogues) -> dict:
-    """The tiny study and a lens from outside; a study does not look into its file."""
+def with_imported(**catalogues) -> dict:
+    """The tiny study and an imported lens; a study does not look into its file."""
     return changed(tiny_study(), "imported.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})
 
 
@@ -186,3 +191,28 @@ def changed(study: dict, key: str, value) -> dict:
     """A copy of a study's mapping with the value at a dotted key replaced or added."""
     head, _, rest = key.partition(".")
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
+
+
+def finish(stage: Stage, study: Study, **wildcards: str | int) -> Job:
+    """Do one job of a study in the present folder, as the command line does; returns it for its outputs."""
+    job = stage.job(study, **wildcards)
+    run(stage, job)
+    return job
+
+
+def measurements_of(job: Job) -> Measurements:
+    """What a job is given to judge by."""
+    return Measurements(job.inputs.lenses, job.inputs.metrics, job.inputs.predictions)
+
+
+def write(path: str | Path, text: str) -> None:
+    """Write a text file, and the folders that it needs."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def read_rows(path: str | Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))

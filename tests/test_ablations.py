@@ -3,18 +3,17 @@
 import pandas
 import pytest
 import yaml
-from examples import changed, tiny_study
+from examples import changed, finish, tiny_study
 from test_jobs import slices
 from test_verdicts import results
 
 from tasklens.pipeline import jobs
-from tasklens.report import ablations
 from tasklens.report.verdicts import HOLDS, UNDECIDED
 from tasklens.study import claims
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.study import StudyError, dump, parse
 
-RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "start": {"pixels": [1, 1]}}}}
+RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "restart": {"pixels": [1, 1]}}}}
 WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside_window": "renormalise"}}}}
 
 
@@ -26,9 +25,9 @@ def test_a_variant_is_its_design_changed_in_what_it_names():
     """Keys deep inside too, and nothing else; it stands in no table of the paper."""
     study = parse(with_ablation(RAYS))
     base, variant = study.lens("singlet-tasklens"), study.lens("singlet-tasklens_mine_few")
-    assert variant.design.rays == 8 and variant.design.start.pixels == (1, 1)
-    start = base.design.start.model_copy(update={"pixels": (1, 1)})
-    assert variant.design == base.design.model_copy(update={"rays": 8, "start": start})
+    assert variant.design.rays == 8 and variant.design.restart.pixels == (1, 1)
+    restart = base.design.restart.model_copy(update={"pixels": (1, 1)})
+    assert variant.design == base.design.model_copy(update={"rays": 8, "restart": restart})
     assert variant.plastics == base.plastics
     assert study.lenses == parse(tiny_study()).lenses
     assert parse(yaml.safe_load(dump(study))) == study
@@ -38,11 +37,11 @@ def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
     study = parse(with_ablation(WINDOW))
     lens = "singlet-tasklens_mine_renormalised"
     renormalised = CaptureSettings(outside_window="renormalise")
-    assert jobs.design(study, lens, 0).capture == renormalised
-    assert jobs.fine_tune(study, lens, "small", 0, False).capture == renormalised
-    assert jobs.reproduce(study, lens, "small", False).capture == renormalised
-    assert jobs.restore(study, lens, 0).capture == renormalised
-    assert jobs.design(study, "singlet-tasklens", 0).capture == study.capture != renormalised
+    assert jobs.design.plan(study, lens, 0).settings.capture == renormalised
+    assert jobs.fine_tune.plan(study, lens, "small", 0).settings.capture == renormalised
+    assert jobs.reproduce.plan(study, lens, "small", 0).settings.capture == renormalised
+    assert jobs.restore.plan(study, lens, 0).settings.capture == renormalised
+    assert jobs.design.plan(study, "singlet-tasklens", 0).settings.capture == study.capture != renormalised
 
 
 def test_an_ablation_changes_its_own_jobs_and_no_others():
@@ -51,15 +50,15 @@ def test_an_ablation_changes_its_own_jobs_and_no_others():
     before, after = slices(tiny_study()), slices(with_ablation(RAYS))
     assert all(before[job] == after[job] for job in before)
     assert all(variant in job or job == ("ablation", "mine") for job in after.keys() - before.keys())
-    rays = slices(with_ablation(RAYS | {"variants": {"few": {"rays": 9, "start": {"pixels": [1, 1]}}}}))
+    rays = slices(with_ablation(RAYS | {"variants": {"few": {"rays": 9, "restart": {"pixels": [1, 1]}}}}))
     assert {job for job in after if after[job] != rays[job]} == {("design", variant)}
 
 
 def test_a_capture_that_a_design_does_not_see_redesigns_nothing():
     spot = RAYS | {"design": "imaging1"}
     veil, renormalised = (
-        slices(with_ablation(spot | {"variants": {"few": {"rays": 8, "capture": {"outside_window": imported}}}}))
-        for imported in ("veil", "renormalise")
+        slices(with_ablation(spot | {"variants": {"few": {"rays": 8, "capture": {"outside_window": window}}}}))
+        for window in ("veil", "renormalise")
     )
     changed = {job for job in veil if veil[job] != renormalised[job]}
     assert ("fine_tune", "singlet-imaging1_mine_few", "small") in changed
@@ -98,22 +97,26 @@ def test_two_variants_of_one_name_are_refused():
 
 def test_an_unknown_ablation_is_named():
     with pytest.raises(StudyError, match=r"ablation 'theirs'.*mine"):
-        claims.ablation(parse(with_ablation(RAYS)), "theirs")
+        claims.ablation_claims(parse(with_ablation(RAYS)), "theirs")
 
 
 @pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, UNDECIDED)])
-def test_table_of_an_ablation(tmp_path, seeds, judged):
+def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     """The design first, then its variants with their gain over it, undecided from one seed."""
+    monkeypatch.chdir(tmp_path)
     study = parse(changed(with_ablation(RAYS), "seeds", list(range(seeds))))
-    job = claims.ablation(study, "mine")
-    lenses = {job.base: 0.5, "singlet-tasklens_mine_few": 0.8}
-    layout = results(tmp_path, study, lambda lens, *_: lenses[lens], lenses=lenses)
-    ablations.make(job, layout, "tiny")
-    rows = pandas.read_csv(layout.ablation("mine", "csv")).set_index("lens")
+    base, variant = "singlet-tasklens", "singlet-tasklens_mine_few"
+    compared = claims.ablation_claims(study, "mine")
+    assert compared.base == base and [claim.lens for claim in compared.claims.claims] == [variant]
+    lenses = {base: 0.5, variant: 0.8}
+    results(study, lambda lens, *_: lenses[lens], lenses=lenses)
+    outputs = finish(jobs.ablation, study, ablation="mine").outputs
+    rows = pandas.read_csv(outputs.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
-    base, variant = (rows.loc[lens] for lens in lenses)
-    assert pandas.isna(base["difference"]) and variant["verdict"] == judged
-    assert variant["difference"] == pytest.approx(30, abs=3)
-    assert variant["low"] < variant["difference"] < variant["high"]
-    assert variant["rms_spot_um"] == 9.0 and variant["worst_margin"] == 0.01
-    assert "singlet-tasklens_mine_few" in (tmp_path / "tables/ablation_mine.md").read_text()
+    first, other = (rows.loc[lens] for lens in lenses)
+    assert pandas.isna(first["difference"]) and other["verdict"] == judged
+    assert other["difference"] == pytest.approx(30, abs=3)
+    assert other["low"] < other["difference"] < other["high"]
+    assert other["rms_spot_um"] == 9.0 and other["worst_margin"] == 0.01
+    text = outputs.md.read_text()
+    assert variant in text and f"{other['difference']:+.2f}" in text and "nan" not in text

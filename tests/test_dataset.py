@@ -1,6 +1,7 @@
 """Splits of images, from the renderer and from folders of photographs."""
 
 import itertools
+import json
 import multiprocessing
 import os
 from pathlib import Path
@@ -21,11 +22,15 @@ from tasklens.runtime.files import FileError
 from tasklens.study.settings import ImageSettings
 
 
-def made(folder, images: ImageSettings, threads: int = 1) -> dict[str, data.ImageDataset]:
+def paths_in(folder: Path) -> dict[str, tuple[Path, Path]]:
+    """Images and labels of every split."""
+    return {split: (folder / f"{split}.npy", folder / f"{split}.json") for split in data.SPLITS}
+
+
+def made(folder: Path, images: ImageSettings) -> dict[str, data.ImageDataset]:
     """The splits, by way of their files in `folder`."""
-    paths = {split: folder / f"{split}.safetensors" for split in data.SPLITS}
-    data.make(images, paths, threads)
-    return {split: data.read(path) for split, path in paths.items()}
+    data.make(images, paths_in(folder))
+    return {split: data.read(*paths) for split, paths in paths_in(folder).items()}
 
 
 def as_set(dataset: data.ImageDataset) -> set[bytes]:
@@ -47,26 +52,57 @@ def test_splits_are_disjoint_and_deterministic(tmp_path):
 
 
 def test_images_survive_their_file(tmp_path):
-    dataset = random_images(6, 16, 3, seed=0)
-    data.write(dataset, tmp_path / "train.safetensors")
-    found = data.read(tmp_path / "train.safetensors")
+    """Which numpy reads too, and the labels any reader of JSON."""
+    dataset, paths = random_images(6, 16, 3, seed=0), paths_in(tmp_path)["train"]
+    data.write(dataset, *paths)
+    found = data.read(*paths)
     assert torch.equal(found.images, dataset.images) and torch.equal(found.labels, dataset.labels)
-    assert found.classes == dataset.classes
+    assert found.classes == dataset.classes and found.labels.dtype == torch.long
+    assert (numpy.load(paths[0]) == dataset.images.numpy()).all()
+    assert json.loads(paths[1].read_text()) == {"classes": ["class0", "class1", "class2"], "labels": [0, 1, 2] * 2}
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux tells what is mapped how")
 def test_images_are_mapped_and_not_held(tmp_path):
     """Shared and read only, as Linux allows it for files larger than memory and swap; the values are the file's."""
-    path = tmp_path / "train.safetensors"
+    path, labels = paths_in(tmp_path)["train"]
     dataset = random_images(6, 16, 3, seed=0)
-    data.write(dataset, path)
-    found = data.read(path)
+    data.write(dataset, path, labels)
+    found = data.read(path, labels)
     mappings = [line.split() for line in Path("/proc/self/maps").read_text().splitlines() if str(path) in line]
     assert [fields[1] for fields in mappings] == ["r--s"]
     assert torch.equal(found.batch(torch.tensor([4, 1]))[0], dataset.batch(torch.tensor([4, 1]))[0])
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(FileError, match=r"train\.safetensors: no complete file"):
-        data.read(path)
+
+
+@pytest.mark.parametrize("kept", [0, 5, 100, -100])
+def test_a_file_of_images_that_is_cut_is_named(tmp_path, kept):
+    path, labels = paths_in(tmp_path)["train"]
+    data.write(random_images(6, 16, 3, seed=0), path, labels)
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(FileError, match=r"train\.npy: no complete array; remove it"):
+        data.read(path, labels)
+    path.unlink()
+    with pytest.raises(FileNotFoundError):
+        data.read(path, labels)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("", "no complete file of labels"),
+        ('{"classes": ["a"], "labels": [0, 0', "no complete file of labels"),
+        ('{"classes": ["a"]}', "no complete file of labels"),
+        ('{"classes": ["a"], "labels": ["cat"]}', "no complete file of labels"),
+        ("[]", "no complete file of labels"),
+        ('{"classes": ["a"], "labels": [0, 0]}', "2 labels for the 6 images of"),
+    ],
+)
+def test_labels_that_are_not_those_of_the_images_are_named(tmp_path, text, words):
+    path, labels = paths_in(tmp_path)["train"]
+    data.write(random_images(6, 16, 3, seed=0), path, labels)
+    labels.write_text(text)
+    with pytest.raises(FileError, match=f"^{labels}: {words}"):
+        data.read(path, labels)
 
 
 def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
@@ -141,8 +177,8 @@ def test_the_formats_of_the_photographs():
     """What the files say of themselves: more than one decoder and every conversion is tried."""
     found = set()
     for path in PHOTOGRAPHS.iterdir():
-        with Image.open(path) as picture:
-            found.add((picture.format, picture.mode, picture.getexif().get(0x0112, 1)))
+        with Image.open(path) as image:
+            found.add((image.format, image.mode, image.getexif().get(0x0112, 1)))
     assert found >= {("JPEG", mode, 1) for mode in ("RGB", "L", "CMYK")} | {("JPEG", "RGB", 6)}
     assert found >= {("PNG", mode, 1) for mode in ("RGB", "P", "I;16")} | {
         ("WEBP", mode, 1) for mode in ("RGB", "RGBA")
@@ -172,15 +208,22 @@ def test_a_turned_camera_is_turned_back(tmp_path):
     assert (bright[:, :15] == 255).all() and (bright[:, 17:] == 0).all()
 
 
-def test_a_image_of_any_size_is_read(tmp_path):
+def test_an_image_of_any_size_is_read(tmp_path):
     """Pillow alone refuses more than 179 million pixels."""
-    Image.new("L", (15_000, 12_500), 60).save(tmp_path / "large.png", compress_level=1)
+    Image.new("L", (190_000, 1_000), 60).save(tmp_path / "large.png", compress_level=1)
     assert (folders.read(tmp_path / "large.png", 16) == 60).all()
 
 
-def test_threads_change_nothing(tmp_path):
+def test_threads_change_nothing(tmp_path, monkeypatch):
+    """As many as torch may use decode at once."""
     settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=150))
-    one, four = (made(tmp_path / str(threads), settings, threads) for threads in (1, 4))
+    pools = []
+    pool = folders.ThreadPoolExecutor
+    monkeypatch.setattr(folders, "ThreadPoolExecutor", lambda threads: (pools.append(threads), pool(threads))[1])
+    one = made(tmp_path / "1", settings)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
+    four = made(tmp_path / "4", settings)
+    assert pools == [1, 1, 1, 4, 4, 4]
     for split, dataset in one.items():
         assert torch.equal(dataset.images, four[split].images) and torch.equal(dataset.labels, four[split].labels)
 
@@ -189,14 +232,15 @@ def test_threads_change_nothing(tmp_path):
 def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     """What was decoded before is not decoded again, and the files come out equal to the byte."""
     settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=20))
-    paths = {split: tmp_path / f"{split}.safetensors" for split in data.SPLITS}
+    paths = paths_in(tmp_path)
+    every = [path for pair in paths.values() for path in pair]
     read, decoded = folders.read, []
     monkeypatch.setattr(folders, "read", lambda *rest: (decoded.append(rest), read(*rest))[1])
     monkeypatch.setattr(folders, "_BLOCK", 4)
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     data.make(settings, paths)
-    expected, everything = {path: path.read_bytes() for path in paths.values()}, len(decoded)
-    for path in paths.values():
+    expected, everything = {path: path.read_bytes() for path in every}, len(decoded)
+    for path in every:
         path.unlink()
 
     def killed() -> None:
@@ -210,8 +254,10 @@ def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     assert process.exitcode == 9
     decoded.clear()
     data.make(settings, paths, checkpoint=Checkpoint(tmp_path / "job.pt"))
-    assert {path: path.read_bytes() for path in paths.values()} == expected
+    assert {path: path.read_bytes() for path in every} == expected
     assert len(decoded) == everything - 4 * writes
+    assert sorted(tmp_path.glob("*.npy")) == sorted(path for path, _ in paths.values())
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_a_folder_is_known_by_its_digest(tmp_path):
@@ -234,7 +280,7 @@ def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
     folder = make_folder(tmp_path)
     monkeypatch.setattr(files.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000}))
     monkeypatch.setattr(data.folders, "read", lambda *rest: pytest.fail("an image was decoded"))
-    with pytest.raises(FileError, match=r"train\.safetensors: needs 0\.0 MB"):
+    with pytest.raises(FileError, match=r"train\.npy: needs 0\.0 MB"):
         made(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
     assert not list((tmp_path / "out").iterdir())
 

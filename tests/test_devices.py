@@ -8,7 +8,7 @@ import torch
 
 from tasklens.runtime import devices
 from tasklens.runtime.distributed import process_group
-from tasklens.study.study import StudyError
+from tasklens.runtime.errors import InputError
 
 CONTEXT = multiprocessing.get_context("fork")
 
@@ -61,8 +61,8 @@ def test_a_gpu_has_one_job(monkeypatch, elsewhere):
     assert len(waited) == 1
 
 
-def test_a_team_has_all_its_gpus_or_none(monkeypatch, elsewhere):
-    """It waits for the last one while another team, which would want the first, may not begin to collect."""
+def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
+    """It waits for the last one while another group, which would want the first, may not begin to collect."""
     names = ["one", "other"]
     pretend(monkeypatch, names)
     other, seen = elsewhere(names[1]), []
@@ -81,10 +81,10 @@ def test_a_team_has_all_its_gpus_or_none(monkeypatch, elsewhere):
     assert seen == [1] and set(devices._locked) == set(names)
 
 
-def test_a_team_larger_than_the_machine_is_refused(monkeypatch):
+def test_a_process_group_larger_than_the_machine_is_refused(monkeypatch):
     pretend(monkeypatch, ["one", "other"])
     monkeypatch.setenv("WORLD_SIZE", "3")
-    with pytest.raises(StudyError, match="want a GPU each, 3; found 2"), process_group():
+    with pytest.raises(InputError, match="want a GPU each, 3; found 2"), process_group():
         pass
 
 

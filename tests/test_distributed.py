@@ -1,6 +1,5 @@
 """Two processes that fine-tune a classifier together give the metrics of one."""
 
-import csv
 import subprocess
 import sys
 from pathlib import Path
@@ -9,18 +8,18 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import changed, tiny_study
+from examples import changed, read_rows, tiny_study
 
 from tasklens.pipeline import cli
-from tasklens.runtime import distributed as group
+from tasklens.runtime import distributed
 from tasklens.runtime.distributed import ProcessGroup
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import read_tensors
-from tasklens.study.study import StudyError
 
 VIT = {
     "model": "vit_tiny_patch16_224",  # without batch norms, whose statistics on a CPU are of each share alone
     "arguments": {"img_size": 16, "patch_size": 8, "embed_dim": 12, "depth": 1, "num_heads": 1},
-    "training": {"epochs": 1, "rate": 1.0e-3, "batch": 16},
+    "training": {"epochs": 1, "learning_rate": 1.0e-3, "batch_size": 16},
 }
 
 
@@ -35,8 +34,7 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     metrics = Path("results/tiny/metrics/singlet-imaging1/seed0/small.csv")
 
     def measured() -> dict[tuple[str, str], float]:
-        with metrics.open(newline="") as file:
-            return {(row["metric"], row["field"]): float(row["value"]) for row in csv.DictReader(file)}
+        return {(row["metric"], row["field"]): float(row["value"]) for row in read_rows(metrics)}
 
     assert cli.main(job) == 0
     alone = measured()
@@ -47,7 +45,7 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.pipeline.cli"]
     done = subprocess.run([sys.executable, *torchrun, *job], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("fine-tune small  step 1/") == 1
+    assert done.stderr.count("fine-tune  step 1/") == 1
     torch.testing.assert_close(read_tensors(weights)[0], expected, rtol=0, atol=1e-5)
     together = measured()
     assert together.keys() == alone.keys()
@@ -56,9 +54,9 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
         assert together[key] == pytest.approx(value, abs=image if "accuracy" in key[0] else 1e-6), key
 
 
-def test_batch_norms_of_a_team_keep_their_activations(monkeypatch):
+def test_batch_norms_of_a_process_group_keep_their_activations(monkeypatch):
     """timm puts them into one layer; converted for several GPUs, a network judges as before."""
-    monkeypatch.setattr(group, "DistributedDataParallel", lambda network: network)
+    monkeypatch.setattr(distributed, "DistributedDataParallel", lambda network: network)
     torch.manual_seed(0)
     network = timm.create_model("test_efficientnet", num_classes=5).eval()
     images = torch.rand(2, 3, 64, 64)
@@ -70,5 +68,5 @@ def test_batch_norms_of_a_team_keep_their_activations(monkeypatch):
 
 def test_shares_are_of_one_size():
     assert [list(range(6))[ProcessGroup(rank, 3).share(6)] for rank in range(3)] == [[0, 3], [1, 4], [2, 5]]
-    with pytest.raises(StudyError, match="64 is no multiple of the 3 processes"):
+    with pytest.raises(InputError, match="64 is no multiple of the 3 processes"):
         ProcessGroup(0, 3).share(64)

@@ -8,29 +8,31 @@ import torch
 from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
 from reference_files import reference_files
 
-from tasklens import jobs
 from tasklens.design import imported, methods
-from tasklens.design.start import view
-from tasklens.optics.analysis import centroid, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline import jobs
 from tasklens.runtime.files import FileError
-from tasklens.study import parse
 from tasklens.study.design_settings import ImportedLens
 from tasklens.study.settings import Spec
+from tasklens.study.study import parse
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
-LOOKS = view(SPEC)
+VIEW = view_of_spec(SPEC)
 RAYS = 512
 
 
 def fitted(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
     prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
-    return imported.fit(ImportedLens(elements="triplet", file=folder / "given.yaml"), view(spec), spec.f_number, RAYS)
+    return imported.fit(
+        ImportedLens(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number, RAYS
+    )
 
 
 # ---- another size
@@ -60,7 +62,7 @@ def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tm
     """By a real ray next to the axis: its slope, and its height in the stop."""
     lens, _ = fitted(tmp_path, cooke_triplet())
     record, h = [], 1e-5
-    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((LOOKS.reference,)), record)
+    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference,)), record)
     assert -h / float(ray.m / ray.n) == pytest.approx(SPEC.efl_mm, rel=1e-8)
     pupil_radius = float(lens.semi_diameter[lens.stop]) * h / float(record[lens.stop].y)
     assert SPEC.efl_mm / (2 * pupil_radius) == pytest.approx(SPEC.f_number, rel=1e-8)
@@ -90,7 +92,7 @@ def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
     def rms(shift: float) -> torch.Tensor:
         thickness = lens.thickness.clone()
         thickness[-1] += shift
-        rays = trace_fields(replace(lens, thickness=thickness), LOOKS, sobol_disc(RAYS, 0))
+        rays = trace_fields(replace(lens, thickness=thickness), VIEW, sobol_disc(RAYS, 0))
         return rms_spot_radius(rays, centroid(rays))
 
     best = float(rms(0.0).mean())
@@ -103,28 +105,28 @@ def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
 # ---- what a finished lens says
 
 
-def job_of(folder: Path, lens: Lens, **spec):
-    """The design job of a lens in a file, as a study makes it."""
+def settings_of(folder: Path, lens: Lens, **spec):
+    """What the design of a lens in a file is given, as a study declares it."""
     prescription.write(folder / "given.yaml", Prescription(lens), {})
     entry = {"elements": "triplet", "file": str(folder / "given.yaml")}
     study = changed(
         changed(tiny_study(), "imported.cooke", entry),
         "spec",
-        {"kernel": 11, "field_of_view_deg": 36, "f_number": 4} | spec,
+        {"kernel_size": 11, "field_of_view_deg": 36, "f_number": 4} | spec,
     )
-    return jobs.design(parse(changed(study, "evaluation_rays", RAYS)), "triplet-cooke", 0)
+    return jobs.design.plan(parse(changed(study, "evaluation_rays", RAYS)), "triplet-cooke", 0).settings
 
 
-def test_a_finished_lens_from_outside(tmp_path):
+def test_a_finished_imported_lens(tmp_path):
     """It says where it is from, and has figures, margins and finite clear apertures that stop nothing more."""
-    job = job_of(tmp_path, cooke_triplet())
-    lens, notes = methods.design(job, None, None, {}, [])
-    before, fit = imported.fit(job.lens.design, LOOKS, SPEC.f_number, RAYS)
+    settings = settings_of(tmp_path, cooke_triplet())
+    lens, notes, history = methods.design(settings, None, None, {})
+    before, fit = imported.fit(settings.entry.design, VIEW, SPEC.f_number, RAYS)
     assert notes["origin"] == {"design": "cooke", "method": "file"} | fit
     assert fit["file"] == str(tmp_path / "given.yaml")
     assert len(notes["margins"]) == 9 and lens.semi_diameter.isfinite().all()
     assert torch.equal(lens.thickness, before.thickness)
-    valid = [trace_fields(found, LOOKS, sobol_disc(RAYS, 0)).valid for found in (before, lens)]
+    valid = [trace_fields(found, VIEW, sobol_disc(RAYS, 0)).valid for found in (before, lens)]
     assert torch.equal(*valid)
 
 
@@ -133,21 +135,21 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     bare = fitted(tmp_path, cooke_triplet())[0]
     given = cooke_triplet()
     given.semi_diameter[0] = 8.0
-    job = job_of(tmp_path, given, kernel_size=31)
-    lens, notes = methods.design(job, None, None, {}, [])
+    settings = settings_of(tmp_path, given, kernel_size=31)
+    lens, notes, history = methods.design(settings, None, None, {})
     scale = notes["origin"]["scale"]
     assert float(lens.semi_diameter[0]) == pytest.approx(8.0 * scale, rel=1e-14)
     record: list = []
-    everything = trace_fields(bare, LOOKS, sobol_disc(RAYS, 0), record)
+    everything = trace_fields(bare, VIEW, sobol_disc(RAYS, 0), record)
     passes = torch.hypot(record[0].x, record[0].y) <= 8.0 * scale
-    valid = trace_fields(lens, LOOKS, sobol_disc(RAYS, 0)).valid
+    valid = trace_fields(lens, VIEW, sobol_disc(RAYS, 0)).valid
     assert torch.equal(valid, everything.valid & passes)
     shares = notes["figures"]["valid_fraction"]
     assert shares == pytest.approx(valid.double().mean((1, 2)).tolist()) and shares[-1] < 0.9 < shares[0]
-    energy = evaluation_psf(lens, view(job.spec), RAYS).sum((-2, -1))
+    energy = evaluation_psf(lens, view_of_spec(settings.spec), RAYS).sum((-2, -1))
     torch.testing.assert_close(energy, torch.ones_like(energy), rtol=0, atol=1e-12)
     assert notes["figures"]["energy_in_window"] == pytest.approx([1.0] * 9, abs=1e-12)
-    again = imported.read(job.lens.design).lens
+    again = imported.read(settings.entry.design).lens
     assert float(again.semi_diameter[0]) == 8.0  # the file's lens is not changed
 
 
@@ -160,7 +162,7 @@ def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
     }
     expected, notes = fitted(tmp_path, cooke_triplet(), **use)
     zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **use))
-    found, other = imported.fit(ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), LOOKS, SPEC.f_number, RAYS)
+    found, other = imported.fit(ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number, RAYS)
     assert torch.equal(found.thickness, expected.thickness) and found.media == expected.media
     assert notes | {"file": ""} == other | {"file": ""}
 
@@ -208,7 +210,7 @@ CLOSE = {"US-12032142-B2-e3": (None, 3.879), "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3
 def test_a_phone_lens_close_to_the_specification(path):
     """At F/2.8 and refocused, sharper than the Airy disc (2 um) everywhere."""
     spec = Spec()
-    lens, notes = imported.fit(phone(path), view(spec), spec.f_number, 4096)
+    lens, notes = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 4096)
     object_distance, efl = CLOSE[path.stem]
     assert notes["file_object_distance_mm"] == object_distance and notes["file_efl_mm"] == pytest.approx(efl, abs=1e-3)
     first_order = paraxial(lens, spec.wavelengths_um[1])
@@ -216,7 +218,7 @@ def test_a_phone_lens_close_to_the_specification(path):
     assert float(first_order.efl / (2 * first_order.entrance_pupil_radius)) == pytest.approx(2.8, rel=1e-12)
     if object_distance:  # from there to infinity the focus moves by EFL^2 / distance, of the scaled lens
         assert notes["image_plane_shift_mm"] == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
-    rays = trace_fields(lens, view(spec), sobol_disc(4096, 0))
+    rays = trace_fields(lens, view_of_spec(spec), sobol_disc(4096, 0))
     assert rays.valid.all()
     rms = 1e3 * rms_spot_radius(rays, centroid(rays))
     assert 0.5 < float(rms.mean()) < 1.5 and float(rms.max()) < 2.0
@@ -226,7 +228,7 @@ def test_a_phone_lens_close_to_the_specification(path):
 def test_every_phone_lens_serves(path):
     """Three to eight elements, stops in front and inside: an image of 8 um or better; a few rays miss an inner stop."""
     spec = Spec()
-    lens, _ = imported.fit(phone(path), view(spec), spec.f_number, 256)
-    rays = trace_fields(lens, view(spec), sobol_disc(256, 0))
+    lens, _ = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
+    rays = trace_fields(lens, view_of_spec(spec), sobol_disc(256, 0))
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)

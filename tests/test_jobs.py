@@ -1,62 +1,105 @@
-"""Jobs: which of them reads what of the study."""
+"""Jobs: which of them reads what of the study, and which files of which others."""
 
 import itertools
+import string
+from collections.abc import Iterator
+from inspect import getmembers, isfunction
+from pathlib import Path
 
 import pytest
 import yaml
-from examples import changed, tiny_study, with_outside
-from tasklens.pipeline.layout import SHARP
+from examples import changed, tiny_study, with_imported
 
 from tasklens.materials.catalogues import builtin
-from tasklens.pipeline import jobs
-from tasklens.study import claims
-from tasklens.study.study import TABLES, dump, parse
+from tasklens.pipeline import digest, jobs, run
+from tasklens.pipeline.stage import STAGES, Stage, flatten
+from tasklens.study import claims, names, tables
+from tasklens.study.names import SHARP
+from tasklens.study.study import TABLES, Study, StudyError, dump, load, parse
+
+ROOT = Path(__file__).parents[1]
 
 
-def slices(mapping: dict) -> dict[tuple, str]:
-    """What Snakemake compares, for every job of a study."""
-    study, found = parse(mapping), {("images",): jobs.images(parse(mapping))}
-    for classifier in study.classifiers:
-        found["reference", classifier] = jobs.reference(study, classifier)
-        for lens, seed in itertools.product([SHARP, *study.lenses, *study.variants], study.seeds):
-            for restored in (False, True) if lens != SHARP else (False,):
-                key = "restored" if restored else "fine_tune", lens, classifier
-                found[key] = jobs.fine_tune(study, lens, classifier, seed, restored)
-                found["reproduce", *key] = jobs.reproduce(study, lens, classifier, restored)
-    for lens, seed in itertools.product([*study.lenses, *study.variants], study.seeds):
-        found["design", lens] = jobs.design(study, lens, seed)
-        found["psf", lens] = jobs.psf(study, lens)
-        found["restore", lens] = jobs.restore(study, lens, seed)
-    for table in TABLES:
-        found["table", table] = jobs.table(study, table)
-    found["psf_tail",] = jobs.psf_tail(study)
-    found["verdicts",] = claims.verdicts(study)
-    for name in study.ablations:
-        found["ablation", name] = claims.ablation(study, name)
-    return {key: job.model_dump_json() for key, job in found.items()}
+def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
+    """The wildcards of every job that a stage has in a study."""
+    every_lens = [*study.lenses, *study.variants]
+    ranges = {
+        "lens": every_lens if "measured_name" not in stage.wildcards else [SHARP, *every_lens],
+        "classifier": study.classifiers,
+        "measured_name": [*study.classifiers, *map(names.restored, study.classifiers)],
+        "table": TABLES,
+        "ablation": study.ablations,
+        "elements": dict.fromkeys(study.lens(claim.lens).elements for claim in claims.regime_claims(study).claims),
+        "seed": study.seeds,
+    }
+    for values in itertools.product(*(ranges[name] for name in stage.wildcards)):
+        found = dict(zip(stage.wildcards, values, strict=True))
+        if found.get("lens") != SHARP or not names.split(found["measured_name"])[1]:  # sharp images are not restored
+            yield found
+
+
+def every_job(study: Study) -> Iterator[tuple[tuple, Stage, dict]]:
+    """Name of the stage and wildcards but for the seed; the stage; its wildcards."""
+    for stage in STAGES.values():
+        for found in wildcards_of(stage, study):
+            yield (stage.name, *(value for name, value in found.items() if name != "seed")), stage, found
+
+
+def slices(mapping: dict) -> dict[tuple, list[str]]:
+    """What Snakemake compares, for every job of a study; of each seed."""
+    study, found = parse(mapping), {}
+    for key, stage, wildcards in every_job(study):
+        found.setdefault(key, []).append(stage.plan(study, **wildcards).settings.model_dump_json())
+    return found
+
+
+def needed(study: Study, *targets: str) -> set[tuple]:
+    """All jobs that some files wait for, by the inputs that are declared; those of every seed once."""
+    makers = {}
+    for key, stage, wildcards in every_job(study):
+        for path in stage.outputs(study, **wildcards).values():
+            assert path not in makers, f"two jobs write {path}"
+            makers[path] = key, stage, wildcards
+    found, waiting = {}, list(targets)
+    while waiting:
+        path = waiting.pop()
+        if path not in makers:
+            assert not path.startswith("results/"), f"no job makes {path}"
+            continue
+        key, stage, wildcards = makers[path]
+        if (key, wildcards.get("seed")) not in found:
+            found[key, wildcards.get("seed")] = key
+            waiting += flatten(stage.plan(study, **wildcards).inputs)
+    return set(found.values())
 
 
 SUPERVISED = ("singlet-tasklens", "singlet-end_to_end_from_imaging", "singlet-end_to_end_from_flat")
+RESTORED = ("small-restored", "other-restored")
+
+
+def measured(*measured_names: str):
+    """Whether a job measures one of these, anew or again."""
+    return lambda job: job[0] in ("fine_tune", "reproduce") and job[2] in measured_names
+
+
 READERS = [
-    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] in ("fine_tune", "restored")),
-    ("minutes.design", 7, lambda job: False),
+    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] == "fine_tune"),
     ("images.seed", 5, lambda job: job == ("images",)),
-    ("evaluation_rays", 128, lambda job: job[0] in ("psf", "design")),
-    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf", "design")),
+    ("evaluation_rays", 128, lambda job: job[0] in ("psf", "tail", "design")),
+    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf", "tail", "design")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
+    ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
-    ("restoration.steps", 9, lambda job: job[0] in ("restore", "restored") or job[:2] == ("reproduce", "restored")),
-    ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",))),
+    ("restoration.steps", 9, lambda job: job[0] == "restore" or measured(*RESTORED)(job)),
+    ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] in ("restore", "restored") or (job[0] == "fine_tune" and job[1] != SHARP)
-     or (job[0] == "reproduce" and job[2] != SHARP) or (job[0] == "design" and job[1] in SUPERVISED)),
+     lambda job: job[0] == "restore" or (job[0] in ("fine_tune", "reproduce") and job[1] != SHARP)
+     or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,
-     lambda job: job == ("reference", "small")
-     or (job[0] in ("fine_tune", "restored", "reproduce") and job[-1] == "small")
+     lambda job: job == ("reference", "small") or measured("small", "small-restored")(job)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.other.model", "test_vit2",
-     lambda job: job == ("reference", "other")
-     or (job[0] in ("fine_tune", "restored", "reproduce") and job[-1] == "other")),
+     lambda job: job == ("reference", "other") or measured("other", "other-restored")(job)),
     ("elements.singlet", ["PMMA"], lambda job: job[0] == "design"),
 ]  # fmt: skip
 
@@ -66,7 +109,7 @@ def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value,
     before, after = slices(tiny_study()), slices(changed(tiny_study(), key, value))
     assert before.keys() == after.keys()
     touched = {job for job in before if before[job] != after[job]}
-    assert touched == {job for job in before if reads(job)}
+    assert touched == {job for job in before if reads(job)} != set()
 
 
 def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
@@ -81,7 +124,7 @@ def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
 def test_tables_hold_the_lenses_of_the_paper():
     """Task-driven against imaging; in table 3 against end-to-end; in table 2 with all classifiers."""
     study = parse(tiny_study())
-    found = {name: jobs.table(study, name) for name in TABLES}
+    found = {name: jobs.table.plan(study, name).settings for name in TABLES}
     imaging = ("singlet-tasklens", "singlet-imaging1", "singlet-imaging2")
     assert all(found[name].lenses == imaging for name in ("table1", "table2", "table4"))
     assert found["table3"].lenses == SUPERVISED
@@ -93,34 +136,90 @@ def test_a_study_may_make_some_of_the_tables():
     """Its tails, verdicts and verification are of these, of their lenses and of their measurements."""
     some = changed(tiny_study(), "tables", ["table3"])
     before, after = slices(tiny_study()), slices(some)
-    assert {job for job in before if before[job] != after[job]} == {("psf_tail",), ("verdicts",)}
+    assert {job for job in before if before[job] != after[job]} == {("psf_tail",), ("verdicts",), ("verify",)}
     study = parse(some)
-    assert jobs.psf_tail(study).lenses == jobs.verify(study).lenses == SUPERVISED
-    assert {classifier for _, classifier in jobs.verify(study).measured} == {"small"}
-    assert {claim.table for claim in claims.verdicts(study).claims} == {"table3"}
-    assert {claim.table for claim in claims.verdicts(parse(tiny_study())).claims} == {*TABLES}
+    verified = jobs.verify.plan(study).settings
+    assert jobs.psf_tail.plan(study).settings.lenses == verified.lenses == SUPERVISED
+    assert {classifier for _, classifier in verified.measured} == {"small"}
+    assert {claim.table for claim in jobs.verdicts.plan(study).settings.claims} == {"table3"}
+    assert {claim.table for claim in jobs.verdicts.plan(parse(tiny_study())).settings.claims} == {*TABLES}
 
 
-def test_a_lens_from_outside_adds_rows_and_changes_no_other_job():
+IMAGING_AND_TASK = {"tasklens", "imaging1", "imaging2", "imaging3"}
+
+
+@pytest.mark.parametrize("target", ["tables", "verify"])
+@pytest.mark.parametrize(
+    "made, elements, designs, restorations",
+    [
+        ("table1", ("doublet", "triplet", "quadruplet"), IMAGING_AND_TASK, 0),
+        ("table3", ("doublet", "triplet", "quadruplet"),
+         IMAGING_AND_TASK | {"end_to_end_from_imaging", "end_to_end_from_flat"}, 0),
+        ("table4", ("doublet",), IMAGING_AND_TASK, 4),
+    ],
+)  # fmt: skip
+def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs, restorations):
+    """Table 1 of the default study waits for 12 designs, not for 18; the end-to-end lenses of table 3 for the imaging
+    lenses that they start from, though not for the PSF tails of these."""
+    study = load(ROOT / "config" / "config.yaml").model_copy(update={"tables": (made,)})
+    contents = tables.table(study, made)
+    if target == "verify":
+        found = needed(study, *flatten(jobs.verify.plan(study).inputs))
+        assert {job[1:] for job in found if job[0] == "reproduce"} == set(contents.measured)
+    else:
+        others = (stage.output(study, "csv") for stage in (jobs.verdicts, jobs.psf_tail))
+        found = needed(study, jobs.table.output(study, "csv", table=made), *others)
+        assert {job[1] for job in found if job[0] == "tail"} == set(contents.lenses)
+    expected = set(map("-".join, itertools.product(elements, designs)))
+    assert {job[1] for job in found if job[0] == "design"} == expected
+    assert {job[1] for job in found if job[0] == "psf"} == expected
+    assert {job[1] for job in found if job[0] == "reference"} == {"resnet"}
+    assert len({job for job in found if job[0] == "restore"}) == restorations
+
+
+@pytest.mark.parametrize("mapping", [tiny_study(), with_imported(), changed(tiny_study(), "seeds", [0, 7])])
+def test_what_a_job_reads_another_makes(mapping):
+    """Or it is a file of the user, or the paper's values; of the same seed, and never its own output."""
+    study = parse(mapping)
+    for key, stage, wildcards in every_job(study):
+        reads = set(flatten(stage.plan(study, **wildcards).inputs))
+        needed(study, *reads)
+        assert not reads & set(stage.outputs(study, **wildcards).values()), key
+        if stage.wildcards[-1:] == ("seed",):
+            others = [f"seed{seed}" for seed in study.seeds if seed != wildcards["seed"]]
+            assert not [path for path in reads if any(part in Path(path).parts for part in others)], key
+
+
+def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
-    before, after = slices(tiny_study()), slices(with_outside())
-    tables = {("table", name) for name in ("table1", "table2", "table4")} | {("psf_tail",)}
-    assert {job for job in before if before[job] != after[job]} == tables
+    before, after = slices(tiny_study()), slices(with_imported())
+    rows = {("table", name) for name in ("table1", "table2", "table4")} | {("psf_tail",), ("verify",)}
+    assert {job for job in before if before[job] != after[job]} == rows
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
-    study = parse(with_outside())
+    study = parse(with_imported())
     for name in TABLES:
         imported = () if name == "table3" else ("quadruplet-phone",)
-        assert jobs.table(study, name).lenses == jobs.table(parse(tiny_study()), name).lenses + imported
-    assert jobs.design(study, "quadruplet-phone", 0).classifier is None
-    assert jobs.imaging_baselines(study, "quadruplet-phone") == ()
+        assert tables.table(study, name).lenses == tables.table(parse(tiny_study()), name).lenses + imported
+    plan = jobs.design.plan(study, "quadruplet-phone", 0)
+    assert plan.settings.classifier is None and plan.inputs["weights"] is None and plan.inputs["train"] is None
+    assert plan.inputs["files"] == [study.imported["phone"].file]
+    assert tables.imaging_baselines(study, "quadruplet-phone") == ()
+    assert not any("phone" in path for path in flatten(jobs.design.plan(study, SUPERVISED[1], 0).inputs))
 
 
-def test_rivals_are_the_imaging_lenses_of_the_same_elements():
+def test_baselines_are_the_imaging_lenses_of_the_same_elements():
+    """An end-to-end design from imaging reads them and their accuracies of its own seed; no other design reads any."""
     study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
     expected = ("doublet-imaging1", "doublet-imaging2")
-    assert jobs.imaging_baselines(study, "doublet-end_to_end_from_imaging") == expected
-    assert jobs.imaging_baselines(study, "doublet-end_to_end_from_flat") == ()
-    assert jobs.imaging_baselines(study, "doublet-tasklens") == ()
+    assert tables.imaging_baselines(study, "doublet-end_to_end_from_imaging") == expected
+    assert tables.imaging_baselines(study, "doublet-end_to_end_from_flat") == ()
+    assert tables.imaging_baselines(study, "doublet-tasklens") == ()
+    inputs = jobs.design.plan(study, "doublet-end_to_end_from_imaging", 3).inputs
+    assert inputs["baselines"] == {name: f"results/tiny/lenses/{name}/seed3/lens.yaml" for name in expected}
+    assert inputs["metrics"] == {name: f"results/tiny/metrics/{name}/seed3/small.csv" for name in expected}
+    for name in ("end_to_end_from_flat", "tasklens", "imaging1"):
+        inputs = jobs.design.plan(study, f"doublet-{name}", 3).inputs
+        assert inputs["baselines"] == inputs["metrics"] == {}
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
@@ -128,9 +227,54 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     found = {job for job in before if before[job] != after[job]}
-    doublets = {job for job in before if job[0] in ("design", "psf") and job[1].startswith("doublet")}
-    assert found == doublets | {("verdicts",)}
+    doublets = {job for job in before if job[0] in ("design", "psf", "tail") and job[1].startswith("doublet")}
+    assert found == doublets | {("verdicts",), ("verify",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
-    efl_mm = jobs.verify(both).efl_mm
+    efl_mm = jobs.verify.plan(both).settings.efl_mm
     assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]
     assert parse(yaml.safe_load(dump(both))) == both
+
+
+# ---- what a stage declares
+
+
+@pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
+def test_a_stage_is_declared_in_one_piece(stage):
+    """It has a function with a sentence about it, and its wildcards, all of them, are in the path of every output."""
+    assert run.stage_function(stage).__doc__
+    assert digest.code_digest(stage.function)
+    for pattern in stage.patterns.values():
+        found = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
+        assert found == set(stage.wildcards)
+    assert {name for _, name, _, _ in string.Formatter().parse(stage.label) if name is not None} == {*stage.wildcards}
+
+
+def test_every_function_among_the_stages_is_a_stage():
+    """And the digests know every file of theirs."""
+    folder = ROOT / "tasklens" / "pipeline" / "stages"
+    assert {f"tasklens.pipeline.stages.{path.stem}" for path in folder.glob("*.py")} == {
+        *digest.STAGES,
+        "tasklens.pipeline.stages.__init__",
+    }
+    found = []
+    for name in digest.STAGES:
+        module = __import__(name, fromlist=["functions"])
+        found += [f for f, value in getmembers(module, isfunction) if value.__module__ == name and f[0] != "_"]
+    assert sorted(found) == sorted(stage.function for stage in STAGES.values())
+
+
+def test_a_job_knows_its_files_as_paths():
+    study = parse(tiny_study())
+    job = jobs.design.job(study, lens="singlet-end_to_end_from_imaging", seed=4)
+    assert job.name == "design/singlet-end_to_end_from_imaging-seed4"
+    assert job.checkpoint == "results/tiny/checkpoints/design-singlet-end_to_end_from_imaging-seed4"
+    assert vars(job.outputs) == {
+        "lens": Path("results/tiny/lenses/singlet-end_to_end_from_imaging/seed4/lens.yaml"),
+        "history": Path("results/tiny/lenses/singlet-end_to_end_from_imaging/seed4/history.csv"),
+    }
+    assert job.inputs.train == [Path("results/tiny/images/train.npy"), Path("results/tiny/images/train.json")]
+    assert job.inputs.baselines.keys() == {"singlet-imaging1", "singlet-imaging2"}
+    assert all(isinstance(path, Path) for path in job.inputs.baselines.values())
+    assert jobs.images.job(study).name == "images"
+    with pytest.raises(StudyError, match="nobody"):
+        jobs.reference.job(study, classifier="nobody")

@@ -1,4 +1,4 @@
-"""The page of a lens: shapes of its surfaces, what moulding errors do, and who would make it."""
+"""The page of a lens: shapes of its surfaces, what moulding errors do, and its manufacturability."""
 
 import math
 from dataclasses import replace
@@ -12,7 +12,7 @@ from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.analysis.spots import centroid, trace_fields
 from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS, errors_by_part
 from tasklens.optics.view import View
-from tasklens.report import making
+from tasklens.report import manufacturability
 
 COC, OKP4, AIR = materials("COC", "OKP4", "air")
 
@@ -90,13 +90,24 @@ def test_errors_are_those_of_lenses_that_are_off_and_refocused():
     assert min(errors["radius 2"], errors["thickness 2"]) > 0.05
 
 
-def test_page_says_who_would_make_it():
+def test_page_says_whether_it_can_be_made():
     """Limits first; then whether moulding errors leave the spot below twice its size; the tables hold the numbers."""
-    kept, broken = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
+    kept, violated = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
     calm, lively = {"radius 1": 3.0, "thickness 1": 4.0}, {"radius 1": 30.0, "thickness 1": 40.0}
     surfaces = shapes(asphere(0.4, 0.0))
-    page = making.markdown(kept, surfaces, 12.0, calm)
-    assert "A moulder of phone lenses" in page and "from 12.0 to 13.0 um" in page and "thickness 1 (4.0 um)" in page
+    page = manufacturability.markdown(kept, surfaces, 12.0, calm)
+    assert page.startswith("## Manufacturability\n") and "Within precision moulding: all limits are kept" in page
+    assert "from 12.0 to 13.0 um" in page and "thickness 1 (4.0 um)" in page
     assert "0.0200 mm" in page and "23.6" in page
-    assert "tighter tolerances" in making.markdown(kept, surfaces, 12.0, lively)
-    assert "Nobody as it stands: it breaks max slope by 0.03." in making.markdown(broken, surfaces, 12.0, calm)
+    assert "Needs tighter tolerances" in manufacturability.markdown(kept, surfaces, 12.0, lively)
+    page = manufacturability.markdown(violated, surfaces, 12.0, calm)
+    assert "Not as it stands: it violates max slope by 0.03." in page
+
+
+@pytest.mark.parametrize("built_um, words", [(24.0, "Within"), (24.1, "Needs tighter"), (240.0, "20.0 times")])
+def test_a_lens_is_robust_up_to_twice_its_spot(built_um, words):
+    assert words in manufacturability.verdict({"max_slope": 0.0}, 12.0, built_um)
+
+
+def test_a_margin_that_is_no_number_is_violated():
+    assert "Not as it stands" in manufacturability.verdict({"max_slope": math.nan}, 12.0, 12.0)

@@ -6,21 +6,23 @@ from pathlib import Path
 
 import pytest
 import yaml
-from examples import changed, tiny_study, with_outside
+from examples import changed, tiny_study, with_imported
 
 from tasklens.materials.catalogues import PLASTICS, builtin
+from tasklens.study.design_settings import LearningRates
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError, dump, load, parse
 
 CONFIGS = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
-CONFIGS = [path for path in CONFIGS if "format: 1" in path.read_text()]  # the others are laid over the default study
+CONFIGS = [path for path in CONFIGS if "format: 2" in path.read_text()]  # the others are laid over the default study
 
 # key to change, its bad value, words that the message must hold beside the last part of the key
 MISTAKES = [
     ("images.sise", 32, ["not permitted"]),
     ("nmae", "x", ["not permitted"]),
     ("name", "My Study", ["My Study"]),
-    ("format", 2, ["2", "1"]),
+    ("format", 1, ["1", "2"]),
+    ("format", 3, ["3", "2"]),
     ("elements.doublet", ["COC", "GLASS"], ["GLASS", "OKP4"]),
     ("elements.doublet", [], ["at least one"]),
     ("materials", ["nowhere.yaml"], ["nowhere.yaml", "No such file"]),
@@ -49,18 +51,18 @@ MISTAKES = [
     ("designs.imaging1.steps", -1, ["-1", "greater than 0"]),
     ("designs.imaging1.images", 8, ["8", "not permitted"]),
     ("designs.imaging2.highest_order", 5, ["5", "4, 6, 8 or 10"]),
-    ("designs.tasklens.size", 4, ["4", "spec.kernel = 11", "16"]),
+    ("designs.tasklens.size", 4, ["4", "spec.kernel_size = 11", "16"]),
     ("designs.tasklens.size", 17, ["17", "images.size = 16"]),
-    ("designs.imaging1.rates", "theirs", ["theirs", "paper", "ours"]),
-    ("designs.tasklens.start.pixels", [20, 0.5], ["start.pixels", "0.5"]),
+    ("designs.imaging1.learning_rates", "theirs", ["theirs", "paper", "ours"]),
+    ("designs.tasklens.restart.pixels", [20, 0.5], ["restart.pixels", "0.5"]),
     ("designs.end_to_end_from_flat.cold_start", {"stop_scale": 2}, ["stop_scale", "2"]),
     ("classifiers.small.training", None, ["pretrained", "weights", "training"]),
     ("classifiers.small.weights", 3, ["3"]),
     ("restored", ["doublet"], ["doublet", "singlet"]),
     ("restoration.decoder", [1, 1], ["encoder", "decoder"]),
     ("constraints.distortion", -0.1, ["-0.1"]),
-    ("minutes.design", -1, ["-1"]),
-    ("classifiers.small.processes", 3, ["classifiers.small.processes", "fine_tuning.batch"]),
+    ("constraints.flat_track", 0, ["0", "greater than 0"]),
+    ("classifiers.small.processes", 3, ["classifiers.small.processes", "fine_tuning.batch_size"]),
     ("imported.phone.file", "nowhere.zmx", ["imported.phone.file", "nowhere.zmx", "not point to a file"]),
     ("imported.phone.file", __file__, ["imported.phone.file", ".zmx", ".yaml"]),
     ("imported.phone", {"elements": "x", "file": str(PLASTICS), "catalogues": ["no.agf"]}, ["catalogues", "no.agf"]),
@@ -94,7 +96,64 @@ def test_all_mistakes_are_reported_at_once():
     study = changed(changed(tiny_study(), "spec.kernel_size", 50), "images.sise", 3)
     with pytest.raises(StudyError) as error:
         parse(study)
-    assert "spec.kernel = 50" in str(error.value) and "images.sise = 3" in str(error.value)
+    assert "spec.kernel_size = 50" in str(error.value) and "images.sise = 3" in str(error.value)
+
+
+# key of format 1, a value that it had, what the message must name instead
+RENAMED = [
+    ("spec.kernel", 11, "kernel_size"),
+    ("specs", {"singlet": {"kernel": 11}}, "kernel_size"),
+    ("capture.outside", "veil", "outside_window"),
+    ("outside", {"phone": {"elements": "quadruplet", "file": str(PLASTICS)}}, "imported"),
+    ("minutes", {"images": 0.1}, "gone"),
+    ("fine_tuning.rate", 1e-3, "learning_rate"),
+    ("fine_tuning.batch", 20, "batch_size"),
+    ("restoration.rate", 1e-3, "learning_rate"),
+    ("restoration.batch", 4, "batch_size"),
+    ("classifiers.small.training.rate", 1e-3, "learning_rate"),
+    ("designs.tasklens.images", 2, "batch_size"),
+    ("designs.tasklens.starts", 2, "restarts"),
+    ("designs.tasklens.start", {"steps": 2, "pixels": [20, 5]}, "restart"),
+    ("designs.tasklens.refine", {"steps": 2, "pixels": [5, 1]}, "refinement"),
+    ("designs.tasklens.restart.stride", 0.5, "step_size"),
+    ("designs.tasklens.polish.network_rate", 1e-5, "network_learning_rate"),
+    ("designs.imaging1.rates", "ours", "learning_rates"),
+    ("designs.end_to_end_from_flat.images", 2, "batch_size"),
+    ("designs.end_to_end_from_flat.rates", "paper", "learning_rates"),
+    ("ablations.mine", {"elements": "singlet", "design": "imaging1", "variants": {"a": {"rates": "paper"}}},
+     "learning_rates"),
+]  # fmt: skip
+
+
+LATE = ("specs", "ablations.mine")  # looked into when all else is right
+
+
+@pytest.mark.parametrize("key, value, now", RENAMED, ids=[key for key, *_ in RENAMED])
+def test_a_key_of_format_1_names_the_one_of_today(key, value, now):
+    """In one line, with the old key, beside whatever else is wrong."""
+    study = changed(tiny_study(), key, value)
+    with pytest.raises(StudyError) as error:
+        parse(study if key in LATE else changed(study, "images.sise", 3))
+    (line,) = (line for line in str(error.value).splitlines() if "since format 2" in line)
+    old = {"specs": "kernel", "ablations.mine": "rates"}.get(key, key.rpartition(".")[2])
+    assert all(part in line for part in key.split("."))
+    assert now in line.partition(f"since format 2 `{old}` is ")[2]
+    assert ("images.sise = 3" in str(error.value)) == (key not in LATE)
+
+
+def test_a_study_of_format_1_hears_of_all_its_keys_at_once():
+    """At any depth, with the format; a key that is renamed and wrong besides has a line for each."""
+    study, keys = changed(tiny_study(), "format", 1), 0
+    for key, value, _ in RENAMED:
+        if key not in (*LATE, "designs.tasklens.restart.stride"):  # which the old `start` replaces
+            study, keys = changed(study, key, value), keys + 1
+    with pytest.raises(StudyError) as error:
+        parse(changed(study, "spec.kernel", 50))
+    message = str(error.value)
+    assert "format = 1: Input should be 2" in message
+    assert "spec.kernel = 50: since format 2" in message and "spec.kernel_size = 50: expected an odd" in message
+    assert message.count("since format 2") == keys
+    assert len(message.splitlines()) == 1 + keys + 2 and "not permitted" not in message
 
 
 def test_best_imaging_needs_an_imaging_design():
@@ -110,6 +169,7 @@ IMPOSSIBLE = [
     ("spec.wavelengths_um", [0.4861, 0.5893, 0.6563]),  # blue, green, red
     ("constraints.min_back_focus", 3.8),  # no room left for plates
     ("constraints.max_track", 0.5),
+    ("constraints.flat_track", 0.2),
     ("constraints.min_centre_thickness", 2.0),  # above the largest
     ("seeds", [0, 0]),
     ("tables", ["table1", "table1"]),
@@ -125,25 +185,24 @@ def test_an_impossible_value_fails_before_the_first_job(key, value):
 
 def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
     """YAML 1.1 wants 1.0e-4; what people write is taken as meant."""
-    text = yaml.safe_dump(changed(tiny_study(), "fine_tuning.learning_rate", 1)).replace("rate: 1\n", "rate: 1e-4\n")
-    assert isinstance(yaml.safe_load(text)["fine_tuning"]["rate"], str)
+    text = yaml.safe_dump(changed(tiny_study(), "fine_tuning.learning_rate", 1)).replace(
+        "learning_rate: 1\n", "learning_rate: 1e-4\n"
+    )
+    assert isinstance(yaml.safe_load(text)["fine_tuning"]["learning_rate"], str)
     (tmp_path / "study.yaml").write_text(text)
     assert load(tmp_path / "study.yaml").fine_tuning.learning_rate == 1e-4
 
 
 def test_rates_have_presets():
     """The paper's (section 3.3) and ours, under their names; a study file may also spell them out."""
-    named = parse(changed(tiny_study(), "designs.imaging1.rates", "paper")).designs["imaging1"].learning_rates
+
+    def rates(given) -> LearningRates:
+        return parse(changed(tiny_study(), "designs.imaging1.learning_rates", given)).designs["imaging1"].learning_rates
+
+    named = rates("paper")
     assert (named.curvature, named.thickness, named.alpha_4, named.decay) == (1e-4, 1e-4, 1e-4, 0.02)
     assert not named.normalised and named.final == 1
-    spelt = (
-        parse(changed(tiny_study(), "designs.imaging1.rates", named.model_dump())).designs["imaging1"].learning_rates
-    )
-    assert (
-        spelt
-        == named
-        != parse(changed(tiny_study(), "designs.imaging1.rates", "ours")).designs["imaging1"].learning_rates
-    )
+    assert rates(named.model_dump()) == named != rates("ours")
 
 
 @pytest.mark.parametrize("text", ["", "[]", "- 1", "just words", "a: [1", "3"])
@@ -196,9 +255,9 @@ def test_lenses_are_every_element_choice_with_every_design():
             call(name)
 
 
-def test_a_lens_from_outside_is_a_lens_of_the_study(tmp_path):
+def test_an_imported_lens_is_a_lens_of_the_study(tmp_path):
     """The last one, of elements that need not exist; a resolved study keeps it."""
-    study = parse(with_outside(catalogues=[str(PLASTICS)]))
+    study = parse(with_imported(catalogues=[str(PLASTICS)]))
     assert list(study.lenses) == [*parse(tiny_study()).lenses, "quadruplet-phone"]
     assert study.lens("quadruplet-phone").elements == "quadruplet" and "quadruplet" not in study.elements
     (tmp_path / "study.yaml").write_text(dump(study))

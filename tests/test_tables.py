@@ -2,16 +2,21 @@
 
 import json
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import pandas
 import pytest
 import yaml
-from examples import changed, tiny_study
-from tasklens.pipeline.layout import SHARP, Layout, restored
+from examples import changed, finish, tiny_study, write
 
-from tasklens.pipeline import jobs
-from tasklens.pipeline import layout as layouts
+from tasklens.pipeline import cli, jobs
+from tasklens.pipeline.jobs import PAPER as PAPER_FILE
+from tasklens.pipeline.run import run
 from tasklens.report import tables
+from tasklens.report.measurements import Measurements
+from tasklens.runtime.files import FileError
+from tasklens.study.names import SHARP, restored
 from tasklens.study.study import TABLES, dump, parse
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
@@ -21,7 +26,7 @@ ACCURACY = {
     "doublet-imaging2": 65.0,
     "doublet-end_to_end_from_imaging": 60.0,
     "doublet-end_to_end_from_flat": 40.0,  # less than half-way from chance to reference
-    "quadruplet-phone_4p": 80.0,  # in no study but one from outside
+    "quadruplet-phone_4p": 80.0,  # in no study but one that imports it
 }
 PAPER = pandas.DataFrame(
     [
@@ -42,33 +47,27 @@ def study():
     return parse(changed(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}), "seeds", [0, 1]))
 
 
-@pytest.fixture
-def layout(tmp_path, study):
-    """Results of two seeds, the second 2 % points better, fields of one lens spread about their mean."""
-    layout = Layout(str(tmp_path / "results"))
+@pytest.fixture(autouse=True)
+def results(tmp_path, monkeypatch, study):
+    """Files of two seeds, the second 2 % points better, fields of one lens spread about their mean."""
+    monkeypatch.chdir(tmp_path)
     spread = [k - (FIELDS - 1) / 2 for k in range(FIELDS)]
 
-    def metrics(path, accuracy, psnr):
+    def metrics(lens, measured_name, seed, accuracy, psnr):
         rows = [("accuracy", k, accuracy + s) for k, s in enumerate(spread)]
         for name, lost in (("psnr_db", 0), ("worst_psnr_db", 8)):
             rows += [(name, k, psnr - lost + s) for k, s in enumerate(spread)] if psnr else []
-        rows += [("minival_accuracy", k, 1.0) for k in range(FIELDS)] + [
-            ("chance", "", CHANCE),
-            ("parameters_m", "", 0.5),
-        ]
-        pandas.DataFrame(rows, columns=["metric", "field", "value"]).to_csv(make(path), index=False)
-
-    def make(path):
-        path = tmp_path / path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path
+        rows += [("minival_accuracy", k, 1.0) for k in range(FIELDS)]
+        rows += [("chance", "", CHANCE), ("parameters_m", "", 0.5)]
+        path = metrics_file(study, lens, measured_name, seed)
+        write(path, pandas.DataFrame(rows, columns=["metric", "field", "value"]).to_csv(index=False))
 
     for seed in study.seeds:
         for classifier in study.classifiers:
-            metrics(layout.metrics(SHARP, seed, classifier), REFERENCE, None)
+            metrics(SHARP, classifier, seed, REFERENCE, None)
             for lens, accuracy in ACCURACY.items():
-                metrics(layout.metrics(lens, seed, classifier), accuracy + 2 * seed, 20.0)
-                metrics(layout.metrics(lens, seed, restored(classifier)), accuracy + 5 + 2 * seed, 25.0)
+                metrics(lens, classifier, seed, accuracy + 2 * seed, 20.0)
+                metrics(lens, restored(classifier), seed, accuracy + 5 + 2 * seed, 25.0)
         for lens in ACCURACY:
             inside = 0.3 if lens == "doublet-end_to_end_from_imaging" and seed == 1 else 0.9
             figures = {
@@ -77,18 +76,24 @@ def layout(tmp_path, study):
                 "energy_in_window": [inside] * 9,
             }
             margin = {"limit": "max_slope", "value": 0.01 - 0.03 * seed}
-            make(layout.lens(lens, seed)).write_text(yaml.safe_dump({"figures": figures, "worst_margin": margin}))
-    return layout
+            content = yaml.safe_dump({"figures": figures, "worst_margin": margin})
+            write(jobs.design.output(study, "lens", lens=lens, seed=seed), content)
 
 
-def table(study, layout, name, partial=False):
-    job = jobs.table(study, name)
-    return tables.summarise(job, tables.collect(job, layout, partial), PAPER).set_index("design")
+def metrics_file(study, lens, measured_name, seed) -> str:
+    return jobs.fine_tune.output(study, "metrics", lens=lens, measured_name=measured_name, seed=seed)
 
 
-def test_table1_means_over_fields_and_seeds(study, layout):
+def table(study, name):
+    """A table from the files that its job is given, by design."""
+    job = jobs.table.job(study, table=name)
+    rows = tables.collect(job.settings, Measurements(job.inputs.lenses, job.inputs.metrics))
+    return tables.summarise(job.settings, rows, PAPER).set_index("design")
+
+
+def test_table1_means_over_fields_and_seeds(study):
     """All lenses and the reference: means of 9 fields and 2 seeds, the spread of seeds, the paper beside."""
-    found = table(study, layout, "table1")
+    found = table(study, "table1")
     assert list(found.index) == ["reference", "tasklens", "imaging1", "imaging2"]
     assert found.loc["reference", "accuracy"] == pytest.approx(90)
     row = found.loc["tasklens"]
@@ -102,23 +107,23 @@ def test_table1_means_over_fields_and_seeds(study, layout):
     assert pandas.isna(found.loc["imaging1", "accuracy_paper"])
 
 
-def test_table2_has_a_row_per_lens_and_classifier(study, layout):
-    found = table(study, layout, "table2").reset_index()
+def test_table2_has_a_row_per_lens_and_classifier(study):
+    found = table(study, "table2").reset_index()
     assert len(found) == 3 * 2
     row = found[(found.design == "tasklens") & (found.classifier == "small")].iloc[0]
     assert row["accuracy"] == pytest.approx(71) and row["reference_accuracy"] == pytest.approx(90)
     assert row["parameters_m"] == pytest.approx(0.5) and row["accuracy_paper"] == 70.0
 
 
-def test_table3_decides_convergence_by_its_rule(study, layout):
+def test_table3_decides_convergence_by_its_rule(study):
     """Half of the light in the window and half of the reference above chance; both are needed, for every seed."""
-    found = table(study, layout, "table3")
+    found = table(study, "table3")
     assert found["converged"].to_dict() == {
         "tasklens": True,
         "end_to_end_from_imaging": False,
         "end_to_end_from_flat": False,
     }
-    shown = tables.printed(jobs.table(study, "table3"), found.reset_index()).set_index("design")
+    shown = tables.printed(found.reset_index()).set_index("design")
     assert shown["converged"].to_dict() == {
         "tasklens": "yes",
         "end_to_end_from_imaging": "×",
@@ -132,79 +137,99 @@ def test_convergence_rule(accuracy, inside, expected):
     assert tables.converged(accuracy, REFERENCE, CHANCE, inside) is expected
 
 
-def test_table4_is_about_restored_captures(study, layout):
-    row = table(study, layout, "table4").loc["tasklens"]
+def test_table4_is_about_restored_captures(study):
+    row = table(study, "table4").loc["tasklens"]
     assert row["accuracy"] == pytest.approx(76) and row["psnr_db"] == pytest.approx(25)
     assert row["psnr_db_paper"] == 24.0 and row["worst_psnr_db"] == pytest.approx(17)
 
 
-def test_a_lens_from_outside_has_its_rows(study, layout, tmp_path):
+def test_an_imported_lens_has_its_rows(study, tmp_path):
     """In tables 1, 2 and 4, last, beside no value of the paper."""
     (tmp_path / "phone.yaml").write_text("")
     entry = {"phone_4p": {"elements": "quadruplet", "file": str(tmp_path / "phone.yaml")}}
-    study = parse(yaml.safe_load(dump(study)) | {"outside_window": entry})
+    study = parse(yaml.safe_load(dump(study)) | {"imported": entry})
     for name, accuracy in (("table1", 81), ("table2", 81), ("table4", 86)):
-        found = table(study, layout, name)
+        found = table(study, name)
         rows = found[found.elements == "quadruplet"]
         assert len(rows) == (2 if name == "table2" else 1) and found.index[-1] == "phone_4p"
         assert rows["accuracy"].tolist() == pytest.approx([accuracy] * len(rows))
         assert rows["accuracy_paper"].isna().all() if "accuracy_paper" in rows else name == "table4"
-    assert "quadruplet" not in set(table(study, layout, "table3").elements)
+    assert "quadruplet" not in set(table(study, "table3").elements)
 
 
-def test_one_seed_has_no_spread(study, layout):
-    found = table(study.model_copy(update={"seeds": (0,)}), layout, "table1")
+def test_one_seed_has_no_spread(study):
+    found = table(study.model_copy(update={"seeds": (0,)}), "table1")
     assert not [name for name in found.columns if name.endswith("_std")]
     assert found.loc["tasklens", "accuracy"] == pytest.approx(70)
 
 
-def test_a_missing_measurement_is_named_or_left_out(study, layout):
-    from pathlib import Path
+def test_a_missing_measurement_is_named(study):
+    path = Path(metrics_file(study, "doublet-imaging1", "small", 1))
+    path.unlink()
+    with pytest.raises(FileError, match=f"table/table1: missing input {path}; `snakemake`"):
+        finish(jobs.table, study, table="table1")
+    assert not Path("results/tiny/tables").exists()
 
-    missing = Path(layout.metrics("doublet-imaging1", 1, "small"))
-    missing.unlink()
-    with pytest.raises(FileNotFoundError, match="doublet-imaging1/seed1/small"):
-        table(study, layout, "table1")
-    found = table(study, layout, "table1", partial=True)
+
+@pytest.mark.parametrize("lost", ["metrics", "lens"])
+def test_a_partial_table_has_what_has_been_measured(study, lost):
+    """A lens without the one file or the other of a seed has the row of the other seed; it is <table>-partial."""
+    files = {
+        "metrics": [metrics_file(study, "doublet-imaging1", "small", seed) for seed in (1, 0)],
+        "lens": [jobs.design.output(study, "lens", lens="doublet-imaging1", seed=seed) for seed in (1, 0)],
+    }
+    Path(files[lost][0]).unlink()
+    found = partial(study)
+    assert {path.name for path in Path("results/tiny/tables").iterdir()} == {
+        f"table1-partial.{suffix}" for suffix in ("csv", "seeds.csv", "md", "tex", "json")
+    }
     assert found.loc["imaging1", "accuracy"] == pytest.approx(60)
     assert found.loc["tasklens", "accuracy"] == pytest.approx(71)
+    assert "Not measured yet" not in Path("results/tiny/tables/table1-partial.md").read_text()
+    Path(files[lost][1]).unlink()
+    assert list(partial(study).index) == ["reference", "tasklens", "imaging2"]
+    assert "Not measured yet: doublet-imaging1." in Path("results/tiny/tables/table1-partial.md").read_text()
 
 
-def test_nothing_measured_yet_is_said(study, tmp_path):
-    with pytest.raises(FileNotFoundError, match="nothing has been measured"):
-        tables.make(jobs.table(study, "table1"), Layout(str(tmp_path)), "tiny", partial=True)
+def partial(study) -> pandas.DataFrame:
+    Path("study.yaml").write_text(dump(study))
+    assert cli.main(["table", "study.yaml", "table1", "--partial"]) == 0
+    return pandas.read_csv("results/tiny/tables/table1-partial.csv").set_index("design")
+
+
+def test_nothing_measured_yet_is_said(study, capsys):
+    Path("study.yaml").write_text(dump(study.model_copy(update={"name": "new"})))
+    assert cli.main(["table", "study.yaml", "table1", "--partial"]) == 2
+    assert "nothing has been measured" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_files_of_a_table_agree(study, layout, name):
+def test_files_of_a_table_agree(study, name):
     """CSV, Markdown and LaTeX have the same rows; the sidecar says what made them."""
-    tables.make(jobs.table(study, name), layout, "tiny", partial=False)
-    with open(layout.table(name, "csv")) as file:
-        rows = pandas.read_csv(file, keep_default_na=False)
-    with open(layout.table(name, "md")) as file:
-        body = [line for line in file.read().splitlines() if line.startswith("|")][2:]
+    outputs = finish(jobs.table, study, table=name).outputs
+    rows = pandas.read_csv(outputs.csv, keep_default_na=False)
+    body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == (4 if name == "table1" else 6 if name == "table2" else 3)
     assert all(row.design in line for row, line in zip(rows.itertuples(), body, strict=True))
-    each = pandas.read_csv(layout.table(name, "seeds.csv"), keep_default_na=False)
+    each = pandas.read_csv(outputs.seeds_csv, keep_default_na=False)
     assert len(each) == 2 * len(rows) and each["seed"].tolist() == [0] * len(rows) + [1] * len(rows)
     assert each["accuracy"].astype(float).mean() == pytest.approx(rows["accuracy"].mean())
-    with open(layout.table(name, "tex")) as file:
-        latex = file.read()
+    latex = outputs.tex.read_text()
     assert latex.count(r"\\") == len(rows) + 1 and "nan" not in latex.lower()
-    with open(layout.table(name, "json")) as file:
-        notes = json.load(file)
+    notes = json.loads(outputs.json.read_text())
     assert notes["study"] == "tiny" and notes["seeds"] == [0, 1] and set(notes["versions"]) == set(tables.PACKAGES)
 
 
-def test_latex_escapes_underscores_everywhere(study, layout):
-    tables.make(jobs.table(study, "table1"), layout, "my_study", partial=False)
-    with open(layout.table("table1", "tex")) as file:
-        assert not re.search(r"(?<!\\)_", file.read())
+def test_latex_escapes_underscores_everywhere(study):
+    job = jobs.table.job(study, table="table1")
+    run(jobs.table, replace(job, settings=job.settings.model_copy(update={"study": "my_study"})))
+    latex = job.outputs.tex.read_text()
+    assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)
 
 
 def test_the_papers_values_are_those_of_its_tables():
     """Every lens of table 1 has an accuracy; the doublet TaskLens reads 70.08 % in table 1 and 70.05 % in table 3."""
-    paper = pandas.read_csv(layouts.PAPER, keep_default_na=False)
+    paper = pandas.read_csv(PAPER_FILE, keep_default_na=False)
     assert not paper.duplicated(["table", "elements", "design", "classifier", "metric"]).any()
     assert set(paper["table"]) == set(TABLES)
     index = paper.set_index(["table", "elements", "design", "classifier", "metric"])["value"].astype(float)

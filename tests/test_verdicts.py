@@ -1,20 +1,21 @@
 """Claims that a study can decide, and verdicts from images of which every one is known."""
 
 import math
+from pathlib import Path
 
 import numpy
 import pandas
 import pytest
 import yaml
-from examples import changed, tiny_study
-from tasklens.pipeline.layout import SHARP, Layout, restored
+from examples import changed, finish, measurements_of, read_rows, tiny_study, write
 
 from tasklens.pipeline import jobs
-from tasklens.report import regimes, verdicts
+from tasklens.report import verdicts
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.runtime.files import FileError
-from tasklens.study import claims
+from tasklens.study import claims, tables
 from tasklens.study.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
+from tasklens.study.names import SHARP, restored
 from tasklens.study.study import dump, parse
 
 IMAGES, FIELDS = 200, 9
@@ -28,13 +29,18 @@ def study_of(seeds: int, **elements):
     return parse(changed(study, "seeds", list(range(seeds))))
 
 
-def results(tmp_path, study, accuracy, minival=None, inside=0.9, lenses=None) -> Layout:
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """Where the results are."""
+    monkeypatch.chdir(tmp_path)
+
+
+def results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
     """Files of a study in which a lens recognises a fraction accuracy(lens, classifier, seed) of all captures.
 
     Drawn by chance, one number for an image and its field for all lenses: a better lens recognises what a worse one
     does, and more.
     """
-    layout = Layout(str(tmp_path))
     luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
     index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
     for seed in study.seeds:
@@ -43,25 +49,27 @@ def results(tmp_path, study, accuracy, minival=None, inside=0.9, lenses=None) ->
                 fields = 1 if lens == SHARP else FIELDS
                 right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
                 chosen = (minival or accuracy)(lens, name, seed)
-                path = tmp_path / f"metrics/{lens}/seed{seed}"
-                path.mkdir(parents=True, exist_ok=True)
+                files = jobs.fine_tune.outputs(study, lens=lens, measured_name=name, seed=seed)
                 columns = {f"field{k}": right[:, k] for k in range(fields)}
-                pandas.DataFrame(index | columns).to_csv(layout.predictions(lens, seed, name), index=False)
+                write(files["predictions"], pandas.DataFrame(index | columns).to_csv(index=False))
                 rows = [("minival_accuracy", k, 100 * chosen) for k in range(fields)] + [("chance", "", 10.0)]
                 rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
-                frame.to_csv(layout.metrics(lens, seed, name), index=False)
-            folder = tmp_path / f"lenses/{lens}/seed{seed}"
-            folder.mkdir(parents=True, exist_ok=True)
+                write(files["metrics"], frame.to_csv(index=False))
             figures = {"rms_centroid_um": [9.0], "radius_50_um": [3.0], "energy_in_window": [inside]}
             text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
-            (folder / "lens.yaml").write_text(text)
-    return layout
+            write(jobs.design.output(study, "lens", lens=lens, seed=seed), text)
 
 
-def judged(tmp_path, study, accuracy, **others) -> pandas.DataFrame:
-    layout = results(tmp_path, study, accuracy, **others)
-    return verdicts.collect(claims.verdicts(study), layout).set_index(["table", "claim", "lens", "classifier"])
+def judged(study, accuracy, **others) -> pandas.DataFrame:
+    results(study, accuracy, **others)
+    return collected(study).set_index(["table", "claim", "lens", "classifier"])
+
+
+def collected(study) -> pandas.DataFrame:
+    """The verdicts, by the files that their job is given."""
+    job = jobs.verdicts.job(study)
+    return verdicts.collect(job.settings, measurements_of(job))
 
 
 def by_design(**accuracies):
@@ -73,7 +81,7 @@ def by_design(**accuracies):
 
 def test_claims_of_each_table():
     """Tables 1, 2 and 4 for every classifier that they show, table 3 about end-to-end design."""
-    job = claims.verdicts(study_of(1))
+    job = claims.claims(study_of(1))
     found = {(c.table, c.text, c.lens, c.classifier): c.baselines for c in job.claims}
     assert len(found) == len(job.claims)
     imaging = ("doublet-imaging2", "doublet-imaging3")
@@ -98,8 +106,8 @@ def test_claims_after_restoration_are_about_what_is_restored():
     """Doublets alone, against doublets alone; the other tables keep theirs."""
     study = study_of(1)
     only = parse(yaml.safe_load(dump(study)) | {"restored": ["doublet"]})
-    assert {lens.partition("-")[0] for lens in jobs.table(only, "table4").lenses} == {"doublet"}
-    found, whole = claims.verdicts(only).claims, claims.verdicts(study).claims
+    assert {lens.partition("-")[0] for lens in tables.table(only, "table4").lenses} == {"doublet"}
+    found, whole = claims.claims(only).claims, claims.claims(study).claims
     assert [c for c in found if c.table != "table4"] == [c for c in whole if c.table != "table4"]
     restored = [c for c in found if c.table == "table4"]
     assert {c.text for c in restored} == {OVER_IMAGING1, OVER_STRONG}
@@ -109,7 +117,7 @@ def test_claims_after_restoration_are_about_what_is_restored():
 def test_fewer_elements_are_judged_between_neighbours_in_the_study():
     """Without a triplet, a doublet meets the quadruplets; another choice of plastics is no other number of elements."""
     others = {"other": DOUBLET[::-1], "quadruplet": 2 * DOUBLET, "singlet": ["COC"]}
-    job = claims.verdicts(study_of(1, doublet=DOUBLET, **others))
+    job = claims.claims(study_of(1, doublet=DOUBLET, **others))
     found = {c.lens: {r.partition("-")[0] for r in c.baselines} for c in job.claims if c.text == FEWER_ELEMENTS}
     assert found == {
         "singlet-tasklens": {"doublet", "other"},
@@ -118,15 +126,15 @@ def test_fewer_elements_are_judged_between_neighbours_in_the_study():
     }
 
 
-def test_claims_about_absent_lenses_are_left_out(tmp_path):
+def test_claims_about_absent_lenses_are_left_out():
     """A study without task-driven or end-to-end lenses has no claim, and its file says so."""
     designs = {name: design for name, design in tiny_study()["designs"].items() if name.startswith("imaging")}
     study = parse(tiny_study() | {"designs": designs})
-    job = claims.verdicts(study)
+    job = claims.claims(study)
     assert job.claims == ()
-    verdicts.make(job, Layout(str(tmp_path)), "tiny")
-    assert list(pandas.read_csv(tmp_path / "tables/verdicts.csv")) == verdicts.COLUMNS
-    assert "no lenses that the paper's claims are about" in (tmp_path / "tables/verdicts.md").read_text()
+    outputs = finish(jobs.verdicts, study).outputs
+    assert list(pandas.read_csv(outputs.csv)) == verdicts.COLUMNS
+    assert "Study `tiny` has no lenses that the paper's claims are about" in outputs.md.read_text()
 
 
 # ---- their verdicts
@@ -141,7 +149,7 @@ def test_rule(low, high, seeds, expected):
     assert found == expected and (reason == "fewer than five seeds") is (seeds < 5)
 
 
-def test_five_seeds_decide(tmp_path):
+def test_five_seeds_decide():
     """Clearly better, clearly worse, and not different at all, with seeds that vary together."""
 
     def accuracy(lens, name, seed):
@@ -149,7 +157,7 @@ def test_five_seeds_decide(tmp_path):
             0.01 * seed
         )
 
-    found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracy)
+    found = judged(study_of(5, doublet=DOUBLET), accuracy)
     better = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert better["verdict"] == HOLDS and better["difference"] == pytest.approx(20, abs=2)
     assert better["low"] < better["difference"] < better["high"] and better["seeds"] == 5
@@ -159,14 +167,14 @@ def test_five_seeds_decide(tmp_path):
     assert same["verdict"] == UNDECIDED and same["difference"] == same["low"] == same["high"] == 0
 
 
-def test_fewer_than_five_seeds_decide_nothing_and_are_shown(tmp_path):
-    found = judged(tmp_path, study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
+def test_fewer_than_five_seeds_decide_nothing_and_are_shown():
+    found = judged(study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
     row = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert row["verdict"] == UNDECIDED and row["reason"] == "fewer than five seeds"
     assert 50 < row["low"] <= row["difference"] <= row["high"] < 70
 
 
-def test_the_opponent_is_chosen_on_the_minival(tmp_path):
+def test_the_baseline_is_chosen_on_the_minival():
     """imaging2 is the best by test and the worst by minival: imaging3 it is; each classifier chooses its own."""
 
     def minival(lens, name, seed):
@@ -176,19 +184,19 @@ def test_the_opponent_is_chosen_on_the_minival(tmp_path):
             else by_design(imaging3=0.6, imaging2=0.1)(lens, name, seed)
         )
 
-    found = judged(tmp_path, study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
+    found = judged(study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
     assert found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
     assert found.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["baseline"] == "triplet-imaging3"
     assert found.loc["table2", OVER_STRONG, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
 
 
-def test_each_seed_chooses_its_opponent(tmp_path):
+def test_each_seed_chooses_its_baseline():
     """Seed 1 has a bad imaging2: whoever designed two lenses takes the other one then."""
 
     def accuracy(lens, name, seed):
         return by_design(tasklens=0.7, imaging2=0.1 if seed == 1 else 0.6, imaging3=0.5)(lens, name, seed)
 
-    found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracy)
+    found = judged(study_of(5, doublet=DOUBLET), accuracy)
     row = found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]
     assert row["baseline"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
     assert row["difference"] == pytest.approx((4 * 10 + 20) / 5, abs=3)
@@ -198,80 +206,87 @@ def test_each_seed_chooses_its_opponent(tmp_path):
     "accuracy, inside, expected, difference",
     [(0.2, 0.9, HOLDS, 35), (0.8, 0.9, FAILS, -25), (0.8, 0.3, HOLDS, 20), (0.3, 0.3, HOLDS, 25)],
 )
-def test_convergence_is_judged_by_the_rule_of_table_3(tmp_path, accuracy, inside, expected, difference):
+def test_convergence_is_judged_by_the_rule_of_table_3(accuracy, inside, expected, difference):
     """Sharp images 100 %, chance 10 %: half-way is 55 %. Half of the light is missed by 50 % less what is inside."""
     accuracies = by_design(sharp=1.0, end_to_end_from_flat=accuracy)
-    found = judged(tmp_path, study_of(5, doublet=DOUBLET), accuracies, inside=inside)
+    found = judged(study_of(5, doublet=DOUBLET), accuracies, inside=inside)
     found = found.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
     assert found["verdict"] == expected and found["baseline"] == ""
     assert found["difference"] == pytest.approx(difference, abs=3)
 
 
-def test_interval_is_of_images_not_of_captures(tmp_path):
+def test_interval_is_of_images_not_of_captures():
     """If all captures of an image agree, the error is that of 200 images, whatever the number of captures."""
     study = study_of(1)
-    layout = results(tmp_path, study, by_design())
+    results(study, by_design())
     generator = numpy.random.default_rng(3)
     share = {}
     for lens in ("doublet-tasklens", "doublet-imaging1"):
         right = (generator.random(IMAGES) < 0.6).astype(int)
         share[lens] = right
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | {f"field{k}": right for k in range(9)})
-        frame.to_csv(layout.predictions(lens, 0, "small"), index=False)
-    found = verdicts.collect(claims.verdicts(study), layout).iloc[0]
+        write(predictions(study, lens), frame.to_csv(index=False))
+    found = collected(study).iloc[0]
+    assert (found["lens"], found["baseline"]) == tuple(share)
     difference = 100 * (share["doublet-tasklens"] - share["doublet-imaging1"])
     assert found["difference"] == pytest.approx(difference.mean())
     width = 2 * 1.96 * difference.std() / math.sqrt(IMAGES)
     assert found["high"] - found["low"] == pytest.approx(width, rel=0.05)
 
 
-def test_other_images_are_refused(tmp_path):
+def predictions(study, lens) -> str:
+    return jobs.fine_tune.output(study, "predictions", lens=lens, measured_name="small", seed=0)
+
+
+def test_other_images_are_refused():
     study = study_of(1)
-    layout = results(tmp_path, study, by_design())
-    path = layout.predictions("doublet-imaging1", 0, "small")
+    results(study, by_design())
+    path = predictions(study, "doublet-imaging1")
     pandas.read_csv(path).iloc[::-1].to_csv(path, index=False)
     with pytest.raises(FileError, match=r"doublet-imaging1.*same test images"):
-        verdicts.collect(claims.verdicts(study), layout)
+        collected(study)
 
 
-def test_files_of_the_verdicts_agree(tmp_path):
+def test_files_of_the_verdicts_agree():
     study = study_of(1)
-    layout = results(tmp_path, study, by_design(tasklens=0.6))
-    verdicts.make(claims.verdicts(study), layout, "tiny")
-    rows = pandas.read_csv(layout.table("verdicts", "csv"))
-    with open(layout.table("verdicts", "md")) as file:
-        body = [line for line in file.read().splitlines() if line.startswith("|")][2:]
+    results(study, by_design(tasklens=0.6))
+    outputs = finish(jobs.verdicts, study).outputs
+    rows = pandas.read_csv(outputs.csv)
+    body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 5 + 10 + 4 + 5
     assert all(f"{row.difference:+.2f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
+    assert all(
+        row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(outputs.csv), body, strict=True)
+    )
 
 
 # ---- where it pays
 
 
-def test_lenses_of_other_specifications_are_no_rivals():
+def test_lenses_of_other_specifications_are_no_baselines():
     """A faster triplet is no lens with more elements for a doublet; each stands against its own elements in the map."""
     study = study_of(1, doublet=DOUBLET, triplet_f2=[*DOUBLET, "COC"])
-    assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.verdicts(study).claims)
+    assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(study).claims)
     faster = study.model_copy(update={"specs": {"triplet_f2": {"f_number": 2.0}}})
-    assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.verdicts(faster).claims)
-    found = {claim.lens: claim.baselines for claim in claims.regimes(faster).claims}
+    assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(faster).claims)
+    found = {claim.lens: claim.baselines for claim in claims.regime_claims(faster).claims}
     assert found == {
         f"{name}-tasklens": tuple(f"{name}-imaging{k}" for k in (1, 2, 3)) for name in ("doublet", "triplet_f2")
     }
 
 
-def test_map_of_regimes(tmp_path):
+def test_map_of_regimes():
     """A row per elements: what was planted, against the baseline with the best minival, and the specification."""
     study = study_of(1).model_copy(update={"specs": {"triplet": {"f_number": 2.0}}})
     share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
-    layout = results(tmp_path, study, lambda lens, *_: share.get(lens, 0.3))
+    results(study, lambda lens, *_: share.get(lens, 0.3))
     for lens in study.lenses.values():
-        path = tmp_path / f"lenses/{lens.name}/seed0/lens.yaml"
+        path = Path(jobs.design.output(study, "lens", lens=lens.name, seed=0))
         spec = study.spec_of(lens.elements).model_dump(mode="json")
         path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"spec": spec}))
-    regimes.make(claims.regimes(study), layout, "tiny")
-    rows = pandas.read_csv(layout.table("regimes", "csv")).set_index("elements")
+    outputs = finish(jobs.regimes, study).outputs
+    rows = pandas.read_csv(outputs.csv).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
-    assert "doublet-imaging2" in (tmp_path / "tables/regimes.md").read_text()
+    assert "doublet-imaging2" in outputs.md.read_text()

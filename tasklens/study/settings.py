@@ -8,7 +8,17 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, computed_field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    computed_field,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -23,14 +33,25 @@ def renamed(names: dict[str, str]) -> Any:
         names: by old key, the new one; or a sentence, where there is none.
     """
 
-    def refuse(cls: type[BaseModel], given: Any) -> Any:
+    def refuse(cls: type[BaseModel], given: Any, handler: ModelWrapValidatorHandler) -> Any:
         found = [old for old in names if isinstance(given, dict) and old in given]
-        if found:
-            words = (f"`{o}` is {'gone: ' if ' ' in names[o] else 'now called '}{names[o]}" for o in found)
-            raise ValueError(f"since format 2 {'; '.join(words)}")
-        return given
+        if not found:
+            return handler(given)
+        problems = []
+        for old in found:
+            words = f"since format 2 `{old}` is {'gone: ' if ' ' in names[old] else 'now called '}{names[old]}"
+            problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
+        try:  # with the new names, for what else is wrong
+            handler({names.get(key, key): value for key, value in given.items() if " " not in names.get(key, "")})
+        except ValidationError as error:
+            problems += error.errors()
+        details = [
+            InitErrorDetails(type=PydanticCustomError(p["type"], p["msg"]), loc=p["loc"], input=p["input"])
+            for p in problems
+        ]
+        raise ValidationError.from_exception_data(cls.__name__, details)
 
-    return model_validator(mode="before")(classmethod(refuse))  # type: ignore[arg-type]
+    return model_validator(mode="wrap")(classmethod(refuse))  # type: ignore[arg-type]
 
 
 class Frozen(BaseModel):
