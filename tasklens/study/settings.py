@@ -37,7 +37,7 @@ def renamed(names: dict[str, str]) -> Any:
         found = [old for old in names if isinstance(given, dict) and old in given]
         if not found:
             return handler(given)
-        problems = []
+        problems: list[Any] = []
         for old in found:
             words = f"since format 2 `{old}` is {'gone: ' if ' ' in names[old] else 'now called '}{names[old]}"
             problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
