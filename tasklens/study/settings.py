@@ -60,6 +60,15 @@ class Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+class Slice(Frozen):
+    """A part of a study, by names of its own: what a job may read."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    def __getattr__(self, name: str) -> Any:  # for type checkers: pydantic finds what there is
+        return super().__getattr__(name)  # type: ignore[misc]
+
+
 class Spec(Frozen):
     """What every lens of the study has to do; the defaults are those of Yang et al. 2024, sections 3.3 and 4."""
 
