@@ -1,20 +1,21 @@
 """Every stage as a person types it, on a study of a few seconds; what each leaves, and how it complains."""
 
-import csv
+from pathlib import Path
 
 import pytest
 import torch
 import yaml
-from examples import changed, cooke_triplet, tiny_study
-from tasklens.pipeline.layout import Layout
+from examples import changed, cooke_triplet, read_rows, tiny_study, write
 
-from tasklens.design import spot
+from tasklens.design import gradient_descent
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
-from tasklens.pipeline import cli
+from tasklens.pipeline import cli, jobs
+from tasklens.pipeline.stage import STAGES
 from tasklens.runtime.files import read_tensors
+from tasklens.study.study import parse
 
-LAYOUT = Layout("results/tiny")
+STUDY = parse(tiny_study())
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +34,21 @@ def run(stage: str, *arguments: str) -> int:
     return cli.main([stage, "study.yaml", *arguments])
 
 
-def rows(path: str) -> list[dict]:
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+def of_lens(stage, name: str, lens: str, seed: int = 0) -> Path:
+    """An output of a stage that has a job per lens."""
+    return Path(stage.output(STUDY, name, lens=lens, seed=seed))
 
 
-def values(path: str, metric: str) -> list[float]:
-    return [float(row["value"]) for row in rows(path) if row["metric"] == metric]
+def lens_content(lens: str, seed: int = 0) -> dict:
+    return yaml.safe_load(of_lens(jobs.design, "lens", lens, seed).read_text())
+
+
+def metrics(lens: str, measured_name: str = "small") -> Path:
+    return Path(jobs.fine_tune.output(STUDY, "metrics", lens=lens, measured_name=measured_name, seed=0))
+
+
+def values(path: Path, metric: str) -> list[float]:
+    return [float(row["value"]) for row in read_rows(path) if row["metric"] == metric]
 
 
 @pytest.fixture(scope="module")
@@ -63,49 +72,42 @@ def test_check_says_what_a_study_holds(workplace, capsys):
 def test_every_design_leaves_a_readable_lens(lenses):
     """A prescription with its spec, origin, figures and margins, and a history of finite numbers."""
     for name in tiny_study()["designs"]:
-        with open(LAYOUT.lens(f"singlet-{name}", 0)) as file:
-            content = yaml.safe_load(file)
+        content = lens_content(f"singlet-{name}")
         assert [s["medium"] for s in content["surfaces"]] == ["air", "COC", "air"]
-        assert content["origin"]["design"] == name and content["spec"]["kernel"] == 11
+        assert content["origin"]["design"] == name and content["spec"]["kernel_size"] == 11
         assert len(content["figures"]["rms_centroid_um"]) == 9
         assert content["worst_margin"]["value"] == min(content["margins"].values())
-        assert rows(LAYOUT.history(f"singlet-{name}", 0))
-    phases = [row["phase"] for row in rows(LAYOUT.history("singlet-tasklens", 0))]
-    walks = [phase for k in (1, 2) for phase in [f"start {k} of 2"] * 2 + [f"start {k} of 2, judged"]]
-    assert phases == walks + ["refinement"] * 2 + ["polish"]
+        assert read_rows(of_lens(jobs.design, "history", f"singlet-{name}"))
+    phases = [row["phase"] for row in read_rows(of_lens(jobs.design, "history", "singlet-tasklens"))]
+    restarts = [phase for k in (1, 2) for phase in [f"restart {k} of 2"] * 2 + [f"restart {k} of 2, selection"]]
+    assert phases == restarts + ["refinement"] * 2 + ["polish"]
 
 
 def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch):
     """Of a loss that is not finite at the third step, the lens of the second is left."""
-    penalty, steps = spot.penalty, iter((1.0, 1.0, float("nan")))
-    monkeypatch.setattr(spot, "penalty", lambda *rest: next(steps) * penalty(*rest))
+    penalty, steps = gradient_descent.penalty, iter((1.0, 1.0, float("nan")))
+    monkeypatch.setattr(gradient_descent, "penalty", lambda *rest: next(steps) * penalty(*rest))
     assert run("design", "singlet-imaging1", "--seed", "9") == 0
-    with open(LAYOUT.lens("singlet-imaging1", 9)) as file:
-        assert yaml.safe_load(file)["origin"]["diverged"].startswith("step 3: ")
+    assert lens_content("singlet-imaging1", 9)["origin"]["diverged"].startswith("step 3: ")
 
 
 def test_design_from_imaging_begins_with_the_better_lens(lenses):
-    judged = {
-        name: sum(values(LAYOUT.metrics(name, 0, "small"), "minival_accuracy"))
-        for name in ("singlet-imaging1", "singlet-imaging2")
-    }
-    with open(LAYOUT.lens("singlet-end_to_end_from_imaging", 0)) as file:
-        start = yaml.safe_load(file)["origin"]["start"]
+    judged = {name: sum(values(metrics(name), "minival_accuracy")) for name in ("singlet-imaging1", "singlet-imaging2")}
+    start = lens_content("singlet-end_to_end_from_imaging")["origin"]["start"]
     assert judged[start] == max(judged.values())
 
 
 def test_a_design_is_repeatable_to_the_last_byte(lenses):
     for name in ("imaging1", "tasklens"):
-        with open(LAYOUT.lens(f"singlet-{name}", 0)) as file:
-            before = file.read()
+        files = [of_lens(jobs.design, file, f"singlet-{name}") for file in ("lens", "history")]
+        before = [path.read_bytes() for path in files]
         assert run("design", f"singlet-{name}") == 0
-        with open(LAYOUT.lens(f"singlet-{name}", 0)) as file:
-            assert file.read() == before
+        assert [path.read_bytes() for path in files] == before
 
 
 def test_psf_file_says_what_it_holds(lenses):
     """9 fields, 3 colours, 11 x 11 pixels; the metadata's energies are the sums of the PSFs."""
-    tensors, notes = read_tensors(LAYOUT.psf("singlet-imaging1", 0))
+    tensors, notes = read_tensors(of_lens(jobs.psf, "psf", "singlet-imaging1"))
     assert tensors["psf"].shape == (9, 3, 11, 11) and tensors["psf"].dtype == torch.float32
     assert len(notes["fields_mm"]) == 9 and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
     torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
@@ -113,13 +115,13 @@ def test_psf_file_says_what_it_holds(lenses):
 
 def test_metrics_are_tidy(lenses):
     """Nine fields per metric through a lens; the images themselves have one field and no PSNR."""
-    through = LAYOUT.metrics("singlet-imaging1", 0, "small")
+    through = metrics("singlet-imaging1")
     assert all(len(values(through, m)) == 9 for m in ("accuracy", "minival_accuracy", "psnr_db"))
     assert values(through, "chance") == [10.0]
-    sharp = LAYOUT.metrics("sharp", 0, "small")
+    sharp = metrics("sharp")
     assert len(values(sharp, "accuracy")) == 1 and values(sharp, "psnr_db") == []
-    assert {(row["elements"], row["design"]) for row in rows(sharp)} == {("", "reference")}
-    assert {(row["elements"], row["design"], row["restored"]) for row in rows(through)} == {
+    assert {(row["elements"], row["design"]) for row in read_rows(sharp)} == {("", "reference")}
+    assert {(row["elements"], row["design"], row["restored"]) for row in read_rows(through)} == {
         ("singlet", "imaging1", "False")
     }
 
@@ -127,25 +129,39 @@ def test_metrics_are_tidy(lenses):
 def test_restoration_and_tables_and_figure(lenses):
     """The rest of the journey: restored captures have metrics of their own; tables and images come out."""
     assert run("restore", "singlet-imaging1") == 0
-    assert run("fine-tune", "singlet-imaging1", "small", "--restored") == 0
-    restored = LAYOUT.metrics("singlet-imaging1", 0, "small-restored")
-    assert values(restored, "psnr_db") != values(LAYOUT.metrics("singlet-imaging1", 0, "small"), "psnr_db")
+    assert run("fine-tune", "singlet-imaging1", "small-restored") == 0
+    restored = metrics("singlet-imaging1", "small-restored")
+    assert values(restored, "psnr_db") != values(metrics("singlet-imaging1"), "psnr_db")
+    assert {row["restored"] for row in read_rows(restored)} == {"True"}
     assert run("table", "table1", "--partial") == 0
-    assert [row["design"] for row in rows(LAYOUT.table("table1-partial", "csv"))] == [
-        "reference",
-        "imaging1",
-        "imaging2",
-    ]
+    shown = read_rows("results/tiny/tables/table1-partial.csv")
+    assert [row["design"] for row in shown] == ["reference", "imaging1", "imaging2"]
     assert run("figure", "singlet-imaging1") == 0
-    with open(LAYOUT.figure("singlet-imaging1", 0), "rb") as file:
-        assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+    assert of_lens(jobs.figure, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert run("certificate", "singlet-imaging1") == 0
-    with open(LAYOUT.certificate("singlet-imaging1", 0)) as file:
-        page = file.read()
-    assert page.startswith("# singlet-imaging1, seed 0\n") and "## Who would make it?" in page
+    page = of_lens(jobs.certificate, "page", "singlet-imaging1").read_text()
+    assert page.startswith("# singlet-imaging1, seed 0\n") and "## Manufacturability" in page
 
 
-def test_a_lens_from_outside_goes_the_same_way(lenses, capsys):
+def test_every_stage_can_be_typed(capsys):
+    """With its wildcards as arguments, and what it does in a line of the help."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--help"])
+    shown = capsys.readouterr().out
+    assert ended.value.code == 0
+    for stage in STAGES.values():
+        name = stage.name.replace("_", "-")
+        assert f"    {name} " in shown or f"    {name}\n" in shown
+        with pytest.raises(SystemExit) as ended:
+            cli.main([name, "--help"])
+        usage = capsys.readouterr().out
+        assert ended.value.code == 0
+        for wildcard in stage.wildcards:
+            assert ("--seed SEED" if wildcard == "seed" else wildcard) in usage
+        assert ("--partial" in usage) == (name == "table")
+
+
+def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     """From its file, by name, to its PSF and figure; what cannot be used is said by `check`, before any job."""
     prescription.write(lenses / "theirs.yaml", Prescription(cooke_triplet()), {})
     entry = {"elements": "triplet", "file": "theirs.yaml"}
@@ -154,12 +170,10 @@ def test_a_lens_from_outside_goes_the_same_way(lenses, capsys):
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
     for stage in ("design", "psf", "figure"):
         assert cli.main([stage, "imported.yaml", "triplet-cooke"]) == 0
-    with open(LAYOUT.lens("triplet-cooke", 0)) as file:
-        content = yaml.safe_load(file)
+    content = lens_content("triplet-cooke")
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
-    with open(LAYOUT.figure("triplet-cooke", 0), "rb") as file:
-        assert file.read(8) == b"\x89PNG\r\n\x1a\n"
+    assert of_lens(jobs.figure, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert cli.main(["check", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
     assert cli.main(["check", "imported.yaml"]) == 2
@@ -168,19 +182,16 @@ def test_a_lens_from_outside_goes_the_same_way(lenses, capsys):
 
 def test_analyse_prints_the_table_of_a_lens_file(lenses, capsys):
     """From the prescription and the spec in the file, without a study: the numbers that the design wrote."""
-    path = LAYOUT.lens("singlet-imaging1", 0)
-    with open(path) as file:
-        content = yaml.safe_load(file)
+    content = lens_content("singlet-imaging1")
     capsys.readouterr()
-    assert cli.main(["analyse", path, "--rays", "64"]) == 0
+    assert cli.main(["analyse", str(of_lens(jobs.design, "lens", "singlet-imaging1")), "--rays", "64"]) == 0
     printed = capsys.readouterr().out
     assert f"{content['figures']['efl_mm']:.4f}" in printed and content["worst_margin"]["limit"] in printed
     assert all(f" {value:.2f} |" in printed for value in content["figures"]["rms_centroid_um"])
 
 
 def test_analyse_needs_the_spec_and_a_number_of_rays(lenses, capsys):
-    with open(LAYOUT.lens("singlet-imaging1", 0)) as file:
-        content = yaml.safe_load(file)
+    content = lens_content("singlet-imaging1")
     (lenses / "bare.yaml").write_text(yaml.safe_dump({k: v for k, v in content.items() if k != "spec"}))
     assert cli.main(["analyse", "bare.yaml"]) == 2
     assert capsys.readouterr().err.startswith("tasklens: bare.yaml: has no spec")
@@ -209,14 +220,12 @@ def test_a_mistake_is_one_message_and_exit_status_2(workplace, capsys, arguments
 def test_a_wrong_study_is_a_message_too(workplace, capsys):
     (workplace / "wrong.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "spec.kernel_size", 50)))
     assert cli.main(["check", "wrong.yaml"]) == 2
-    assert "spec.kernel = 50" in capsys.readouterr().err
+    assert "spec.kernel_size = 50" in capsys.readouterr().err
     assert cli.main(["check", "absent.yaml"]) == 2
     assert "absent.yaml" in capsys.readouterr().err
 
 
 def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
-    path = workplace / LAYOUT.lens("singlet-imaging1", 5)
-    path.parent.mkdir(parents=True)
-    path.write_text("format: 2\n")
+    write(of_lens(jobs.design, "lens", "singlet-imaging1", 5), "format: 2\n")
     assert run("psf", "singlet-imaging1", "--seed", "5") == 2
     assert "lens.yaml" in capsys.readouterr().err

@@ -11,11 +11,11 @@ from reference_files import reference_files
 from tasklens.design import imported, methods
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields, trace_fields_full
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
 from tasklens.runtime.files import FileError
@@ -61,8 +61,8 @@ def test_a_scaled_lens_has_scaled_rays(seed, factor):
 def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tmp_path):
     """By a real ray next to the axis: its slope, and its height in the stop."""
     lens, _ = fitted(tmp_path, cooke_triplet())
-    record, h = [], 1e-5
-    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference,)), record)
+    h = 1e-5
+    ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference,)))
     assert -h / float(ray.m / ray.n) == pytest.approx(SPEC.efl_mm, rel=1e-8)
     pupil_radius = float(lens.semi_diameter[lens.stop]) * h / float(record[lens.stop].y)
     assert SPEC.efl_mm / (2 * pupil_radius) == pytest.approx(SPEC.f_number, rel=1e-8)
@@ -120,7 +120,8 @@ def settings_of(folder: Path, lens: Lens, **spec):
 def test_a_finished_imported_lens(tmp_path):
     """It says where it is from, and has figures, margins and finite clear apertures that stop nothing more."""
     settings = settings_of(tmp_path, cooke_triplet())
-    lens, notes, _ = methods.design(settings, None, None, {})
+    lens, notes, history = methods.design(settings, None, None, {})
+    assert history == []
     before, fit = imported.fit(settings.entry.design, VIEW, SPEC.f_number, RAYS)
     assert notes["origin"] == {"design": "cooke", "method": "file"} | fit
     assert fit["file"] == str(tmp_path / "given.yaml")
@@ -139,8 +140,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     lens, notes, _ = methods.design(settings, None, None, {})
     scale = notes["origin"]["scale"]
     assert float(lens.semi_diameter[0]) == pytest.approx(8.0 * scale, rel=1e-14)
-    record: list = []
-    everything = trace_fields(bare, VIEW, sobol_disc(RAYS, 0), record)
+    everything, record = trace_fields_full(bare, VIEW, sobol_disc(RAYS, 0))
     passes = torch.hypot(record[0].x, record[0].y) <= 8.0 * scale
     valid = trace_fields(lens, VIEW, sobol_disc(RAYS, 0)).valid
     assert torch.equal(valid, everything.valid & passes)

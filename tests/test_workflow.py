@@ -1,12 +1,14 @@
 """The study as a workflow: plans of all studies, one true small run, and what reruns after a change."""
 
 import math
+import multiprocessing
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -15,34 +17,64 @@ from examples import changed, make_lens, tiny_study
 
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
-from tasklens.pipeline import jobs
-from tasklens.study.design_settings import EndToEndSettings
+from tasklens.pipeline.digest import code_digest
+from tasklens.pipeline.forecast import Durations
+from tasklens.pipeline.stage import STAGES
+from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
 from tasklens.study.study import Study, load, parse
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
-CONFIGS = [path for path in CONFIGS if "format: 1" in path.read_text()]  # the others are laid over the default study
+CONFIGS = [path for path in CONFIGS if "format: 2" in path.read_text()]  # the others are laid over the default study
+FORK = multiprocessing.get_context("fork")
+TRUE_RUN = pytest.mark.xdist_group("true run")  # one process runs it, for all tests that look at it
 
 
-def command(folder: Path, study: dict | Path | None, *arguments: str) -> list[str]:
-    """Snakemake on a study, with everything it writes below `folder`."""
-    call = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--directory", str(folder)]
+def arguments(folder: Path, study: dict | Path | None, *others: str) -> list[str]:
+    """Of Snakemake on a study, with everything it writes below `folder`."""
     if isinstance(study, dict):
         path = folder / "study.yaml"
         path.write_text(yaml.safe_dump(study))
         study = path
-    return [*call, "--cores", "1", *arguments, *(["--configfile", str(study)] if study else [])]
+    where = ["--snakefile", str(ROOT / "Snakefile"), "--directory", str(folder), "--cores", "1"]
+    return [*where, *others, *(["--configfile", str(study)] if study else [])]
 
 
-def snakemake(folder: Path, study: dict | Path | None, *arguments: str) -> subprocess.CompletedProcess:
-    return subprocess.run(command(folder, study, *arguments), capture_output=True, text=True, cwd=folder)
+def command(folder: Path, study: dict | Path | None, *others: str) -> list[str]:
+    """A run of Snakemake as a person starts it."""
+    return [sys.executable, "-m", "snakemake", *arguments(folder, study, *others)]
+
+
+def snakemake(folder: Path, study: dict | Path | None, *others: str) -> subprocess.CompletedProcess:
+    return subprocess.run(command(folder, study, *others), capture_output=True, text=True, cwd=folder)
+
+
+def forked(folder: Path, study: dict | Path | None, *others: str) -> tuple[int, str]:
+    """Exit status and output of Snakemake in a copy of this process, which has imported everything already.
+
+    Half of the time of a process of its own, where no job runs.
+    """
+    import snakemake.cli
+
+    for stage in STAGES.values():
+        code_digest(stage.function)  # cached for every copy
+    output = folder / "output.txt"
+
+    def run() -> None:
+        os.chdir(folder)
+        with output.open("w") as file, redirect_stdout(file), redirect_stderr(file):
+            snakemake.cli.main(arguments(folder, study, *others))
+
+    process = FORK.Process(target=run)
+    process.start()
+    process.join()
+    return process.exitcode, output.read_text()
 
 
 def plan(folder: Path, study: dict | Path | None, *targets: str) -> dict[str, int]:
     """Number of jobs by rule that a dry run plans; targets themselves are left out."""
-    done = snakemake(folder, study, "--dry-run", *targets)
-    output = done.stdout + done.stderr
-    assert done.returncode == 0, output
+    status, output = forked(folder, study, "--dry-run", *targets)
+    assert status == 0, output
     if "Nothing to be done" in output:
         return {}
     table = re.search(r"^job +count\n-+ +-+\n(.*?)^total +(\d+)$", output, re.DOTALL | re.MULTILINE)
@@ -51,88 +83,144 @@ def plan(folder: Path, study: dict | Path | None, *targets: str) -> dict[str, in
     return {name: count for name, count in counts.items() if name not in targets}
 
 
+class Expected:
+    """Jobs counted from a study, by what the paper's tables are about."""
+
+    def __init__(self, study: Study):
+        self.study = study
+        self.shown: set[str] = set()  # lenses in the tables of the study
+        self.measured: set[tuple[str, str, bool]] = set()  # lens, classifier, restored or not
+        self.waiting: set[str] = set()  # further lenses that are designed: those to start from
+        for table in study.tables:
+            lenses = [lens for lens in study.lenses.values() if self._is_in(table, lens)]
+            classifiers = study.classifiers if table == "table2" else [study.supervisor]
+            self.shown |= {lens.name for lens in lenses}
+            self.measured |= {("sharp", classifier, False) for classifier in classifiers}
+            self.measured |= {(lens.name, c, table == "table4") for lens in lenses for c in classifiers}
+            self.add_starts(lenses)
+
+    def _is_in(self, table: str, lens) -> bool:
+        if table == "table4" and self.study.restored is not None and lens.elements not in self.study.restored:
+            return False
+        joint = isinstance(lens.design, EndToEndSettings)
+        return joint or isinstance(lens.design, TaskDrivenSettings) if table == "table3" else not joint
+
+    def add_starts(self, lenses) -> None:
+        for lens in lenses:
+            if getattr(lens.design, "start", None) == "best_imaging":
+                starts = {f"{lens.elements}-{name}" for name in self.study.imaging_designs}
+                self.waiting |= starts
+                self.measured |= {(name, self.study.supervisor, False) for name in starts}
+
+    @property
+    def designed(self) -> set[str]:
+        return self.shown | self.waiting
+
+    def counts(self, *seedless: tuple[str, int], **others: int) -> dict[str, int]:
+        """Jobs of these lenses and measurements; the numbers of `others` are per seed."""
+        supervised = [self.study.lens(name).design for name in self.designed]
+        needed = {classifier for _, classifier, _ in self.measured}
+        if any(isinstance(design, TaskDrivenSettings | EndToEndSettings) for design in supervised):
+            needed |= {self.study.supervisor}
+        by_seed = {
+            "design": len(self.designed),
+            "psf": len(self.designed),
+            "fine_tune": len(self.measured),
+            "restore": len({lens for lens, _, restored in self.measured if restored}),
+            "tail": len(self.shown),
+            **others,
+        }
+        counts = {name: count * len(self.study.seeds) for name, count in by_seed.items()}
+        counts |= {"images": 1, "reference": len(needed), "table": len(self.study.tables), **dict(seedless)}
+        return {name: count for name, count in (counts | {"psf_tail": 1, "verdicts": 1}).items() if count}
+
+
 def expected(study: Study) -> dict[str, int]:
-    """Jobs of all tables, counted from the study."""
-    seeds, all_lenses = len(study.seeds), len(study.lenses)
-    end_to_end = sum(isinstance(lens.design, EndToEndSettings) for lens in study.lenses.values())
-    compared = all_lenses - end_to_end  # in tables 1, 2 and 4; the end-to-end lenses stand in table 3 only
-    restored = len(jobs.table(study, "table4").lenses) if "table4" in study.tables else 0
-    classifiers = len(study.classifiers) if "table2" in study.tables else 1
-    counts = {
-        "images": 1,
-        "reference": classifiers,
-        "design": all_lenses * seeds,
-        "psf": all_lenses * seeds,
-        "fine_tune": ((1 + compared) * classifiers + end_to_end) * seeds,
-        "restore": restored * seeds,
-        "fine_tune_restored": restored * seeds,
-        "table": len(study.tables),
-        "tail": all_lenses * seeds,
-        "psf_tail": 1,
-        "verdicts": 1,
+    """Jobs of the target `tables`."""
+    return Expected(study).counts()
+
+
+def expected_of_everything(study: Study) -> dict[str, int]:
+    """Jobs of all tables, figures, certificates and ablations, and of the verification of the tables."""
+    found = Expected(study)
+    again = len(found.measured - {(name, study.supervisor, False) for name in found.waiting - found.shown})
+    drawn = {lens.elements for lens in study.lenses.values() if isinstance(lens.design, TaskDrivenSettings)}
+    found.measured |= {  # the best imaging lens stands beside the task-driven one
+        (f"{elements}-{name}", study.supervisor, False) for elements in drawn for name in study.imaging_designs
     }
-    return {name: count for name, count in counts.items() if count}
+    found.waiting |= set(study.lenses)
+    for name, item in study.ablations.items():
+        designs = [item.design, *(item.name(name, variant) for variant in item.variants)]
+        lenses = [f"{item.elements}-{design}" for design in designs]
+        found.waiting |= set(lenses)
+        found.measured |= {(lens, study.supervisor, False) for lens in lenses}
+        found.add_starts([study.lens(lens) for lens in lenses])
+    every = len(study.lenses)
+    per_seed = {"figure": every, "certificate": every, "comparison": len(drawn), "reproduce": again}
+    return found.counts(("ablation", len(study.ablations)), **per_seed)
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
 def test_every_study_plans_its_jobs(tmp_path, path):
-    """A dry run counts what the study implies."""
+    """A dry run counts what the study implies: for its tables, and for all that can be asked for."""
     study = load(path)
     for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
         (tmp_path / weights).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / weights).touch()  # a user's own file
     assert plan(tmp_path, path, "tables") == expected(study)
-    verified = plan(tmp_path, path, "verify")
-    assert verified["reproduce"] == verified["fine_tune"]
-    assert verified.get("reproduce_restored") == verified.get("fine_tune_restored")
-    every = len(study.lenses) * len(study.seeds)
-    assert plan(tmp_path, path, "figures")["figure"] == every
-    assert plan(tmp_path, path, "certificates")["certificate"] == every
-    assert plan(tmp_path, path, "figure3")["comparison"] == len(study.elements) * len(study.seeds)
-    if study.ablations:
-        compared = plan(tmp_path, path, "ablations")
-        bases = {(a.elements, a.design) for a in study.ablations.values()}
-        assert compared["ablation"] == len(study.ablations)
-        assert compared["psf"] == (len(study.variants) + len(bases)) * len(study.seeds)
+    targets = ["tables", "verify", "figures", "certificates", "figure3", *(["ablations"] if study.ablations else [])]
+    assert plan(tmp_path, path, *targets) == expected_of_everything(study)
 
 
-def test_single_values_change_the_default_study(tmp_path):
+@pytest.fixture
+def beside_config(tmp_path):
+    """A folder from which the studies that we ship are in `config/`."""
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    return tmp_path
+
+
+def test_single_values_change_the_default_study(beside_config):
     """Without a study file `--config` is laid over config/config.yaml: two seeds instead of one."""
-    (tmp_path / "config").symlink_to(ROOT / "config")
     study = load(ROOT / "config" / "config.yaml").model_copy(update={"seeds": (3, 4)})
-    assert plan(tmp_path, None, "tables", "--config", "seeds=[3, 4]") == expected(study)
+    assert plan(beside_config, None, "tables", "--config", "seeds=[3, 4]") == expected(study)
 
 
-def test_the_headline_makes_tables_1_and_3_for_five_seeds(tmp_path):
+@pytest.mark.parametrize("target", ["tables", "verify"])
+def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
+    """12 lenses of the default study, not all 18: nothing else waits for those of end-to-end design."""
+    one = {"images": 1, "reference": 1, "table": 1, "verdicts": 1, "design": 12, "psf": 12, "fine_tune": 13}
+    others = {"tail": 12, "psf_tail": 1} if target == "tables" else {"reproduce": 13}
+    assert plan(beside_config, None, target, "--config", 'tables=["table1"]') == one | others
+
+
+def test_the_headline_makes_tables_1_and_3_for_five_seeds(beside_config):
     """Laid over the default study; no other network, no restoration."""
-    (tmp_path / "config").symlink_to(ROOT / "config")
     study = load(ROOT / "config" / "config.yaml")
-    planned = plan(tmp_path, None, "tables", "--configfile", "config/config.yaml", "config/headline.yaml")
+    planned = plan(beside_config, None, "tables", "--configfile", "config/config.yaml", "config/headline.yaml")
     assert planned.pop("fine_tune") == 5 * (1 + len(study.lenses)) and planned.pop("table") == 2
     one = {"images": 1, "reference": 1, "psf_tail": 1, "verdicts": 1}
     assert planned == one | dict.fromkeys(("design", "psf", "tail"), 5 * len(study.lenses))
 
 
-def test_a_study_file_without_a_format_is_refused(tmp_path):
-    (tmp_path / "config").symlink_to(ROOT / "config")
+def test_a_study_file_without_a_format_is_refused(beside_config):
     study = tiny_study()
     del study["format"]
-    done = snakemake(tmp_path, study, "--dry-run", "table1")
-    assert done.returncode != 0 and "format" in done.stdout + done.stderr
+    status, output = forked(beside_config, study, "--dry-run", "table1")
+    assert status != 0 and "format" in output
 
 
 @pytest.mark.parametrize(
     "key, value, words",
     [
         ("spec.kernle", 51, ["spec.kernle", "51"]),
+        ("spec.kernel", 51, ["spec.kernel = 51", "now called kernel_size"]),
         ("elements.doublet", ["GLASS"], ["GLASS", "doublet"]),
         ("imported.phone", {"elements": "quadruplet", "file": "no/phone.zmx"}, ["imported.phone.file", "no/phone.zmx"]),
     ],
 )
 def test_a_mistake_in_the_study_stops_before_any_job(tmp_path, key, value, words):
-    done = snakemake(tmp_path, changed(tiny_study(), key, value), "table1")
-    assert done.returncode != 0
-    message = done.stdout + done.stderr
+    status, message = forked(tmp_path, changed(tiny_study(), key, value), "table1")
+    assert status != 0
     assert all(word in message for word in words) and "Traceback" not in message
     assert not (tmp_path / "results").exists()
 
@@ -147,10 +235,10 @@ def test_task_driven_designs_wait_for_what_they_need(tmp_path):
     assert plan(tmp_path, tiny_study(), lens.format("end_to_end_from_imaging")) == baselines
 
 
-# ---- a lens from outside
+# ---- an imported lens
 
 
-def with_outside(folder: Path) -> dict:
+def with_imported(folder: Path) -> dict:
     """The smoke study and a singlet of somebody else in `folder`, of a glass in a catalogue of its own."""
     (folder / "glass.agf").write_text("NM COC 1 0 1.5 50\nCD 2.3 0 0.01 0 0 0\nLD 0.4 0.8\n")
     lens = make_lens([0.0, 1.0, 0.0], [0.1, 0.5, 1.5], ("air", "COC", "air"), semi_diameter=[0.3, math.inf, math.inf])
@@ -160,9 +248,9 @@ def with_outside(folder: Path) -> dict:
     return changed(yaml.safe_load((ROOT / "config" / "smoke.yaml").read_text()), "imported.theirs", entry)
 
 
-def test_a_lens_from_outside_joins_the_tables(tmp_path, monkeypatch):
+def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
     """It has the jobs of an imaging design, and no other lens waits for it."""
-    study = with_outside(tmp_path)
+    study = with_imported(tmp_path)
     monkeypatch.chdir(tmp_path)
     jobs = expected(parse(study))
     assert jobs["design"] == 7 and jobs["restore"] == 5
@@ -172,9 +260,9 @@ def test_a_lens_from_outside_joins_the_tables(tmp_path, monkeypatch):
     assert plan(tmp_path, study, lens.format("doublet-end_to_end_from_imaging"))["design"] == 4
 
 
-def test_a_changed_file_reruns_the_lens_from_outside(tmp_path):
+def test_a_changed_file_reruns_the_imported_lens(tmp_path):
     """The lens file or a catalogue; a file that cannot be used stops the study before its first job."""
-    study, target = with_outside(tmp_path), "results/smoke/lenses/singlet-theirs/seed0/lens.yaml"
+    study, target = with_imported(tmp_path), "results/smoke/lenses/singlet-theirs/seed0/lens.yaml"
     done = snakemake(tmp_path, study, target)
     assert done.returncode == 0 and (tmp_path / target).exists(), done.stdout + done.stderr
     assert plan(tmp_path, study, target) == {}
@@ -186,7 +274,7 @@ def test_a_changed_file_reruns_the_lens_from_outside(tmp_path):
         path.write_text(before)
         os.utime(path, times)
     path.write_text("NM COC 1 0 1.5\n")
-    done = snakemake(tmp_path, study, "results/smoke/images/train.safetensors")
+    done = snakemake(tmp_path, study, "results/smoke/images/train.npy")
     assert done.returncode != 0 and "glass.agf" in done.stdout + done.stderr
     assert not (tmp_path / "results/smoke/images").exists()
 
@@ -199,6 +287,9 @@ def one_lens() -> dict:
     return study | {"designs": {"imaging1": study["designs"]["imaging1"]}}
 
 
+STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "psf": 1, "fine_tune": 2, "table": 1}
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """Table 1 of one lens, truly run."""
@@ -206,9 +297,11 @@ def finished(tmp_path_factory):
     done = snakemake(folder, one_lens(), "table1")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "**Table 1" in done.stdout + done.stderr
+    assert "Study tiny: 7 jobs, about " in done.stdout + done.stderr
     return folder
 
 
+@TRUE_RUN
 def test_a_finished_table_has_nothing_to_be_done(finished):
     """The run wrote the study with every default, the table, and is complete."""
     assert load(finished / "results/tiny/study.yaml") == parse(one_lens())
@@ -217,6 +310,17 @@ def test_a_finished_table_has_nothing_to_be_done(finished):
     assert plan(finished, one_lens(), "table1") == {}
 
 
+@TRUE_RUN
+def test_durations_of_finished_jobs_are_known(finished):
+    """A benchmark file for every job, from which the next forecast is made."""
+    files = sorted((finished / "results/tiny/benchmarks").rglob("*.tsv"))
+    assert len(files) == sum(STAGES_OF_TABLE_1.values())
+    durations = Durations("tiny", str(finished / "results/tiny"))
+    assert durations.here.keys() == STAGES_OF_TABLE_1.keys()
+    assert all(0 < durations.seconds(stage) < 120 for stage in STAGES_OF_TABLE_1)
+
+
+@TRUE_RUN
 def test_a_dry_run_changes_nothing(finished):
     """Planning another value must not change the study that a run in progress reads."""
     before = (finished / "results/tiny/study.yaml").read_text()
@@ -224,16 +328,18 @@ def test_a_dry_run_changes_nothing(finished):
     assert (finished / "results/tiny/study.yaml").read_text() == before
 
 
+@TRUE_RUN
 @pytest.mark.parametrize(
     "key, value, jobs",
     [
-        ("minutes.design", 9, {}),
+        ("tables", ["table1"], {}),
         ("restoration.steps", 9, {}),
         ("designs.tasklens", tiny_study()["designs"]["tasklens"], {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
         ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "table": 1}),
         ("capture.outside_window", "renormalise", {"fine_tune": 1, "table": 1}),
         ("evaluation_rays", 128, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
         ("constraints.max_track", 4.3, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
+        ("constraints.flat_track", 1.2, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
         ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2, "table": 1}),
         ("images.seed", 4, {"images": 1, "reference": 1, "fine_tune": 2, "table": 1}),
     ],
@@ -256,10 +362,10 @@ def test_a_failing_job_leaves_no_output(tmp_path):
     bad = tmp_path / "photos" / "val" / "b" / "1.png"
     bad.write_text("not an image")
     images = {"size": 16, "minival": 2, "folder": str(tmp_path / "photos")}
-    done = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.safetensors")
+    done = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.npy")
     assert done.returncode != 0
     assert str(bad) in (tmp_path / "results/tiny/logs/images.log").read_text()
-    assert not list((tmp_path / "results/tiny").rglob("*.safetensors"))
+    assert not [path for path in (tmp_path / "results/tiny/images").rglob("*") if path.is_file()]
 
 
 def test_a_killed_run_goes_on(tmp_path):
@@ -289,7 +395,7 @@ def test_a_killed_run_goes_on(tmp_path):
     (tmp_path / target).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / target).write_text("half")
     study = one_lens()
-    assert snakemake(tmp_path, study, "--unlock").returncode == 0
+    assert forked(tmp_path, study, "--unlock")[0] == 0
     done = snakemake(tmp_path, study, target)
     assert done.returncode == 0, done.stderr
     assert yaml.safe_load((tmp_path / target).read_text())["margins"]
