@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -14,11 +14,12 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
 from tasklens.pipeline.run import run
-from tasklens.pipeline.stage import Job, Stage
+from tasklens.pipeline.stage import Stage
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report.measurements import Measurements
-from tasklens.study.settings import Spec, TrainingSettings
+from tasklens.runtime.files import Files
+from tasklens.study.settings import Frozen, Spec, TrainingSettings
 from tasklens.study.study import Study
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
@@ -193,11 +194,25 @@ def changed(study: dict, key: str, value) -> dict:
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
 
 
+@dataclass(frozen=True)
+class Job:
+    """What the function of a stage is given."""
+
+    settings: Frozen
+    inputs: Files
+    outputs: Files
+
+
+def job_of(stage: Stage, study: Study, **wildcards: str | int) -> Job:
+    """The job of a stage with these wildcards."""
+    plan = stage.plan(study, **wildcards)
+    return Job(plan.settings, Files(**plan.inputs), Files(**stage.outputs(study, **wildcards)))
+
+
 def finish(stage: Stage, study: Study, **wildcards: str | int) -> Job:
     """Do one job of a study in the present folder, as the command line does; returns it for its outputs."""
-    job = stage.job(study, **wildcards)
-    run(stage, job)
-    return job
+    run(stage, study, wildcards)
+    return job_of(stage, study, **wildcards)
 
 
 def measurements_of(job: Job) -> Measurements:

@@ -115,7 +115,7 @@ def copy(tmp_path, monkeypatch):
             (tmp_path / path).write_text(text.replace(old, new, 1))
         digest.parse.cache_clear()
         digest.code_digest.cache_clear()
-        return digest.code_digest(stage)
+        return digest.code_digest(stages.STAGES[stage].function)
 
     yield after
     digest.parse.cache_clear()
@@ -143,7 +143,7 @@ STAGES = (
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# Far rays", "# Rays that are far"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/pipeline/stages/measure.py", '"""trace the PSF', '"""calculate the PSF'),
+        ("tasklens/pipeline/stages/psf.py", '"""Trace the PSF', '"""Calculate the PSF'),
     ],
 )
 def test_words_do_not_change_a_digest(copy, path, old, new):
@@ -158,8 +158,8 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
     [
         (
             "tasklens/optics/psf.py",
-            "kernel // 2",
-            "kernel // 3",
+            "kernel_size // 2",
+            "kernel_size // 3",
             {"design", "psf", "tail", "figure", "comparison", "certificate"},
         ),
         ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune", "reproduce"}),
@@ -168,8 +168,8 @@ def test_words_do_not_change_a_digest(copy, path, old, new):
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation", "comparison"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
-        ("tasklens/pipeline/stages/measure.py", "grid.float()", "grid", {"psf"}),
-        ("tasklens/pipeline/stages/report.py", "Panel(lens,", "Panel(lens.upper(),", {"figure", "comparison"}),
+        ("tasklens/pipeline/stages/psf.py", "grid.float()", "grid", {"psf"}),
+        ("tasklens/pipeline/stages/figures.py", "Panel(title,", "Panel(title.upper(),", {"figure", "comparison"}),
         (
             "tasklens/report/bootstrap.py",
             "RESAMPLES = 10_000",
@@ -188,7 +188,7 @@ def test_code_changes_the_digests_of_the_stages_that_run_it(copy, path, old, new
 
 def test_unknown_stage_raises():
     with pytest.raises(ValueError, match="bake"):
-        digest.code_digest("bake")
+        digest.code_digest("tasklens.bake.run")
 
 
 # ---- files

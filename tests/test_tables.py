@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, tiny_study, write
+from examples import changed, finish, job_of, tiny_study, write
 
 from tasklens.pipeline import cli, jobs
 from tasklens.pipeline.jobs import PAPER as PAPER_FILE
@@ -86,7 +86,7 @@ def metrics_file(study, lens, measured_name, seed) -> str:
 
 def table(study, name):
     """A table from the files that its job is given, by design."""
-    job = jobs.table.job(study, table=name)
+    job = job_of(jobs.table, study, table=name)
     rows = tables.collect(job.settings, Measurements(job.inputs.lenses, job.inputs.metrics))
     return tables.summarise(job.settings, rows, PAPER).set_index("design")
 
@@ -221,7 +221,7 @@ def test_files_of_a_table_agree(study, name):
 
 
 def test_latex_escapes_underscores_everywhere(study):
-    job = jobs.table.job(study, table="table1")
+    job = job_of(jobs.table, study, table="table1")
     run(jobs.table, replace(job, settings=job.settings.model_copy(update={"study": "my_study"})))
     latex = job.outputs.tex.read_text()
     assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)

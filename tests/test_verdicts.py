@@ -7,7 +7,7 @@ import numpy
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, measurements_of, read_rows, tiny_study, write
+from examples import changed, finish, job_of, measurements_of, read_rows, tiny_study, write
 
 from tasklens.pipeline import jobs
 from tasklens.report import verdicts
@@ -68,7 +68,7 @@ def judged(study, accuracy, **others) -> pandas.DataFrame:
 
 def collected(study) -> pandas.DataFrame:
     """The verdicts, by the files that their job is given."""
-    job = jobs.verdicts.job(study)
+    job = job_of(jobs.verdicts, study)
     return verdicts.collect(job.settings, measurements_of(job))
 
 

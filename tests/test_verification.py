@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import finish, measurements_of, tiny_study, with_imported, write
+from examples import finish, job_of, measurements_of, tiny_study, with_imported, write
 
 from tasklens.pipeline import jobs
 from tasklens.pipeline.run import run
@@ -71,7 +71,7 @@ def lens_content(efl_mm, **margins) -> dict:
 
 def verified(study, **changes) -> verification.Findings:
     """What is found in the files that the job is given; `changes` are to its settings."""
-    job = jobs.verify.job(study)
+    job = job_of(jobs.verify, study)
     settings = job.settings.model_copy(update=changes)
     return verification.verify(settings, measurements_of(job), job.inputs.reproduced, job.inputs.tables)
 
@@ -195,14 +195,14 @@ def test_a_missing_reproduction_is_named(study):
     path = Path(reproduced(study, LENS, "small"))
     path.unlink()
     with pytest.raises(FileError, match=f"verify: missing input {path}; "):
-        run(jobs.verify, jobs.verify.job(study))
+        run(jobs.verify, study, {})
 
 
 def test_the_stage_says_what_it_found_and_fails_by_its_status(study, capsys):
     """All on standard output, below the verdicts; 0 where nothing fails."""
     write(jobs.verdicts.output(study, "md"), "the verdicts\n")
-    assert run(jobs.verify, jobs.verify.job(study)) == 0
+    assert run(jobs.verify, study, {}) == 0
     assert capsys.readouterr().out == "the verdicts\n\nChecked 2 lenses and 8 measurements: 0 failures.\n"
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(study.spec.efl_mm, max_slope=-0.1)))
-    assert run(jobs.verify, jobs.verify.job(study)) == 1
+    assert run(jobs.verify, study, {}) == 1
     assert "failed: singlet-imaging1 seed 0: max_slope: margin -0.1" in capsys.readouterr().out
