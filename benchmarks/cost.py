@@ -14,17 +14,17 @@ from itertools import product
 import timing
 import timm
 import torch
-from tasklens.pipeline.layout import SHARP
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from restoration.nafnet import build
-from tasklens.pipeline import jobs
 from tasklens.recognition.classifiers import Classifier
 from tasklens.study import study as studies
 from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
+from tasklens.study.names import SHARP
 from tasklens.study.settings import ClassifierSettings
 from tasklens.study.study import Study
+from tasklens.study.tables import tables
 
 RESNET50 = ClassifierSettings(model="resnet50", pretrained=True)
 A100 = 2470.0  # images/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch
@@ -51,18 +51,20 @@ class Cost:
         with torch.device("meta"):
             if classifier is None:
                 return operations(build(self.study.restoration), size)
-            return operations(classifier(self.study.classifier(classifier)), size)
+            return operations(build_classifier(self.study.classifier(classifier)), size)
 
     def design(self, lens: str) -> float:
         """Of designing a lens under a classifier; of nothing, by image quality alone."""
         settings, size = self.study.lens(lens).design, self.study.images.size
         total, supervisor = 0.0, self.study.supervisor
         if isinstance(settings, TaskDrivenSettings):
-            steps = settings.starts * settings.start.steps + settings.refine.steps
-            total += self.fields * steps * settings.images * TO_INPUT * self.forward(supervisor, settings.size or size)
+            steps = settings.restarts * settings.restart.steps + settings.refinement.steps
+            total += (
+                self.fields * steps * settings.batch_size * TO_INPUT * self.forward(supervisor, settings.size or size)
+            )
         together = settings if isinstance(settings, EndToEndSettings) else getattr(settings, "polish", None)
         if together is not None:
-            captures = self.fields * together.steps * together.images
+            captures = self.fields * together.steps * together.batch_size
             total += captures * TO_WEIGHTS * self.forward(supervisor, together.size or size)
         return total
 
@@ -82,14 +84,15 @@ class Cost:
         return settings.steps * settings.batch_size * TO_WEIGHTS * self.forward(None, self.study.images.size)
 
 
-def classifier(classifier: ClassifierSettings) -> Classifier:
-    return Classifier(timm.create_model(classifier.model, **classifier.arguments)).eval()
+def build_classifier(settings: ClassifierSettings) -> Classifier:
+    """The network of some settings, without weights."""
+    return Classifier(timm.create_model(settings.model, **settings.arguments)).eval()
 
 
 def charged(study: Study, cost: Cost) -> dict[tuple, tuple[str, float]]:
     """By job with a network: the first table that asks for it, and its operations."""
     found: dict[tuple, tuple[str, float]] = {}
-    for table in jobs.tables(study):
+    for table in tables(study):
         name = table.name
         for lens in table.lenses:
             found.setdefault(("design", lens), (name, cost.design(lens)))
@@ -112,7 +115,7 @@ def main(arguments: list[str] | None = None) -> None:
     study = studies.load(options.study)
     cost = Cost(study, options.train, options.test)
     with torch.device("meta"):
-        rate = TO_WEIGHTS * options.throughput * operations(classifier(RESNET50), 224)
+        rate = TO_WEIGHTS * options.throughput * operations(build_classifier(RESNET50), 224)
     hours = defaultdict(list)
     for (kind, *_), (table, count) in charged(study, cost).items():
         hours[table, kind] += len(study.seeds) * [count / rate / 3600]

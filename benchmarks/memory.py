@@ -13,9 +13,11 @@ import timing
 import timm
 import torch
 
-from tasklens.design import task
-from tasklens.design.end_to_end import Problem
+from tasklens.design.driver import run
+from tasklens.design.problem import Problem
 from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor
+from tasklens.design.task import RaySpaceDescent
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
@@ -35,12 +37,13 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
     dataset = ImageDataset(images, torch.arange(count), tuple(map(str, range(1000))))
-    problem = Problem(view_of_spec(spec), limits, CaptureSettings(), dataset, seed=0)
-    walk = RaySpaceSettings(steps=1, pixels=(1, 1))  # a single step: `task.design` would judge and refine as well
-    settings = TaskDrivenSettings(method="task", images=count, rays=256, micro_batch=captures, start=walk, refine=walk)
+    problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
+    steps = RaySpaceSettings(steps=1, pixels=(1, 1))
+    settings = TaskDrivenSettings(method="task", batch_size=count, rays=256, restart=steps, refinement=steps)
+    supervisor = Supervisor(frozen(classifier), problem, None, settings.augment, captures)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    task._walk(plates, frozen(classifier), problem, settings, walk, generator, [], "memory", NO_CHECKPOINT)
+    run(RaySpaceDescent(plates, supervisor, settings, steps, seed=0), "memory", NO_CHECKPOINT)
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

@@ -17,9 +17,11 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from tasklens.design import task
-from tasklens.design.end_to_end import Problem
+from tasklens.design.driver import run
+from tasklens.design.problem import Problem
 from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor
+from tasklens.design.task import RaySpaceDescent
 from tasklens.imaging import Camera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
@@ -78,13 +80,12 @@ def noise(count: int, size: int, device: torch.device) -> ImageDataset:
 def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: int, rounds: int, device: torch.device):
     """Durations of a step of task-driven design, and of the frozen network alone on as many captures."""
     classifier, dataset = frozen(Classifier(network)).to(device), noise(count, size, device)
-    problem = Problem(view_of_spec(Spec()), Constraints(), CaptureSettings(), dataset, seed=0)
-    walk = RaySpaceSettings(steps=rounds + 1, pixels=(20, 20))
-    settings = TaskDrivenSettings(
-        method="task", images=count, rays=rays, micro_batch=micro_batch, augment=False, start=walk, refine=walk
-    )
+    problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
+    steps = RaySpaceSettings(steps=rounds + 1, pixels=(20, 20))
+    settings = TaskDrivenSettings(method="task", batch_size=count, rays=rays, restart=steps, refinement=steps)
+    supervisor = Supervisor(classifier, problem, None, augment=False, micro_batch=micro_batch)
     plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
-    task._walk(plates, classifier, problem, settings, walk, torch.Generator().manual_seed(0), [], "design", clock)
+    run(RaySpaceDescent(plates, supervisor, settings, steps, seed=0), "design", clock)
     captures, labels = torch.rand(FIELDS * count, 3, size, size, device=device), dataset.labels.to(device)
     labels = labels.repeat(FIELDS)
 
@@ -142,15 +143,15 @@ def main(arguments: list[str] | None = None) -> None:
         cases = [("resnet18", small, 64, 8, 128, 64)]  # the default study's
         cases += [(name, {}, 224, 2, 256, 16) for name in options.models]
     rows = []
-    for name, given, size, dataset, rays, batch in cases:
+    for name, given, size, count, rays, batch in cases:
         for what in ("design", "fine-tuning"):
             network = timm.create_model(name, num_classes=10, **given)
             if what == "design":
-                ours, alone = design(network, dataset, size, rays, batch, options.rounds, device)
+                ours, alone = design(network, count, size, rays, batch, options.rounds, device)
             else:
                 ours, alone = fine_tuning(network, batch, size, options.rounds, device)
             ratio = statistics.median(ours) / statistics.median(alone)
-            load = f"{FIELDS * dataset} captures" if what == "design" else f"batch of {batch}"
+            load = f"{FIELDS * count} captures" if what == "design" else f"batch of {batch}"
             rows.append(
                 (
                     name,

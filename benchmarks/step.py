@@ -1,8 +1,8 @@
 """Where the time of a task-driven step goes: rays and PSFs, captures, network; and the optics' share of it.
 
-Two steps: the default study's; and the paper's (ResNet50 with random weights, 64 images of 224 px at nine fields),
-in which the network sees 18 of the 576 captures and its time is multiplied by 32. The rest is timed whole. The step is
-`descend`'s, taken apart here so that each part can be timed.
+Two steps: the default study's; and the paper's (ResNet50 with random weights, 64 images of 224 px at nine fields), of
+which 2 images are timed: what is in proportion to the captures is multiplied by 32. The parts are those of
+`design.supervision`; the network is timed by calling the same functions with a network that does next to nothing.
 """
 
 import statistics
@@ -14,29 +14,34 @@ from pathlib import Path
 import timing
 import timm
 import torch
-import torch.nn.functional as F
 import yaml
 from torch import nn
-from torchvision.transforms.v2 import TrivialAugmentWide
 
 from tasklens.design import least_squares
-from tasklens.design.constraints import penalty
-from tasklens.design.start import Variables, flat, parameter_groups
-from tasklens.imaging import Camera
+from tasklens.design.end_to_end import JointDescent
+from tasklens.design.problem import Problem
+from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import trace_fields
-from tasklens.optics.psf import psf
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
-from tasklens.study.design_settings import LearningRates, LeastSquaresSettings
-from tasklens.study.settings import Constraints, Spec
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.study.design_settings import EndToEndSettings, LeastSquaresSettings
+from tasklens.study.settings import CaptureSettings, Constraints, Spec
 from tasklens.study.study import parse
 
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
-OPTICS = ("rays, PSFs, limits", "their backward", "captures", "captures, backward")
+OPTICS = ("rays, PSFs, limits", "their backward", "captures and their backward")
 NETWORK = "network, forward and backward"
 ORDER = (*OPTICS, "augmentation", NETWORK, "optimiser")
+
+
+class Average(nn.Module):
+    """Ten logits from the mean of an image: a network that costs nothing."""
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        return images.mean((1, 2, 3))[:, None] * torch.arange(10.0)
 
 
 class Clock:
@@ -52,49 +57,50 @@ class Clock:
         self.times[part].append(time.process_time() - begin)
 
 
-def timed_steps(network: nn.Module, dataset: int, pixels: int, rays: int, judged: int, rounds: int) -> dict[str, float]:
+def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: int, rounds: int) -> dict[str, float]:
     """Median processor time [s] of each part of a step of a doublet, after one step of warm-up.
 
-    The network sees `judged` captures, which divide their number; its time is scaled to all of them.
+    Of a step with `images` images, of which `timed` pass; what is in proportion to the captures is scaled.
     """
-    looks, limits = view_of_spec(Spec()), Constraints()
-    classifier = frozen(Classifier(network))
-    plates = flat((builtin("COC"), builtin("OKP4")), Spec(), limits)
+    dataset = noise(timed, pixels)
+    problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
+    plates = flat((builtin("COC"), builtin("OKP4")), Spec(), problem.limits)
     quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    lens = least_squares.design(plates, looks, limits, quick, 0, [])  # no ray is lost: lost ones cost time
-    variables, rates = Variables.stepped(lens, looks, LearningRates()), LearningRates()
-    values = {name: value.requires_grad_() for name, value in variables.values().items()}
-    optimizer = torch.optim.AdamW(parameter_groups(values, rates))
-    sharp = torch.randint(0, 256, (dataset, 3, pixels, pixels), dtype=torch.uint8)
-    repeats = dataset * len(looks.fields) // judged
-    labels = torch.zeros(judged, dtype=torch.long)
-    augment = TrivialAugmentWide()
+    lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost ones cost time
+    settings = EndToEndSettings(method="end_to_end", start="flat", steps=1, batch_size=timed, rays=rays)
+    descent = JointDescent(lens, Average(), problem, settings)
+    captures = timed * len(problem.view.fields)
+    ours, nothing = (
+        Supervisor(each, problem, None, augment=False, micro_batch=captures) for each in (frozen(network), Average())
+    )
+    indices = torch.arange(timed)
     for step in range(rounds + 1):
         if step <= 1:
             clock = Clock()  # the first step was the warm-up
         with clock("rays, PSFs, limits"):
-            lens = variables.assemble(values)
-            traced = trace_fields(lens, looks, sobol_disc(rays, step))
-            grid = psf(traced, looks.fields, looks.pixel_pitch, looks.kernel_size)
-            bounds = penalty(lens, limits, looks)
+            lens = descent.assemble()
+            _, grid = ours.trace(lens, sobol_disc(rays, step), 1.0)
+            bounds = descent.penalty(lens)
         with clock("augmentation"):
-            images = torch.stack([augment(image) for image in sharp]).float() / 255
-        leaf = grid.detach().float().requires_grad_()
-        with clock("captures"):
-            captures = Camera(leaf).grid(images)
-        seen = captures.detach().flatten(0, 1)[:judged].requires_grad_()
+            ours.images(indices, augment=True)
+        with clock("captures and their backward"):
+            nothing.loss(indices, grid)
         with clock(NETWORK):
-            F.cross_entropy(classifier(seen), labels).backward()
-        upstream = seen.grad.repeat(repeats, 1, 1, 1).reshape(captures.shape)
-        with clock("captures, backward"):
-            captures.backward(upstream)
+            _, gradient = ours.loss(indices, grid)
         with clock("their backward"):
-            optimizer.zero_grad()
-            torch.autograd.backward([grid, bounds], [leaf.grad.to(grid.dtype), None])
+            torch.autograd.backward([grid, bounds], [gradient, None])
         with clock("optimiser"):
-            optimizer.step()
+            descent.advance()
     middle = {part: statistics.median(times) for part, times in clock.times.items()}
-    return middle | {NETWORK: middle[NETWORK] * repeats}
+    middle[NETWORK] -= middle["captures and their backward"]
+    scaled = (NETWORK, "captures and their backward", "augmentation")
+    return {part: seconds * (images // timed if part in scaled else 1) for part, seconds in middle.items()}
+
+
+def noise(count: int, size: int) -> ImageDataset:
+    """Random images of ten classes."""
+    images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8)
+    return ImageDataset(images, torch.arange(count) % 10, tuple(map(str, range(10))))
 
 
 def rows_of(times: dict[str, float], captures: int) -> list[tuple]:
@@ -113,13 +119,14 @@ def main(arguments: list[str] | None = None) -> None:
 
     study = parse(yaml.safe_load(STUDY.read_text()))
     supervisor, design = study.classifiers[study.supervisor], study.designs["tasklens"]
-    network = timm.create_model(supervisor.model, num_classes=10, **supervisor.arguments)
-    dataset = 1 if options.tiny else design.images
-    times = timed_steps(network, dataset, study.images.size, design.rays, 9 * dataset, options.rounds)
-    title = f"Default study: {dataset} images x 9 fields, {supervisor.model}, {study.images.size} px"
-    timing.report(title, columns, rows_of(times, 9 * dataset), options.save)
+    network = Classifier(timm.create_model(supervisor.model, num_classes=10, **supervisor.arguments))
+    images = 1 if options.tiny else design.batch_size
+    times = timed_steps(network, images, images, study.images.size, design.rays, options.rounds)
+    title = f"Default study: {images} images x 9 fields, {supervisor.model}, {study.images.size} px"
+    timing.report(title, columns, rows_of(times, 9 * images), options.save)
     if not options.tiny:
-        times = timed_steps(timm.create_model("resnet50"), 64, 224, 256, 18, max(1, options.rounds // 3))
+        network = Classifier(timm.create_model("resnet50", num_classes=10))
+        times = timed_steps(network, 64, 2, 224, 256, max(1, options.rounds // 3))
         timing.report("Paper: 64 images x 9 fields, ResNet50, 224 px", columns, rows_of(times, 576), options.save)
 
 

@@ -11,21 +11,10 @@ from collections.abc import Callable
 import torch
 import torch.nn.functional as F
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 _BLOCK = 8  # images that a CPU renders at once: their spectra, and those of a capture each, then stay in the cache
-
-
-def _fast_size(size: int) -> int:
-    """The next size that is a product of 2, 3, 5 and 7, for which FFT libraries have kernels."""
-    while True:
-        rest = size
-        for prime in (2, 3, 5, 7):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return size
-        size += 1
 
 
 def _spectrum(planes: Tensor, size: tuple[int, int]) -> Tensor:
@@ -48,13 +37,13 @@ class Camera:
 
     Args:
         psf: (F, 3, K, K) one PSF per field and colour, K odd.
-        outside: "veil" as above, or "renormalise" the PSF to unit energy, which deletes that light for free.
+        outside_window: "veil" as above, or "renormalise" the PSF to unit energy, which deletes that light for free.
         colour: light adds up in the values as they are ("srgb", the paper's reading) or in "linear" light.
     """
 
-    def __init__(self, psf: Tensor, outside: str = "veil", colour: str = "srgb"):
+    def __init__(self, psf: Tensor, outside_window: str = "veil", colour: str = "srgb"):
         energy = psf.sum((-2, -1), keepdim=True)
-        if outside == "renormalise":
+        if outside_window == "renormalise":
             psf, energy = psf / energy.clamp(min=1e-12), torch.ones_like(energy)
         self.psf = psf.float()
         self.veil = (1 - energy).float()
@@ -90,7 +79,7 @@ class Camera:
             raise ValueError(f"images of {height} x {width} pixels are too small for a kernel of {2 * half + 1} pixels")
         if self.linear:
             images = rgb_to_linear_rgb(images)
-        size = (_fast_size(height + 2 * half), _fast_size(width + 2 * half))
+        size = (next_fast_len(height + 2 * half), next_fast_len(width + 2 * half))
         if size not in self._spectra:
             self._spectra[size] = _spectrum(self.psf, size)
         spectra = _spectrum(F.pad(images.float(), (half,) * 4, mode="reflect"), size)

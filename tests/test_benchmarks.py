@@ -34,7 +34,7 @@ def test_operations_are_those_of_the_published_networks(monkeypatch):
     cost = importlib.import_module("cost")
     for model, operations in (("resnet50", 2 * 4.09e9), ("mobilenetv3_large_100", 2 * 0.217e9)):
         with torch.device("meta"):
-            network = cost.classifier(ClassifierSettings(model=model, pretrained=True))
+            network = cost.build_classifier(ClassifierSettings(model=model, pretrained=True))
         assert cost.operations(network, 224) == pytest.approx(operations, rel=0.02)
 
 

@@ -14,7 +14,7 @@ import yaml
 from examples import changed, tiny_study
 from test_design import descended, small_network
 
-from tasklens.design import end_to_end as descent
+from tasklens.design import supervision
 from tasklens.pipeline import cli
 from tasklens.recognition import evaluation
 from tasklens.runtime import checkpoints
@@ -100,7 +100,7 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
 def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypatch, tmp_path):
     """Not with the one that it began with: what was finite last is kept, too."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    losses = descent.loss_at_psf
+    losses = supervision.loss_at_psf
 
     def breaking(*rest):
         found, gradient = losses(*rest)
@@ -109,7 +109,7 @@ def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypa
     def ended(checkpoint: Checkpoint):
         return descended(small_network(), start, steps=6, checkpoint=checkpoint)[0]
 
-    monkeypatch.setattr(descent, "loss_at_psf", breaking)
+    monkeypatch.setattr(supervision, "loss_at_psf", breaking)
     steps = itertools.count(1)
     expected = ended(Checkpoint(tmp_path / "job.pt"))
     steps = itertools.count(4)  # the fourth breaks again
@@ -133,7 +133,7 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
     found = []
     monkeypatch.setattr(Checkpoint, "write", lambda self: found.append((self.path, next(iter(self.records.values())))))
     assert run(*JOBS["spot"]) == 0
-    assert [record["step"] for _, record in found] == [1, 2, 3, 4]
+    assert [record.get("step") for _, record in found] == [1, 2, 3, 4, None]  # the last: what it ended with
     assert not old.exists() and found[0][0] != old
     Path("study.yaml").write_text(yaml.safe_dump(STUDY))
     assert run(*JOBS["spot"]) == 0
@@ -141,7 +141,8 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
 
 def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     """SIGKILL, which nothing can catch, in the middle of a design; the next process ends it."""
-    command = "from tasklens import checkpoints, cli; checkpoints.INTERVAL = 0.0; cli.main()"
+    command = "from tasklens.pipeline import cli\nfrom tasklens.runtime import checkpoints\n"
+    command += "checkpoints.INTERVAL = 0.0\ncli.main()"
     call = [sys.executable, "-c", command, "design", "study.yaml", "singlet-tasklens"]
     assert run(*JOBS["task"]) == 0
     lens = Path("results/tiny/lenses/singlet-tasklens/seed0/lens.yaml")
@@ -162,12 +163,12 @@ def test_a_state_that_is_not_finite_is_not_kept(tmp_path, monkeypatch):
     """The last good one stays."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     path = tmp_path / "job.pt"
-    part = Checkpoint(path).part("descent", [{"step": 1}])
+    part = Checkpoint(path).part("descent")
+    part.history.append({"step": 1})
     part.save(1, vector=torch.tensor([1.0, 2.0]))
     part.save(2, vector=torch.tensor([1.0, torch.nan]))
-    history: list[dict] = []
-    again = Checkpoint(path).part("descent", history)
-    assert again.step == 1 and again.state["vector"].tolist() == [1.0, 2.0] and history == [{"step": 1}]
+    again = Checkpoint(path).part("descent")
+    assert again.step == 1 and again.state["vector"].tolist() == [1.0, 2.0] and again.history == [{"step": 1}]
 
 
 def test_a_file_that_is_no_checkpoint_is_named(tmp_path):

@@ -36,7 +36,7 @@ def spec_of(looks: View) -> dict:
         "efl_mm": looks.efl,
         "wavelengths_um": list(looks.wavelengths),
         "pixel_pitch_um": looks.pixel_pitch,
-        "kernel": looks.kernel_size,
+        "kernel_size": looks.kernel_size,
     }
 
 
@@ -110,7 +110,7 @@ def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_p
     [
         (None, "no spec"),
         ({"efl_mm": None}, "efl_mm|cannot be used"),
-        ({"kernel": ...}, "has no kernel"),
+        ({"kernel_size": ...}, "has no kernel_size"),
         ({"fields_mm": [[0, 1, 2]]}, "cannot be used"),
         ({"fields_mm": []}, "no fields"),
         ({"wavelengths_um": [0.5, 2.5]}, r"2\.5 um"),

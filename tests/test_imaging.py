@@ -64,30 +64,30 @@ def test_light_moves_with_the_psf():
 
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
 @pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
-def test_an_impulse_changes_nothing(colour, outside):
+def test_an_impulse_changes_nothing(colour, outside_window):
     """A perfect lens is the identity, in linear light as well: there and back again."""
     images = random_images(3)
-    captures = Camera(impulse(), outside, colour).grid(images)
+    captures = Camera(impulse(), outside_window, colour).grid(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=3e-5 if colour == "linear" else 1e-6)
 
 
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
 @pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
-def test_a_uniform_image_stays_uniform(colour, outside):
+def test_a_uniform_image_stays_uniform(colour, outside_window):
     """Blur cannot change what has no detail, whatever share of the light the window holds."""
     images = torch.tensor([0.2, 0.5, 0.9])[:, None, None].expand(B, 3, 20, 20)
-    captures = Camera(random_psf(4), outside, colour).grid(images)
+    captures = Camera(random_psf(4), outside_window, colour).grid(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
-def test_mean_flux_is_conserved(outside):
+def test_mean_flux_is_conserved(outside_window):
     """An image whose border is dark loses no light over the edge: its captures have the same mean."""
     images = random_images(5, 40, 40)
     border = torch.zeros(40, 40)
     border[K:-K, K:-K] = 1
     images = images * border
-    captures = Camera(random_psf(6), outside).grid(images)
+    captures = Camera(random_psf(6), outside_window).grid(images)
     expected = images.mean((-2, -1)).expand(F, B, 3)
     torch.testing.assert_close(captures.mean((-2, -1)), expected, rtol=0, atol=1e-6)
 

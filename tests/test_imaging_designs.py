@@ -9,8 +9,10 @@ from examples import difference, materials
 
 from tasklens.design import least_squares, spot
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.merit import HEIGHTS, VIOLATION, Merit
-from tasklens.design.start import Variables, flat
+from tasklens.design.merit import HEIGHTS, VIOLATION_UM_PER_MM, Merit
+from tasklens.design.problem import Problem
+from tasklens.design.start import flat
+from tasklens.design.variables import Variables
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
@@ -20,6 +22,7 @@ from tasklens.study.settings import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 LOOKS = view_of_spec(SPEC)
+PROBLEM = Problem(LOOKS, LIMITS, 0)
 PLASTICS = materials("COC", "OKP4")
 
 
@@ -33,8 +36,8 @@ def test_spot_descent_from_flat_makes_a_lens():
     settings = SpotSettings(
         method="spot", steps=30, rays=64, learning_rates=LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
     )
-    begin, history = flat(PLASTICS, SPEC, LIMITS), []
-    lens = spot.design(begin, LOOKS, LIMITS, settings, 0, history)
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    lens, history = spot.design(begin, PROBLEM, settings)
     assert mean_rms(lens) < 0.7 * mean_rms(begin)
     assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
     assert len(history) == 30
@@ -121,25 +124,23 @@ def test_a_search_makes_a_better_lens():
     """A search of a few seconds halves the merit of its best start, and perturbations lower that of the stages."""
     begin = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200)
-    history: list[dict] = []
-    lens = least_squares.design(begin, LOOKS, LIMITS, settings, 0, history)
+    lens, history = least_squares.design(begin, PROBLEM, settings)
     starts = least_squares.random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
     merit = Merit(LOOKS, LIMITS, "centroid")
     best = min(float(merit.residuals(x).norm()) for x in starts)
     final = float(merit.residuals(lens).norm())
     assert final < 0.5 * best
     assert history[-2]["rms_um"] < min(row["rms_um"] for row in history if row["stage"] == "4 orders")
-    strict = Merit(LOOKS, LIMITS, per_mm=20 * VIOLATION, reference="centroid")
+    strict = Merit(LOOKS, LIMITS, per_mm=20 * VIOLATION_UM_PER_MM, reference="centroid")
     assert float(strict.residuals(lens).norm()) == pytest.approx(history[-1]["rms_um"], rel=1e-9)
 
 
-def test_a_kick_that_makes_it_worse_is_forgotten(monkeypatch):
-    """Kicked to plane plates, nothing better comes of two evaluations: the lens from before is returned."""
+def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
+    """Perturbed to plane plates, nothing better comes of two evaluations: the lens from before is returned."""
     begin = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    monkeypatch.setattr(least_squares, "_kick", lambda lens, rng: begin)
-    monkeypatch.setattr(least_squares, "_KICK_EVALUATIONS", 2)
-    history: list[dict] = []
-    least_squares.design(begin, LOOKS, LIMITS, settings, 0, history)
-    unkicked = min(row["rms_um"] for row in history if row["stage"] == "4 orders")
-    assert history[-2]["rms_um"] == unkicked
+    monkeypatch.setattr(least_squares, "_perturbed", lambda lens, rng: begin)
+    monkeypatch.setattr(least_squares, "_PERTURBATION_EVALUATIONS", 2)
+    _, history = least_squares.design(begin, PROBLEM, settings)
+    unperturbed = min(row["rms_um"] for row in history if row["stage"] == "4 orders")
+    assert history[-2]["rms_um"] == unperturbed

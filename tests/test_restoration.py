@@ -15,7 +15,7 @@ def small(seed: int = 0) -> NAFNet:
     return NAFNet(4, (1, 2), 1, (1, 1))
 
 
-def dataset(seed: int, *shape) -> torch.Tensor:
+def images(seed: int, *shape) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
 
 
@@ -28,7 +28,7 @@ def test_paper_size_has_the_papers_parameters():
 def test_blocks_begin_as_the_identity():
     """beta = gamma = 0 close both branches."""
     torch.manual_seed(1)
-    block, x = NAFBlock(8), dataset(0, 2, 8, 6, 6)
+    block, x = NAFBlock(8), images(0, 2, 8, 6, 6)
     assert torch.equal(block(x), x)
     torch.nn.init.ones_(block.beta)
     assert not torch.equal(block(x), x)
@@ -36,7 +36,7 @@ def test_blocks_begin_as_the_identity():
 
 def test_network_adds_a_correction_to_its_input():
     """With a silent last layer nothing is added; otherwise output - input is what the last layer says."""
-    network, x = small(), dataset(1, 2, 3, 16, 20)
+    network, x = small(), images(1, 2, 3, 16, 20)
     assert not torch.equal(network(x), x)
     torch.nn.init.zeros_(network.ending.weight)
     torch.nn.init.constant_(network.ending.bias, 0.25)
@@ -60,14 +60,14 @@ def test_the_whole_image_informs_each_pixel():
     for name, p in network.named_parameters():
         if name.endswith(("beta", "gamma")):
             torch.nn.init.ones_(p)
-    x = dataset(2, 1, 3, 32, 32).requires_grad_()
+    x = images(2, 1, 3, 32, 32).requires_grad_()
     reach = torch.autograd.grad(network(x)[0, :, 0, 0].sum(), x)[0]
     assert reach[0, :, -1, -1].abs().max() > 0
 
 
 def test_gradient_reaches_every_parameter_after_one_step():
     """At the start beta and gamma alone open the branches; after a step all else follows."""
-    network, x, y = small(), dataset(3, 4, 3, 16, 16), dataset(4, 4, 3, 16, 16)
+    network, x, y = small(), images(3, 4, 3, 16, 16), images(4, 4, 3, 16, 16)
     optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
     silent = []
     for _ in range(2):
@@ -92,7 +92,7 @@ TINY = RestorationSettings(width=8, encoder=(1,), middle=1, decoder=(1,), steps=
 def test_training_restores_and_is_deterministic():
     """Sixty steps raise the PSNR of captures blurred by one pixel to each side; one seed, one result."""
     sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
-    network = training.train(TINY, sharp, minival, blurred(), 0, [])
+    network, _ = training.train(TINY, sharp, minival, blurred(), 0)
     assert not network.training
     images, _ = sharp.batch(torch.arange(16))
     captures = blurred().single(images, torch.zeros(16, dtype=torch.long))
@@ -100,7 +100,7 @@ def test_training_restores_and_is_deterministic():
         gain = (psnr(network(captures), images) - psnr(captures, images)).mean()
     assert gain > 0.5
     short = TINY.model_copy(update={"steps": 2})
-    states = (training.train(short, sharp, minival, blurred(), seed, []).state_dict() for seed in (0, 0, 1))
+    states = (training.train(short, sharp, minival, blurred(), seed)[0].state_dict() for seed in (0, 0, 1))
     first, again, other = states
     assert all(torch.equal(first[k], again[k]) for k in first)
     assert any(not torch.equal(first[k], other[k]) for k in first)
@@ -109,15 +109,13 @@ def test_training_restores_and_is_deterministic():
 def test_training_ends_when_two_checks_gained_nothing():
     """Each divides the rate by ten; the network of the best check is returned, with the PSNR that was logged."""
     sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
-    history: list[dict] = []
-    network = training.train(
-        TINY.model_copy(update={"steps": 1000, "check": 10}), sharp, minival, blurred(), 0, history
-    )
+    settings = TINY.model_copy(update={"steps": 1000, "check": 10})
+    network, history = training.train(settings, sharp, minival, blurred(), 0)
     assert history[-1]["converged"] and not any(row["converged"] for row in history[:-1])
-    assert history[-1]["step"] < 1000 and history[-1]["rate"] == TINY.learning_rate * 0.1
+    assert history[-1]["step"] < 1000 and history[-1]["learning_rate"] == TINY.learning_rate * 0.1
     quality, rate, best = [row["psnr_db"] for row in history], TINY.learning_rate, -torch.inf
     for row in history:
-        assert row["rate"] == rate
+        assert row["learning_rate"] == rate
         if row["psnr_db"] > best + 0.1:
             best = row["psnr_db"]
         else:
@@ -129,8 +127,7 @@ def test_training_ends_when_two_checks_gained_nothing():
 
 
 def test_training_that_runs_out_of_steps_says_so(capsys):
-    history: list[dict] = []
     sharp = random_images(16, 16, 2, seed=0)
-    training.train(TINY.model_copy(update={"steps": 3}), sharp, sharp, blurred(), 0, history)
+    _, history = training.train(TINY.model_copy(update={"steps": 3}), sharp, sharp, blurred(), 0)
     assert [row["step"] for row in history] == [3] and not history[0]["converged"]
     assert "not converged within 3 steps" in capsys.readouterr().err

@@ -13,6 +13,7 @@ import torch
 from examples import WAVELENGTHS, f64, materials, random_lens
 
 from tasklens.design import least_squares
+from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -87,8 +88,7 @@ def test_a_finished_design():
     """A doublet by least squares, up to the corner of the paper's field."""
     spec, limits = Spec(), Constraints()
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    lens = least_squares.design(
-        flat(materials("COC", "OKP4"), spec, limits), view_of_spec(spec), limits, settings, 0, []
-    )
+    start = flat(materials("COC", "OKP4"), spec, limits)
+    lens, _ = least_squares.design(start, Problem(view_of_spec(spec), limits, 0), settings)
     assert lens.alpha.any()
     assert_same_image_points(lens, view_of_spec(spec))

@@ -6,7 +6,8 @@ from examples import f64, materials, random_lens
 
 from tasklens.design.constraints import manufacturing_margins, worst_margin
 from tasklens.design.schedule import cosine
-from tasklens.design.start import Variables, flat, parameter_groups
+from tasklens.design.start import flat
+from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.study.design_settings import LearningRates
 from tasklens.study.settings import Constraints, Spec

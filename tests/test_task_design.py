@@ -8,11 +8,12 @@ import torch
 from examples import changed, materials, random_images, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
 
-from tasklens.design import end_to_end as descent
 from tasklens.design import least_squares, methods, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.problem import Problem
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.psf import psf
@@ -28,18 +29,23 @@ NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9
 FAST = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
 
 
-def walked(network, lens, limits=LIMITS, **settings):
-    start, refine = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
-    settings = {"images": 4, "rays": 16, "starts": 2, "start": start, "refine": refine} | settings
-    history: list[dict] = []
-    return task.design(lens, network, problem(limits), TaskDrivenSettings(method="task", **settings), history), history
+def designed(network, lens, limits=LIMITS, **settings):
+    restart, refinement = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
+    given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
+    return task.design(lens, network, problem(limits), TaskDrivenSettings(method="task", **(given | settings)))
+
+
+def spot_lens(start):
+    """A doublet after 200 steps of spot descent, which violates limits a little."""
+    settings = SpotSettings(method="spot", steps=200, rays=64, learning_rates=FAST)
+    return spot.design(start, Problem(LOOKS, LIMITS, 0), settings)[0]
 
 
 def test_frozen_network_stays_frozen(start):
     """Task-driven design moves the lens and nothing of the network: no weight, no batch statistic, no switch."""
     network = small_network().train()
     before = copy.deepcopy(network.state_dict())
-    lens, history = walked(network, start)
+    lens, history = designed(network, start)
     assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
     assert network.training and all(p.requires_grad and p.grad is None for p in network.parameters())
     assert not torch.equal(lens.curvature, start.curvature) and not torch.equal(lens.thickness, start.thickness)
@@ -47,27 +53,27 @@ def test_frozen_network_stays_frozen(start):
     assert len(history) == 2 * 4 + 2 and all(math.isfinite(row["loss"]) for row in history)
 
 
-def test_walks_are_deterministic(start):
-    first, again = (walked(small_network(), start)[0] for _ in range(2))
+def test_restarts_are_deterministic(start):
+    first, again = (designed(small_network(), start)[0] for _ in range(2))
     for name in ("curvature", "thickness", "alpha"):
         assert torch.equal(getattr(first, name), getattr(again, name))
 
 
-def test_the_walk_with_the_least_loss_goes_on(start, monkeypatch):
+def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
     """Of three restarts, judged by a list, the second is refined, here by a step of next to nothing."""
     judged, losses = [], iter([2.0, 1.0, 3.0])
-    monkeypatch.setattr(task, "_judge", lambda lens, *rest: (judged.append(lens), next(losses))[1])
+    monkeypatch.setattr(Supervisor, "validation_loss", lambda self, lens, *rest: (judged.append(lens), next(losses))[1])
     coarse, nothing = (
         RaySpaceSettings(steps=3, pixels=(20, 20)),
         RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9),
     )
-    lens, _ = walked(small_network(), start, NO_LIMITS, starts=3, start=coarse, refine=nothing)
+    lens, _ = designed(small_network(), start, NO_LIMITS, restarts=3, restart=coarse, refinement=nothing)
     moved = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
     assert moved[1] < 0.01 * min(moved[0], moved[2])
 
 
-@pytest.mark.parametrize("step size", [0.5, 5.0])
-def test_a_step_moves_rays_by_the_stride(start, step_size):
+@pytest.mark.parametrize("step_size", [0.5, 5.0])
+def test_a_step_moves_rays_by_its_size(start, step_size):
     """In a random direction of descent: RMS displacement of the rays as asked for, and no way upward."""
     space = RaySpace(start.with_stop_scaled(0.3), LOOKS, NO_LIMITS)
     gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(0)).double()
@@ -79,9 +85,7 @@ def test_a_step_moves_rays_by_the_stride(start, step_size):
 
 def test_a_lens_is_brought_back_within_its_limits(start):
     """Spots stay where they are within 20 um, while elements get thick enough and steep flanks flat enough."""
-    lens = spot.design(
-        start, LOOKS, LIMITS, SpotSettings(method="spot", steps=200, rays=64, learning_rates=FAST), 0, []
-    )
+    lens = spot_lens(start)
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     limits = LIMITS.model_copy(
         update={
@@ -95,32 +99,30 @@ def test_a_lens_is_brought_back_within_its_limits(start):
         margins |= first_order_margins(lens, limits, LOOKS, chief_points(lens, LOOKS))
         return worst_margin(margins)[1]
 
-    mended, clear = repair(lens, LOOKS, limits)
-    assert worst(lens) < -0.019 and worst(mended) > 0
+    repaired, clear = repair(lens, LOOKS, limits)
+    assert worst(lens) < -0.019 and worst(repaired) > 0
     moved = RaySpace(lens, LOOKS, NO_LIMITS).merit
-    before, after = (moved.residuals(each)[: moved.rays] for each in (lens, mended))
+    before, after = (moved.residuals(each)[: moved.rays] for each in (lens, repaired))
     assert float((after - before).norm()) < 20
-    assert worst_margin(manufacturing_margins(mended, limits, clear))[1] > 0
-    kept, _ = repair(mended, LOOKS, limits)
-    assert torch.equal(kept.curvature, mended.curvature)
+    assert worst_margin(manufacturing_margins(repaired, limits, clear))[1] > 0
+    kept, _ = repair(repaired, LOOKS, limits)
+    assert torch.equal(kept.curvature, repaired.curvature)
 
 
 @pytest.mark.parametrize("name", ["imaging1", "imaging2"])
 def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
     """Whatever a method leaves a little broken, here an element 0.03 mm too thin."""
     study = parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}))
-    job = jobs.design(study, f"doublet-{name}", 0)
-    lens = spot.design(
-        start, LOOKS, LIMITS, SpotSettings(method="spot", steps=200, rays=64, learning_rates=FAST), 0, []
-    )
+    wanted = jobs.design.plan(study, f"doublet-{name}", 0).settings
+    lens = spot_lens(start)
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
-    job = job.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
-    monkeypatch.setattr(spot, "design", lambda *rest: lens)
-    monkeypatch.setattr(least_squares, "design", lambda *rest: lens)
-    _, notes = methods.design(job, None, None, {}, [])
+    wanted = wanted.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
+    monkeypatch.setattr(spot, "design", lambda *rest: (lens, []))
+    monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
+    _, notes, _ = methods.design(wanted, None, None, {})
     assert notes["worst_margin"]["value"] > 0
-    assert methods.finished(lens, clear_semi_diameters(lens, LOOKS), job, {})[1]["worst_margin"]["value"] < -0.02
+    assert methods.finished(lens, clear_semi_diameters(lens, LOOKS), wanted, {})[1]["worst_margin"]["value"] < -0.02
 
 
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
@@ -130,15 +132,15 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
     still = RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9)
 
     def longest() -> float:
-        _, history = walked(small_network(), plates, starts=1, start=far, refine=still)
-        return max(row["violation"] for row in history[1:] if row["phase"] == "start 1 of 1")
+        _, history = designed(small_network(), plates, restarts=1, restart=far, refinement=still)
+        return max(row["violation"] for row in history[1:] if row["phase"] == "restart 1 of 1")
 
     with_halving = longest()
     monkeypatch.setattr(task, "_HALVINGS", 0)
     assert longest() > 10 * with_halving
 
 
-def test_walking_lowers_the_loss(start):
+def test_descending_lowers_the_loss(start):
     """Two dozen steps reduce the loss of a frozen network on its captures."""
     network = small_network()
     dataset = random_images(12, 16, 3, seed=0)
@@ -147,8 +149,10 @@ def test_walking_lowers_the_loss(start):
 
     def loss(lens):
         grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
-        return float(descent.loss_at_psf(network, images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
+        return float(loss_at_psf(network, images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
 
-    walk = RaySpaceSettings(steps=12, pixels=(10, 10), step_size=0.5)
-    lens, _ = walked(network, start, NO_LIMITS, images=12, augment=False, starts=1, start=walk, refine=walk)
+    steps = RaySpaceSettings(steps=12, pixels=(10, 10), step_size=0.5)
+    lens, _ = designed(
+        network, start, NO_LIMITS, batch_size=12, augment=False, restarts=1, restart=steps, refinement=steps
+    )
     assert loss(lens) < loss(start)

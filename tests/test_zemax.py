@@ -10,7 +10,7 @@ from tasklens.materials.catalogues import builtin
 from tasklens.materials.material import AIR, model_glass
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import FIELDS
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing.trace import trace_full
 from tasklens.runtime.files import FileError
 
 TEXT = """VERS 190513 80 123457 L123457
@@ -120,8 +120,8 @@ def test_the_distance_of_the_object(tmp_path, distance, unit, expected):
 def test_the_stop_is_what_the_aperture_asks_for(tmp_path, line):
     """A real ray close to the axis, scaled up to the rim of the pupil, meets the rim of the stop."""
     lens = read(tmp_path, edited(("ENPD 1.2", line))).lens
-    record, h = [], 1e-5
-    ray = trace(lens, parallel_rays([h]), lens.refractive_indices((0.5893,)), record)
+    h = 1e-5
+    ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((0.5893,)))
     efl = -h / float(ray.m / ray.n)
     pupil_radius = 0.6 if line.startswith("ENPD") else efl / 2.8 / 2
     assert float(lens.semi_diameter[2]) == pytest.approx(float(record[2].y) / h * pupil_radius, rel=1e-8)

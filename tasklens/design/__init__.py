@@ -1,1 +1,1 @@
-"""Ways for a lens to come about; the only room where optics meets a network."""
+"""Methods of lens design; the only room where optics meets a network."""

@@ -90,7 +90,7 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
             break
         progress(step, **{name: found.numbers[name] for name in _SHOWN if name in found.numbers})
         if step % max(1, descent.steps // _ROWS) == 0:
-            rms_um = 1e3 * float(rms_spot_radius(found.rays, centroid(found.rays)).mean())
+            rms_um = 1e3 * float(rms_spot_radius(found.rays, centroid(found.rays)).mean().detach())
             part.history.append({"phase": label, "step": step, **found.numbers, "rms_um": rms_um})
         part.save(step, **descent.state())
     if part.result is None:

@@ -19,8 +19,8 @@ from tasklens.study.design_settings import JointDescentSettings
 class JointDescent(GradientDescent):
     """Descent of the classifier's loss over the lens and the network at once, with AdamW.
 
-    The network is trained in place, in `train()`; all captures of a step pass at once, for its batch statistics. The
-    result is the lens of the last step with a finite loss.
+    The network is trained in place, in `train()`; all captures of a step pass at once, for its batch statistics. If
+    the loss stops being finite, the lens is that of the last step with a finite one.
     """
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
@@ -48,6 +48,7 @@ class JointDescent(GradientDescent):
         bounds = self.penalty(lens)
         losses, gradient = self.supervisor.loss(indices, grid)
         if not torch.isfinite(losses.mean() + bounds):
+            self.revert()
             raise divergence(stopped, view, pupil, losses)
         self.remember()
         torch.autograd.backward([grid, self.settings.penalty * bounds], [gradient, None])

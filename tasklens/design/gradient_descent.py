@@ -46,7 +46,7 @@ class GradientDescent(Descent):
             self.optimizer, lambda step: cosine(step / steps, rates.final)
         )
         self.holders = {**holders, "optimizer": self.optimizer, "schedule": self.schedule}
-        self.result = self.variables.values()  # of the lens that the descent would end with
+        self.remembered = self.variables.values()
 
     def assemble(self) -> Lens:
         """The present lens, differentiable in its variables."""
@@ -57,8 +57,13 @@ class GradientDescent(Descent):
         return penalty(lens, self.problem.limits, self.problem.view)
 
     def remember(self) -> None:
-        """Make the present lens the result."""
-        self.result = {name: value.detach().clone() for name, value in self.values.items()}
+        """Remember the present lens."""
+        self.remembered = {name: value.detach().clone() for name, value in self.values.items()}
+
+    def revert(self) -> None:
+        """Go back to the lens that was remembered last, or to the start."""
+        for name, value in self.values.items():
+            value.data.copy_(self.remembered[name])
 
     def advance(self) -> None:
         """Step along the gradients that have been accumulated, and clear them."""
@@ -69,15 +74,15 @@ class GradientDescent(Descent):
     @property
     def learning_rate(self) -> float:
         """Of the first group, the curvatures."""
-        return self.schedule.get_last_lr()[0]
+        return float(self.schedule.get_last_lr()[0])
 
     def state(self) -> dict[str, Any]:
-        return {"values": self.values, "result": self.result}
+        return {"values": self.values, "remembered": self.remembered}
 
     def resume(self, state: Mapping[str, Any]) -> None:
         for name, value in self.values.items():
             value.data.copy_(state["values"][name])
-        self.result = state["result"]
+        self.remembered = state["remembered"]
 
     def lens(self) -> Lens:
-        return self.variables.assemble(self.result).detached()
+        return self.assemble().detached()

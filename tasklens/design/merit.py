@@ -118,7 +118,8 @@ class Merit:
 
     def _operands(self, leaves: Mapping[str, Tensor], lens: Lens) -> Tensor:
         """One-sided residuals of limits, zero where they hold."""
-        lens = replace(lens, **{name: leaves[name] for name in ("curvature", "alpha", "thickness")})
+        shape = {name: leaves[name] for name in ("curvature", "alpha", "thickness")}
+        lens = replace(lens, **shape)  # type: ignore[arg-type]
         x, y, m, n = leaves["chief"]
         margins = manufacturing_margins(lens, self.limits, leaves["semi_diameter"])
         margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))

@@ -50,6 +50,9 @@ class SpotDescent(GradientDescent):
         numbers = {"loss": loss.item(), "penalty": bounds.item(), "stop_scale": scale}
         return Step(rays, spots, numbers | {"learning_rate": self.learning_rate})
 
+    def lens(self) -> Lens:
+        return self.variables.assemble(self.remembered).detached()
+
     def state(self) -> dict[str, Any]:
         return super().state() | {"least": self.least}
 

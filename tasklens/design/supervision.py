@@ -50,9 +50,15 @@ def loss_at_psf(
         loss = F.cross_entropy(classifier(part), target, reduction="none")
         (loss.sum() / len(inputs)).backward()
         losses.append(loss.detach())
-        gradients.append(part.grad)
+        gradients.append(_gradient(part))
     captures.backward(torch.cat(gradients).reshape(captures.shape))
-    return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), leaf.grad.to(grid)
+    return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), _gradient(leaf).to(grid)
+
+
+def _gradient(leaf: Tensor) -> Tensor:
+    """That of a leaf after a backward pass."""
+    assert leaf.grad is not None
+    return leaf.grad
 
 
 @dataclass(frozen=True)

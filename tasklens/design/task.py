@@ -62,8 +62,8 @@ class RaySpaceDescent(Descent):
         pupil = sobol_disc(self.task.rays, self.seed + step)
         rays, grid = self.supervisor.trace(lens, pupil, pixels)
         losses, gradient = self.supervisor.loss(indices, grid)
-        grid.backward(gradient)
-        self.mean = settings.momentum * self.mean + (1 - settings.momentum) * leaf.grad
+        (slope,) = torch.autograd.grad(grid, leaf, gradient)
+        self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         change = self.model.step(self.mean / (1 - settings.momentum**step), step_um, settings.damping)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
             self.vector = self.finite

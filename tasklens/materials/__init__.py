@@ -1,0 +1,1 @@
+"""Dispersion of optical materials, and files of them."""

@@ -92,7 +92,7 @@ class Material:
     range_um: tuple[float, float]
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.formula not in FORMULAS:
             raise ValueError(f"{self.name}: unknown formula {self.formula!r}; expected one of {', '.join(FORMULAS)}")
         count = FORMULAS[self.formula][0]

@@ -1,6 +1,7 @@
 """A lens: what its surfaces are, where they stand and what fills the space between them."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,7 +32,7 @@ class Lens:
     media: tuple[Material, ...]
     stop: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         surfaces = len(self.media)
         for name in ("curvature", "conic", "thickness", "semi_diameter"):
             if getattr(self, name).shape != (surfaces,):
@@ -86,5 +87,5 @@ class Lens:
 
     def detached(self) -> "Lens":
         """The same lens, out of every graph."""
-        tensors = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
+        tensors: dict[str, Any] = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
         return replace(self, **tensors)

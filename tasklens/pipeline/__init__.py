@@ -1,0 +1,1 @@
+"""Every job declared once, and how it is run."""

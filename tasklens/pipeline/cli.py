@@ -2,30 +2,34 @@
 
     tasklens design config/config.yaml doublet-tasklens --seed 0
 
-Files are read and written below results/<study name>/. torch is imported inside the commands that need it.
+Files are read and written below results/<study name>/. torch is imported by the commands that need it.
 """
 
 import argparse
 import sys
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tasklens.pipeline import jobs
-from tasklens.pipeline.run import run, stage_function
-from tasklens.pipeline.stage import SEED, STAGES, Files, Job, Stage
+from tasklens.pipeline.run import run
+from tasklens.pipeline.stage import SEED, STAGES, Stage
 from tasklens.runtime.errors import InputError
 from tasklens.study.names import SHARP
 from tasklens.study.study import TABLES, load
 
-_HELP = {
-    "lens": f"name of a lens; {SHARP} for the sharp images, where a classifier follows",
-    "table": ", ".join(TABLES),
+_HELP: dict[str, dict[str, Any]] = {
+    "study": {"type": Path, "help": "study file (YAML)"},
+    "lens": {"help": f"name of a lens; {SHARP} for the sharp images, where a classifier follows"},
+    "measured_name": {"help": "name of a classifier, with -restored on restored captures"},
+    "table": {"choices": TABLES},
 }
 
 
 def check(args: argparse.Namespace) -> None:
-    """say what a study file describes, or what is wrong with it and with its imported lenses"""
+    """Say what a study file describes, or what is wrong with it and with its imported lenses."""
     study = load(args.study)
     if study.imported:
         from tasklens.design import imported
@@ -46,7 +50,7 @@ def check(args: argparse.Namespace) -> None:
 
 
 def analyse(args: argparse.Namespace) -> None:
-    """print the table of a lens: its figures by field and its aberrations by surface, newly computed from its file"""
+    """Print the table of a lens: its figures by field and its aberrations by surface, newly computed from its file."""
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, view_of
     from tasklens.optics.io import prescription
     from tasklens.report import certificate
@@ -59,19 +63,8 @@ def analyse(args: argparse.Namespace) -> None:
 
 
 def _run_stage(stage: Stage, args: argparse.Namespace) -> int:
-    study = load(args.study)
-    job = stage.job(study, **{name: getattr(args, name) for name in stage.wildcards})
-    return run(stage, _partial(job) if getattr(args, "partial", False) else job) or 0
-
-
-def _partial(job: Job) -> Job:
-    """The job of a table with the measurements that there are, for <table>-partial."""
-    kept = {name: {k: p for k, p in vars(job.inputs)[name].items() if p.exists()} for name in ("lenses", "metrics")}
-    name = job.settings.name
-    outputs = {
-        key: path.with_name(path.name.replace(name, f"{name}-partial")) for key, path in vars(job.outputs).items()
-    }
-    return Job(job.name, job.settings, Files(**{**vars(job.inputs), **kept}), Files(**outputs), job.checkpoint)
+    wildcards = {name: getattr(args, name) for name in stage.wildcards}
+    return run(stage, load(args.study), wildcards, getattr(args, "partial", False)) or 0
 
 
 def _count(text: str) -> int:
@@ -82,31 +75,27 @@ def _count(text: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    """A subcommand for every stage, with its wildcards as arguments; and those that are no job."""
-    top = argparse.ArgumentParser(prog="tasklens", description=__doc__.splitlines()[0])
+    """A subcommand for every stage, with its wildcards as arguments; and those that are no stage."""
+    top = argparse.ArgumentParser(prog="tasklens", description=(__doc__ or "").splitlines()[0])
     commands = top.add_subparsers(required=True, metavar="command")
 
-    def command(name: str, meaning: str, function: Callable) -> argparse.ArgumentParser:
+    def command(name: str, meaning: str | None, function: Callable[..., Any], *words: str) -> argparse.ArgumentParser:
         added = commands.add_parser(name.replace("_", "-"), help=meaning, description=meaning)
         added.set_defaults(run=function)
+        for word in words:
+            added.add_argument(word, **_HELP.get(word, {}))
         return added
 
     for stage in STAGES.values():
-        added = command(
-            stage.name, stage_function(stage).__doc__ or "", lambda args, stage=stage: _run_stage(stage, args)
-        )
-        added.add_argument("study", type=Path, help="study file (YAML)")
-        for name in stage.wildcards:
-            if name == SEED:
-                added.add_argument("--seed", type=int, default=0)
-            else:
-                added.add_argument(name, help=_HELP.get(name), choices=TABLES if name == "table" else None)
+        words = [name for name in stage.wildcards if name != SEED]
+        added = command(stage.name, stage.plan.__doc__, partial(_run_stage, stage), "study", *words)
+        if SEED in stage.wildcards:
+            added.add_argument("--seed", type=int, default=0)
         if stage is jobs.table:
             added.add_argument("--partial", action="store_true", help="of what has been measured, as <table>-partial")
-    added = command("check", check.__doc__ or "", check)
-    added.add_argument("study", type=Path, help="study file (YAML)")
+    added = command("check", check.__doc__, check, "study")
     added.add_argument("--networks", action="store_true", help="build every classifier once, without weights")
-    added = command("analyse", analyse.__doc__ or "", analyse)
+    added = command("analyse", analyse.__doc__, analyse)
     added.add_argument("file", type=Path, help="lens file (YAML) with its spec")
     added.add_argument("--rays", type=_count, default=4096, help="per field and colour")
     return top

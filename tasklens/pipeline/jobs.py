@@ -1,66 +1,73 @@
-"""Every job of a study, declared once: its settings, its inputs and its outputs.
+"""Every job of a study, declared once: what does it, its settings, its inputs and its outputs.
 
 The order is that of the data: images, classifiers, lenses, PSFs, restorations, accuracies, then what tells of them.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from tasklens.pipeline.digest import folder_digest
-from tasklens.pipeline.stage import Plan, Slice, stage
+from tasklens.pipeline.stage import Plan, stage
 from tasklens.study import claims as paper_claims
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
 from tasklens.study.design_settings import EndToEndSettings, ImportedLens, LensDesign, TaskDrivenSettings
 from tasklens.study.names import SHARP
+from tasklens.study.settings import Slice
 from tasklens.study.study import Study
 
 SPLITS = ("train", "minival", "test")
-PAPER = str(Path(__file__).parents[1] / "report" / "paper.csv")  # the values that the paper prints
+PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the values that the paper prints
+STAGES = "tasklens.pipeline.stages"
+REPORT = "tasklens.report"
 
 
 # ---- images and classifiers
 
 
 @stage(
-    {
-        f"{split}{part}": f"images/{split}{suffix}"
-        for split in SPLITS
-        for part, suffix in (("", ".npy"), ("_labels", ".json"))
-    },
+    f"{STAGES}.images.run",
+    {n: f"images/{n}.npy" for n in SPLITS} | {f"{n}_labels": f"images/{n}.json" for n in SPLITS},
     resumable=True,
     threads=8,
 )
 def images(study: Study) -> Plan:
+    """Render or read the images, and cut them into train, minival and test."""
     folder = study.images.folder
     return Plan(Slice(images=study.images, source=None if folder is None else folder_digest(folder)))
 
 
-def split(study: Study, name: str) -> list[str]:
+def split(study: Study, name: str) -> list[Path]:
     """Images and labels of a split."""
     return [images.output(study, name), images.output(study, f"{name}_labels")]
 
 
-@stage({"weights": "classifiers/reference/{classifier}.safetensors"}, resumable=True)
+@stage(f"{STAGES}.reference.run", {"weights": "classifiers/reference/{classifier}.safetensors"}, resumable=True)
 def reference(study: Study, classifier: str) -> Plan:
+    """Train a classifier on the sharp images, or take its published weights."""
     settings = study.classifier(classifier)
     return Plan(settings, {"train": split(study, "train"), "published": settings.weights}, gpus=1)
 
 
 # ---- lenses and their PSFs
 
+_LENS = "lenses/{lens}/seed{seed}"
+
 
 @stage(
-    {"lens": "lenses/{lens}/seed{seed}/lens.yaml", "history": "lenses/{lens}/seed{seed}/history.csv"},
+    f"{STAGES}.design.run",
+    {"lens": f"{_LENS}/lens.yaml", "history": f"{_LENS}/history.csv"},
     resumable=True,
     priority=1,  # most jobs wait for designs, and the longest jobs are among them
 )
 def design(study: Study, lens: str, seed: int) -> Plan:
+    """Design a lens, or import it; write its prescription, figures and history."""
     entry = study.lens(lens)
     supervised = isinstance(entry.design, TaskDrivenSettings | EndToEndSettings)
     settings = LensDesign(
-        entry=entry.model_copy(update={"capture": None}),  # what a design reads of it stands in `capture`
+        entry=entry.model_copy(update={"capture": None}),  # what a design reads of it is in `capture`
         spec=study.spec_of(entry.elements),
         constraints=study.constraints,
         capture=study.capture_of(lens) if supervised else None,
@@ -68,34 +75,36 @@ def design(study: Study, lens: str, seed: int) -> Plan:
         rays=study.evaluation_rays,
         seed=seed,
     )
-    inputs: dict[str, Any] = {"train": None, "weights": None}
-    if supervised:
-        inputs["train"] = split(study, "train")
-        inputs["weights"] = reference.output(study, "weights", classifier=study.supervisor)
-    if isinstance(entry.design, ImportedLens):
-        inputs["files"] = [entry.design.file, *entry.design.catalogues]
+    imported = entry.design if isinstance(entry.design, ImportedLens) else None
     baselines = paper_tables.imaging_baselines(study, lens)
-    inputs["baselines"] = {name: design.output(study, "lens", lens=name, seed=seed) for name in baselines}
-    inputs["metrics"] = {name: _metrics(study, name, study.supervisor, seed) for name in baselines}
+    inputs = {
+        "train": split(study, "train") if supervised else None,
+        "weights": reference.output(study, "weights", classifier=study.supervisor) if supervised else None,
+        "files": None if imported is None else [imported.file, *imported.catalogues],
+        "baselines": {name: _lens(study, name, seed) for name in baselines},
+        "metrics": {name: _measured(study, name, study.supervisor, seed, "metrics") for name in baselines},
+    }
     return Plan(settings, inputs, gpus=int(supervised))
 
 
-@stage({"psf": "lenses/{lens}/seed{seed}/psf.safetensors"})
+@stage(f"{STAGES}.psf.run", {"psf": f"{_LENS}/psf.safetensors"})
 def psf(study: Study, lens: str, seed: int) -> Plan:
+    """Trace the PSF grid of a lens once, for everything after it."""
     spec = study.spec_of(study.lens(lens).elements)
     return Plan(Slice(spec=spec, rays=study.evaluation_rays), {"lens": _lens(study, lens, seed)})
 
 
-@stage({name: f"lenses/{{lens}}/seed{{seed}}/{name}.csv" for name in ("psf_tail", "encircled_energy")})
+@stage(f"{STAGES}.tail.run", {name: f"{_LENS}/{name}.csv" for name in ("psf_tail", "encircled_energy")})
 def tail(study: Study, lens: str, seed: int) -> Plan:
+    """Trace how the light of a lens spreads: core, tail, and encircled energy."""
     return psf.plan(study, lens, seed)
 
 
-def _lens(study: Study, lens: str, seed: int) -> str:
+def _lens(study: Study, lens: str, seed: int) -> Path:
     return design.output(study, "lens", lens=lens, seed=seed)
 
 
-def _psf(study: Study, lens: str, seed: int) -> str | None:
+def _psf(study: Study, lens: str, seed: int) -> Path | None:
     return None if lens == SHARP else psf.output(study, "psf", lens=lens, seed=seed)
 
 
@@ -103,6 +112,7 @@ def _psf(study: Study, lens: str, seed: int) -> str | None:
 
 
 @stage(
+    f"{STAGES}.restore.run",
     {
         "weights": "restoration/{lens}/seed{seed}/nafnet.safetensors",
         "history": "restoration/{lens}/seed{seed}/history.csv",
@@ -111,6 +121,7 @@ def _psf(study: Study, lens: str, seed: int) -> str | None:
     priority=1,  # of the jobs that can run, the one that another, as long, waits for
 )
 def restore(study: Study, lens: str, seed: int) -> Plan:
+    """Train the restoration network on the captures of a lens."""
     settings = Slice(restoration=study.restoration, capture=study.capture_of(lens), seed=seed)
     images = {name: split(study, name) for name in ("train", "minival")}
     return Plan(settings, {"images": images, "psf": _psf(study, lens, seed)}, gpus=1)
@@ -129,6 +140,7 @@ def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[d
 
 
 @stage(
+    f"{STAGES}.classify.fine_tune",
     {
         "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
         "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
@@ -137,48 +149,45 @@ def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[d
     resumable=True,
 )
 def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
+    """Fine-tune a classifier on the captures of a lens, and measure it on every field."""
     classifier, restored = names.split(measured_name)
     captures, inputs = _captures(study, lens, measured_name, seed)
-    rows = {
-        "elements": "" if lens == SHARP else study.lens(lens).elements,
-        "design": "reference" if lens == SHARP else study.lens(lens).design_name,
-        "classifier": classifier,
-        "restored": restored,
-        "seed": seed,
-    }
+    elements, design_name = "", "reference"
+    if lens != SHARP:
+        elements, design_name = study.lens(lens).elements, study.lens(lens).design_name
+    rows = {"elements": elements, "design": design_name, "classifier": classifier, "restored": restored, "seed": seed}
     inputs["images"] = {name: split(study, name) for name in SPLITS}
     inputs["weights"] = reference.output(study, "weights", classifier=classifier)
-    processes = study.classifier(classifier).processes
     settings = Slice(**captures, training=study.fine_tuning, rows=rows, seed=seed)
+    processes = study.classifier(classifier).processes
     return Plan(settings, inputs, processes=processes, gpus=processes)
 
 
-@stage({"predictions": "verification/{lens}/seed{seed}/{measured_name}-predictions.csv"}, resumable=True)
+@stage(
+    f"{STAGES}.classify.reproduce",
+    {"predictions": "verification/{lens}/seed{seed}/{measured_name}-predictions.csv"},
+    resumable=True,
+)
 def reproduce(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
+    """Classify the test images again with the stored weights, through the stored PSFs."""
     captures, inputs = _captures(study, lens, measured_name, seed)
     inputs["test"] = split(study, "test")
-    inputs["weights"] = _metrics(study, lens, measured_name, seed, "weights")
+    inputs["weights"] = _measured(study, lens, measured_name, seed, "weights")
     return Plan(Slice(**captures), inputs, gpus=1)
 
 
-def _metrics(study: Study, lens: str, measured_name: str, seed: int, output: str = "metrics") -> str:
-    """An output of fine-tuning a classifier, by the name under which it is measured."""
+def _measured(study: Study, lens: str, measured_name: str, seed: int, output: str) -> Path:
     return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
 
 
 # ---- tables, verdicts and figures
 
-Measured = tuple[tuple[str, str], ...]  # pairs of a lens, or SHARP, and the name under which a classifier is measured
 
-
-def _measurements(study: Study, lenses: tuple[str, ...], measured: Measured) -> dict[str, Any]:
+def _measurements(study: Study, lenses: Iterable[str], measured: Iterable[tuple[str, str]]) -> dict[str, Any]:
     """Files of lenses by (lens, seed), and metrics and predictions by (lens, measured name, seed)."""
     keys = [(*pair, seed) for pair in measured for seed in study.seeds]
-    return {
-        "lenses": {(lens, seed): _lens(study, lens, seed) for lens in lenses for seed in study.seeds},
-        "metrics": {key: _metrics(study, *key) for key in keys},
-        "predictions": {key: _metrics(study, *key, output="predictions") for key in keys},
-    }
+    files = {name: {key: _measured(study, *key, name) for key in keys} for name in ("metrics", "predictions")}
+    return files | {"lenses": {(lens, seed): _lens(study, lens, seed) for lens in lenses for seed in study.seeds}}
 
 
 def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
@@ -186,7 +195,7 @@ def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
     lenses = dict.fromkeys(lens for claim in claims.claims for lens in claim.lenses)
     measured = dict.fromkeys((lens, claim.classifier) for claim in claims.claims for lens in claim.lenses)
     sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if claim.about_convergence)
-    return _measurements(study, tuple(lenses), (*measured, *sharp))
+    return _measurements(study, lenses, measured | sharp)
 
 
 def _published(name: str, *suffixes: str) -> dict[str, str]:
@@ -194,81 +203,80 @@ def _published(name: str, *suffixes: str) -> dict[str, str]:
     return {suffix.replace(".", "_"): f"tables/{name}.{suffix}" for suffix in (*suffixes, "csv", "md")}
 
 
-@stage(_published("{table}", "seeds.csv", "tex", "json"))
+@stage(f"{REPORT}.tables.make", _published("{table}", "seeds.csv", "tex", "json"))
 def table(study: Study, table: str) -> Plan:
+    """Make one table of the paper as CSV, Markdown and LaTeX."""
     contents = paper_tables.table(study, table)
     inputs = _measurements(study, contents.lenses, contents.measured)
     return Plan(contents, {"lenses": inputs["lenses"], "metrics": inputs["metrics"], "paper": PAPER})
 
 
-@stage(_published("psf_tail") | {"encircled_energy": "tables/encircled_energy.csv"})
+@stage(f"{REPORT}.tails.make", _published("psf_tail") | {"encircled_energy": "tables/encircled_energy.csv"})
 def psf_tail(study: Study) -> Plan:
+    """Make the table of the tails of all PSFs, and their curves of encircled energy."""
     lenses = paper_tables.table_lenses(study)
     keys = [(lens, seed) for lens in lenses for seed in study.seeds]
     inputs = {name: {(x, s): tail.output(study, name, lens=x, seed=s) for x, s in keys} for name in tail.patterns}
-    return Plan(paper_tables.TailContents(study=study.name, lenses=lenses, seeds=study.seeds), inputs)
+    return Plan(Slice(study=study.name, lenses=lenses, seeds=study.seeds), inputs)
 
 
-@stage(_published("verdicts"))
+@stage(f"{REPORT}.verdicts.make", _published("verdicts"))
 def verdicts(study: Study) -> Plan:
+    """Judge the paper's claims by the measured accuracies."""
     claims = paper_claims.claims(study)
     return Plan(claims, _claimed(study, claims))
 
 
-@stage(_published("regimes"))
+@stage(f"{REPORT}.regimes.make", _published("regimes"))
 def regimes(study: Study) -> Plan:
+    """Map what task-driven design gains over element counts and specifications."""
     claims = paper_claims.regime_claims(study)
     return Plan(claims, _claimed(study, claims))
 
 
-@stage(_published("ablation_{ablation}"))
+@stage(f"{REPORT}.ablations.make", _published("ablation_{ablation}"))
 def ablation(study: Study, ablation: str) -> Plan:
+    """Make the table of one ablation: a design beside its variants."""
     compared = paper_claims.ablation_claims(study, ablation)
     return Plan(compared, _claimed(study, compared.claims))
 
 
-@stage({"page": "lenses/{lens}/seed{seed}/certificate.md"})
+@stage(f"{STAGES}.certificate.run", {"page": f"{_LENS}/certificate.md"})
 def certificate(study: Study, lens: str, seed: int) -> Plan:
+    """Write the page of a lens: its figures, its limits, and its manufacturability."""
     return Plan(Slice(title=f"{lens}, seed {seed}"), {"lens": _lens(study, lens, seed)})
 
 
-@stage({"figure": "figures/{lens}-seed{seed}.png"})
+@stage(f"{STAGES}.figures.one", {"figure": "figures/{lens}-seed{seed}.png"})
 def figure(study: Study, lens: str, seed: int) -> Plan:
+    """Draw a lens: cross-section with rays, spot diagrams and PSFs."""
     return Plan(Slice(title=lens), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
 
 
-@stage({"figure": "figures/figure3-{elements}-seed{seed}.png"})
+@stage(f"{STAGES}.figures.comparison", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
 def comparison(study: Study, elements: str, seed: int) -> Plan:
+    """Draw the task-driven lens of some elements beside the best imaging one (figure 3)."""
     claim = paper_claims.regime_claim(study, elements)
+    keys = [(lens, claim.classifier, seed) for lens in claim.baselines]
     inputs = {
         "lenses": {lens: _lens(study, lens, seed) for lens in claim.lenses},
         "psfs": {lens: _psf(study, lens, seed) for lens in claim.lenses},
-        "metrics": {lens: _metrics(study, lens, claim.classifier, seed) for lens in claim.baselines},
+        "metrics": {key: _measured(study, *key, "metrics") for key in keys},
     }
     return Plan(Slice(claim=claim, seed=seed), inputs)
 
 
-@stage({})  # no output: asked for again, it verifies again
+@stage(f"{REPORT}.verification.run", {})  # no output: asked for again, it verifies again
 def verify(study: Study) -> Plan:
-    lenses = paper_tables.table_lenses(study)
-    entries = {name: study.lens(name) for name in lenses}
-    tables, measured = paper_tables.tables(study), paper_tables.table_measurements(study)
-    settings = paper_tables.VerificationContents(
-        lenses=lenses,
-        constrained=tuple(name for name, lens in entries.items() if lens.constrained),
-        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in entries.items()},
-        tables=tables,
-        measured=measured,
-        seeds=study.seeds,
-    )
-    reproduced = {
-        (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)
-        for lens, name in measured
-        for seed in study.seeds
-    }
-    inputs = _measurements(study, lenses, measured) | {
-        "reproduced": reproduced,
-        "tables": {contents.name: table.output(study, "csv", table=contents.name) for contents in tables},
+    """Verify limits and accuracies of a finished study; print failures and verdicts."""
+    contents = paper_tables.verification(study)
+    inputs = _measurements(study, contents.lenses, contents.measured) | {
+        "reproduced": {
+            (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)
+            for lens, name in contents.measured
+            for seed in study.seeds
+        },
+        "tables": {each.name: table.output(study, "csv", table=each.name) for each in contents.tables},
         "verdicts": verdicts.output(study, "md"),
     }
-    return Plan(settings, inputs)
+    return Plan(contents, inputs)

@@ -1,47 +1,52 @@
-"""Running one job: its stage's function, with a checkpoint made of the same settings and inputs."""
+"""Running one job: the function of its stage, with a checkpoint made of the same settings and inputs."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tasklens.pipeline.digest import STAGES as MODULES
 from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.stage import Job, Stage, flatten
-from tasklens.runtime.files import FileError
+from tasklens.pipeline.stage import Plan, Stage, flatten, results
+from tasklens.runtime.files import FileError, Files
+from tasklens.study.study import Study
 
 
-def stage_function(stage: Stage) -> Callable[..., Any]:
-    """The function in `pipeline.stages` that does the work of a stage."""
-    modules = (import_module(name) for name in MODULES)
-    return next(getattr(module, stage.function) for module in modules if hasattr(module, stage.function))
-
-
-def run(stage: Stage, job: Job) -> Any:
+def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial: bool = False) -> Any:
     """Do the work of a job; its checkpoint is removed when its outputs are complete.
+
+    Args:
+        partial: leave out what is missing of mappings of inputs, and mark the names of the outputs.
 
     Raises:
         FileError: an input is missing.
+        StudyError: a wildcard is no name of the study.
     """
-    missing = [path for path in flatten(vars(job.inputs)) if not Path(path).exists()]
+    plan, outputs = stage.plan(study, **wildcards), stage.outputs(study, **wildcards)
+    inputs, label = dict(plan.inputs), stage.label.format(**wildcards)
+    if partial:
+        given = {name: files for name, files in inputs.items() if isinstance(files, Mapping)}
+        inputs |= {name: {k: path for k, path in files.items() if path.exists()} for name, files in given.items()}
+        outputs = {k: p.with_name(p.name.replace(".", "-partial.", 1)) for k, p in outputs.items()}
+    missing = [path for path in flatten(inputs) if not path.exists()]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise FileError(f"{job.name}: missing input {missing[0]}{more}; `snakemake` makes what a job needs")
-    function = stage_function(stage)
+        raise FileError(f"{label}: missing input {missing[0]}{more}; `snakemake` makes what a job needs")
+    module, _, name = stage.function.rpartition(".")
+    function = getattr(import_module(module), name)
     if not stage.resumable:
-        return function(job.settings, job.inputs, job.outputs)
-    checkpoint = _checkpoint(stage, job)
-    function(job.settings, job.inputs, job.outputs, checkpoint)
+        return function(plan.settings, Files(**inputs), Files(**outputs))
+    checkpoint = _checkpoint(stage, plan, Path(results(study), "checkpoints", label.replace("/", "-", 1)))
+    function(plan.settings, Files(**inputs), Files(**outputs), checkpoint)
     checkpoint.remove()
 
 
-def _checkpoint(stage: Stage, job: Job) -> Any:
+def _checkpoint(stage: Stage, plan: Plan, name: Path) -> Any:
     """That of the job; what a job of its name has left that computed something else, is removed."""
     from tasklens.runtime.checkpoints import Checkpoint, key
 
-    files = [Path(path) for path in flatten(vars(job.inputs))]
-    path = Path(f"{job.checkpoint}-{key(job.settings.model_dump_json(), code_digest(stage.function), inputs=files)}.pt")
-    for other in path.parent.glob(f"{Path(job.checkpoint).name}-{16 * '[0-9a-f]'}.pt"):
+    digest = key(plan.settings.model_dump_json(), code_digest(stage.function), inputs=list(flatten(plan.inputs)))
+    path = name.with_name(f"{name.name}-{digest}.pt")
+    for other in name.parent.glob(f"{name.name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:
             other.unlink(missing_ok=True)  # several processes that train together look here
     return Checkpoint(path)

@@ -1,0 +1,1 @@
+"""Images and classifiers; knows PSFs only as tensors."""

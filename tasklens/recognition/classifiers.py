@@ -26,6 +26,10 @@ class Classifier(nn.Module):
         outputs: (C,) which of its outputs the classes of the images are; None where they are all.
     """
 
+    mean: Tensor
+    std: Tensor
+    outputs: Tensor | None
+
     def __init__(self, network: nn.Module, outputs: Tensor | None = None):
         super().__init__()
         config = timm.data.resolve_model_data_config(network)
@@ -47,38 +51,38 @@ class Classifier(nn.Module):
         return logits if self.outputs is None else logits[:, self.outputs]
 
 
-def build(classifier: ClassifierSettings, classes: Sequence[str], weights: Path | None = None) -> Classifier:
-    """The network that `classifier` names, for images of these classes.
+def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | None = None) -> Classifier:
+    """The network that `settings` name, for images of these classes.
 
-    Weights come from the file `weights` where it is given, else from where the classifier says; a head whose number
+    Weights come from the file `weights` where it is given, else from where the settings say; a head whose number
     of classes differs is initialised anew by timm (`pretrained`) or refused (a file).
 
     Raises:
         FileError: weights that are not the network's, or classes that ImageNet does not have.
         InputError: a published head for other classes that nothing is to train.
     """
-    outputs = imagenet_outputs(classes) if classifier.outputs == "imagenet" else None
+    outputs = imagenet_outputs(classes) if settings.outputs == "imagenet" else None
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
-    pretrained = classifier.pretrained and weights is None
-    if pretrained and classifier.training is None:
-        published = timm.get_pretrained_cfg(classifier.model)
+    pretrained = settings.pretrained and weights is None
+    if pretrained and settings.training is None:
+        published = timm.get_pretrained_cfg(settings.model)
         if published is not None and published.num_classes != count:
             raise InputError(
-                f"{classifier.model}: published with {published.num_classes} outputs, {count} are wanted: "
+                f"{settings.model}: published with {published.num_classes} outputs, {count} are wanted: "
                 "its new head needs `training`, or its own outputs `outputs: imagenet`"
             )
-    network = timm.create_model(classifier.model, pretrained=pretrained, num_classes=count, **classifier.arguments)
-    path = weights or classifier.weights
+    network = timm.create_model(settings.model, pretrained=pretrained, num_classes=count, **settings.arguments)
+    path = weights or settings.weights
     if path is not None:
         path.stat()  # timm does not say which file is missing
-        head = next(network.get_classifier().parameters())
+        head = next(iter(network.get_classifier().parameters()))  # type: ignore[operator]
         before = head.detach().clone()
         try:
             load_checkpoint(network, str(path), weights_only=True)
         except Exception as error:  # of torch, safetensors, pickle or numpy, whichever reads the file
-            raise FileError(f"{path}: no weights for {classifier.model} with {count} outputs: {error}") from error
+            raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {error}") from error
         if path.suffix == ".npz" and torch.equal(head, before):  # its readers leave out a head of another size
-            raise FileError(f"{path}: its head is not that of {classifier.model} with {count} outputs")
+            raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
     return Classifier(network, outputs)
 
 
@@ -115,7 +119,7 @@ def frozen(classifier: nn.Module, batch_norm: Literal["stored", "batch"] = "stor
     return copied
 
 
-def check(name: str, classifier: ClassifierSettings, size: int) -> None:
+def check(name: str, settings: ClassifierSettings, size: int) -> None:
     """Build a network without memory for its weights, and pass an image of `size` pixels through it.
 
     Raises:
@@ -123,10 +127,10 @@ def check(name: str, classifier: ClassifierSettings, size: int) -> None:
     """
     try:
         with torch.device("meta"):
-            network = timm.create_model(classifier.model, num_classes=10, **classifier.arguments).eval()
+            network = timm.create_model(settings.model, num_classes=10, **settings.arguments).eval()
             network(torch.zeros(1, 3, size, size))
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., whichever layer notices
-        raise InputError(f"classifiers.{name}: {classifier.model} with {classifier.arguments}: {error}") from error
+        raise InputError(f"classifiers.{name}: {settings.model} with {settings.arguments}: {error}") from error
 
 
 def parameters_m(classifier: Classifier) -> float:

@@ -101,7 +101,7 @@ def _write_labels(split: ImageDataset | folders.Listing, path: Path) -> None:
     write_text(path, json.dumps({"classes": list(split.classes), "labels": split.labels.tolist()}) + "\n")
 
 
-def read(images: Path, labels: Path, device: torch.device = CPU) -> ImageDataset:
+def read(images: Path, labels: Path, *, device: torch.device = CPU) -> ImageDataset:
     """Read a split written by `make`; its images are mapped from the file, not copied.
 
     Raises:

@@ -7,4 +7,5 @@ import pandas
 
 def mean_metrics(path: Path) -> dict[str, float]:
     """Mean over fields of every metric in a metrics file, by its name."""
-    return pandas.read_csv(path).groupby("metric")["value"].mean().to_dict()
+    means = pandas.read_csv(path).groupby("metric")["value"].mean()
+    return {str(metric): float(value) for metric, value in means.items()}

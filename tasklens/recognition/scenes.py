@@ -132,7 +132,7 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
         return torch.randn(count, channels, size, size, generator=generator)
 
     # Pose: position, perspective, stretch, rotation and scale of the texture on the object.
-    period = torch.exp(uniform(*map(math.log, PERIOD)))
+    period = torch.exp(uniform(math.log(PERIOD[0]), math.log(PERIOD[1])))
     angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
     pixels = torch.arange(size) - half + 0.5
     x, y = pixels - uniform(-half / 2, half / 2), pixels[:, None] - uniform(-half / 2, half / 2)

@@ -1,0 +1,1 @@
+"""Tables, verdicts, figures and pages from what was measured."""

@@ -1,13 +1,11 @@
 """The table of one ablation: a design and its variants, with what each changes in accuracy."""
 
-from collections.abc import Mapping
-from pathlib import Path
-
 import pandas
 
 from tasklens.report import verdicts
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
+from tasklens.runtime.files import Files
 from tasklens.study.claims import AblationClaims
 
 _NOTE = """\
@@ -33,9 +31,9 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
     return pandas.DataFrame(rows).merge(compared, on="lens", how="left")
 
 
-def make(ablation: AblationClaims, measurements: Measurements, outputs: Mapping[str, Path]) -> None:
+def make(ablation: AblationClaims, inputs: Files, outputs: Files) -> None:
     """Write the table as CSV and Markdown."""
-    rows = collect(ablation, measurements)
+    rows = collect(ablation, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
     digits = {"": ".2f", "energy": ".3f", "worst": ".3f", "seeds": ".0f"}
     shown = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
     claims = ablation.claims

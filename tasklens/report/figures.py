@@ -10,6 +10,8 @@ from torch import Tensor
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
 from matplotlib.patches import Circle
 
 from tasklens.materials.material import AIR
@@ -54,7 +56,7 @@ def draw(path: Path, panels: Sequence[Panel]) -> None:
     plt.close(whole)
 
 
-def _draw(part, panel: Panel) -> None:
+def _draw(part: SubFigure, panel: Panel) -> None:
     lens, view, figures = panel.lens, panel.view, panel.figures
     grid = part.add_gridspec(3, 10)
     _cross_section(part.add_subplot(grid[:, :4]), lens, view)
@@ -65,7 +67,7 @@ def _draw(part, panel: Panel) -> None:
     for k, (field, name) in enumerate(_SHOWN.items()):
         column = 4 + 2 * k
         axes = part.add_subplot(grid[0, column : column + 2])
-        axes.scatter(*spots[field].T, s=0.3, color=_COLOURS[k])
+        axes.scatter(spots[field, :, 0], spots[field, :, 1], s=0.3, color=_COLOURS[k])
         axes.add_patch(Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.8))
         axes.set(xlim=(-half, half), ylim=(half, -half), aspect="equal", xlabel="um")
         axes.set_title(f"{name}: RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9, color=_COLOURS[k])
@@ -84,7 +86,7 @@ def _draw(part, panel: Panel) -> None:
     part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}")
 
 
-def _cross_section(axes, lens: Lens, view: View) -> None:
+def _cross_section(axes: Axes, lens: Lens, view: View) -> None:
     """The lens in the plane of the diagonal, with a fan of rays for axis, middle and corner."""
     vertices = lens.vertices
     edges = []
@@ -102,20 +104,20 @@ def _cross_section(axes, lens: Lens, view: View) -> None:
         if medium != AIR:
             for end in (0, -1):
                 (z0, h0), (z1, h1) = edges[i], edges[i + 1]
-                rim = max(h0[end], h1[end], key=abs)  # beyond its own light a surface is a flat flange
-                axes.plot([z0[end], z0[end], z1[end], z1[end]], [h0[end], rim, rim, h1[end]], color="black", lw=1)
+                flange = max(h0[end], h1[end], key=abs)  # beyond its own light a surface is a flat flange
+                axes.plot([z0[end], z0[end], z1[end], z1[end]], [h0[end], flange, flange, h1[end]], color="black", lw=1)
     radius = view.fields.norm(dim=-1)[list(_SHOWN)]
     along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, view.wavelengths[1:2], 1.0, 1)
     fan = torch.stack([torch.zeros(9), torch.linspace(-0.98, 0.98, 9)], -1).double()
     image, behind = trace_fields_full(lens, along_y, fan)
     image_z = float(vertices[-1] + lens.thickness[-1])
     # Not to a stop behind the first vertex and back: straight to the glass, and from the foremost plane of the lens.
-    z = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
-    y = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
-    front = torch.full_like(z[0], float(vertices.min()))
-    before = y[0] - along_y.tangents[:, 1, None] * (z[0] - front)
-    z = torch.stack([front, *z, torch.full_like(front, image_z)])
-    y = torch.stack([before, *y, image.y[:, 0]])
+    z_each = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
+    y_each = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
+    front = torch.full_like(z_each[0], float(vertices.min()))
+    before = y_each[0] - along_y.tangents[:, 1, None] * (z_each[0] - front)
+    z = torch.stack([front, *z_each, torch.full_like(front, image_z)])
+    y = torch.stack([before, *y_each, image.y[:, 0]])
     for k, colour in enumerate(_COLOURS):
         alive = image.valid[k, 0]
         axes.plot(z[:, k, alive].numpy(), y[:, k, alive].numpy(), color=colour, lw=0.6)

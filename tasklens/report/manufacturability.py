@@ -25,7 +25,7 @@ def markdown(
         errors_um: by how much each moulding error enlarges it, to be added as squares [um].
     """
     built_um = math.hypot(nominal_um, *errors_um.values())
-    worst = sorted(errors_um, key=errors_um.get, reverse=True)[:_SHOWN]
+    worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SHOWN]
     limits = pandas.DataFrame(
         [(name.replace("_", " "), f"{value:.4f} {_UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
         columns=["limit", "margin"],

@@ -6,6 +6,8 @@ import pandas
 
 from tasklens.runtime.files import FileError
 
+Labelled = pandas.DataFrame | pandas.Series  # with a row per image
+
 
 def read(path: str | Path) -> pandas.DataFrame:
     """1 where an image is classified correctly at a field, else 0: a row per (image, label), a column per field.
@@ -27,7 +29,7 @@ def accuracy_by_field(correct: pandas.DataFrame) -> list[float]:
     return (100 * correct.mean()).tolist()
 
 
-def same_images(first: pandas.DataFrame, second: pandas.DataFrame, where: str) -> None:
+def same_images(first: Labelled, second: Labelled, where: str) -> None:
     """Raise FileError unless two files are about the same images in the same order."""
     if not first.index.equals(second.index):
         raise FileError(f"{where}: not about the same test images")

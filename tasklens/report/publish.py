@@ -1,11 +1,10 @@
 """A table as people and programs read it: CSV with every digit, Markdown rounded, with a title and a note."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import write_text
+from tasklens.runtime.files import Files, write_text
 
 GAP = "–"
 
@@ -28,15 +27,13 @@ def _formatter(form: str) -> Callable[[float], str]:
     return lambda value: GAP if pandas.isna(value) else format(value, form)
 
 
-def publish(
-    outputs: Mapping[str, Path], title: str, table: pandas.DataFrame, shown: pandas.DataFrame, note: str
-) -> None:
-    """Write a table: `outputs["csv"]` and `outputs["md"]`.
+def publish(outputs: Files, title: str, table: pandas.DataFrame, shown: pandas.DataFrame, note: str) -> None:
+    """Write a table to `outputs.csv` and `outputs.md`.
 
     Args:
         shown: the table as text, from `rounded`.
         note: below the Markdown table, which is left out where it has no rows.
     """
-    write_text(outputs["csv"], table.to_csv(index=False))
+    write_text(outputs.csv, table.to_csv(index=False))
     body = f"{shown.to_markdown(index=False, disable_numparse=True)}\n\n" if len(table) else ""
-    write_text(outputs["md"], f"**{title}**\n\n{body}{note}\n")
+    write_text(outputs.md, f"**{title}**\n\n{body}{note}\n")

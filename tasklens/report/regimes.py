@@ -1,7 +1,5 @@
 """Where task-driven design pays: its difference to the best imaging lens over element counts and specifications."""
 
-from collections.abc import Mapping
-from pathlib import Path
 from statistics import mean
 
 import pandas
@@ -9,6 +7,7 @@ import pandas
 from tasklens.report import verdicts
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
+from tasklens.runtime.files import Files
 from tasklens.study.claims import Claims
 
 _NOTE = """\
@@ -45,8 +44,8 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     )
 
 
-def make(claims: Claims, measurements: Measurements, outputs: Mapping[str, Path]) -> None:
+def make(claims: Claims, inputs: Files, outputs: Files) -> None:
     """Write the map as CSV and Markdown."""
-    rows = collect(claims, measurements)
+    rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
     publish(outputs, "Where it pays", rows, shown, _NOTE.format(study=claims.study))

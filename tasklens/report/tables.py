@@ -6,7 +6,6 @@ A value of the paper is of another data set (ImageNet) and other networks: its c
 import importlib.metadata
 import json
 import subprocess
-from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pandas
 
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import GAP, publish, rounded
-from tasklens.runtime.files import FileError, write_text
+from tasklens.runtime.files import FileError, Files, write_text
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents
 
@@ -102,20 +101,20 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
 def printed(table: pandas.DataFrame) -> pandas.DataFrame:
     """The table as people read it: rounded, gaps as dashes, a cross where a design did not converge."""
     shown = rounded(table, _DIGITS)
-    for column in [column for column in table if column.startswith("converged")]:
+    for column in [column for column in table.columns if str(column).startswith("converged")]:
         shown[column] = table[column].map(lambda v: GAP if pandas.isna(v) else "yes" if v else "×")
     return shown
 
 
-def make(contents: TableContents, measurements: Measurements, paper: Path, outputs: Mapping[str, Path]) -> None:
+def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
     """Write a table as CSV, Markdown and LaTeX, its rows seed by seed, and a sidecar that says what made it.
 
     Raises:
         FileError: nothing has been measured.
     """
-    published = pandas.read_csv(paper, keep_default_na=False)
+    published = pandas.read_csv(inputs.paper, keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
-    rows = collect(contents, measurements)
+    rows = collect(contents, Measurements(inputs.lenses, inputs.metrics))
     if rows.empty:
         raise FileError(f"{contents.name}: nothing has been measured yet: no metrics of the study {contents.study}")
     rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name]])))
@@ -127,9 +126,9 @@ def make(contents: TableContents, measurements: Measurements, paper: Path, outpu
     note += f"Study `{contents.study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
     publish(outputs, title, table, shown, note)
     each = [c for c in ("elements", "design", "classifier", "seed", *_columns(contents, rows)) if c in rows]
-    write_text(outputs["seeds_csv"], rows[each].to_csv(index=False))
-    write_text(outputs["tex"], shown.to_latex(index=False, escape=True, caption=_latex(f"{title}. {note}")))
-    write_text(outputs["json"], json.dumps(provenance(contents), indent=1) + "\n")
+    write_text(outputs.seeds_csv, rows[each].to_csv(index=False))
+    write_text(outputs.tex, shown.to_latex(index=False, escape=True, caption=_latex(f"{title}. {note}")))
+    write_text(outputs.json, json.dumps(provenance(contents), indent=1) + "\n")
 
 
 def _latex(text: str) -> str:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pandas
 
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import write_text
-from tasklens.study.tables import TailContents
+from tasklens.runtime.files import Files, write_text
+from tasklens.study.settings import Slice
 
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
@@ -17,10 +17,10 @@ outside 3 core radii, `outside_window` that outside the PSF window; the RMS is o
 with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian spot."""
 
 
-Files = Mapping[tuple[str, int], Path]  # by (lens, seed)
+ByLens = Mapping[tuple[str, int], Path]  # by (lens, seed)
 
 
-def collect(contents: TailContents, by_field: Files) -> pandas.DataFrame:
+def collect(contents: Slice, by_field: ByLens) -> pandas.DataFrame:
     """One row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
     rows = []
     for lens, seed in product(contents.lenses, contents.seeds):
@@ -34,22 +34,22 @@ def collect(contents: TailContents, by_field: Files) -> pandas.DataFrame:
 def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
     """One row per lens: means over seeds, with `_std` where several ran."""
     groups = rows.drop(columns="seed").groupby("lens", sort=False)
-    table = groups.agg(lambda values: values.mean(skipna=False))
+    table = groups.mean(skipna=False)
     if rows["seed"].nunique() > 1:
         table = table.join(groups.std(ddof=1).add_suffix("_std"))
     return table.reset_index()
 
 
-def curves(contents: TailContents, encircled_energy: Files) -> pandas.DataFrame:
+def curves(contents: Slice, encircled_energy: ByLens) -> pandas.DataFrame:
     """Encircled energy of every lens: lens, seed, field, radius_um, fraction."""
     pairs = product(contents.lenses, contents.seeds)
     each = [pandas.read_csv(encircled_energy[lens, seed]).assign(lens=lens, seed=seed) for lens, seed in pairs]
     return pandas.concat(each)[["lens", "seed", "field", "radius_um", "fraction"]]
 
 
-def make(contents: TailContents, by_field: Files, encircled_energy: Files, outputs: Mapping[str, Path]) -> None:
+def make(contents: Slice, inputs: Files, outputs: Files) -> None:
     """Write the table as CSV and Markdown, and the curves as CSV."""
-    table = summarise(collect(contents, by_field))
+    table = summarise(collect(contents, inputs.psf_tail))
     shown = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
     publish(outputs, "Tails of the PSFs", table, shown, _NOTE.format(study=contents.study))
-    write_text(outputs["encircled_energy"], curves(contents, encircled_energy).to_csv(index=False))
+    write_text(outputs.encircled_energy, curves(contents, inputs.encircled_energy).to_csv(index=False))

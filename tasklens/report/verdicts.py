@@ -10,7 +10,6 @@ interval comes from 10 000 resamples of the test images, and of the seeds where 
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 
 import numpy
 import pandas
@@ -18,6 +17,7 @@ import pandas
 from tasklens.report import bootstrap, predictions
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
+from tasklens.runtime.files import Files
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.names import SHARP
 
@@ -129,9 +129,9 @@ def over(claims: Claims) -> str:
     return " and seeds" if len(claims.seeds) > 1 else ""
 
 
-def make(claims: Claims, measurements: Measurements, outputs: Mapping[str, Path]) -> None:
+def make(claims: Claims, inputs: Files, outputs: Files) -> None:
     """Write the verdicts as CSV and Markdown."""
-    rows = collect(claims, measurements)
+    rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f"))
     note = _NOTE.format(study=claims.study, seeds=over(claims), least=LEAST_SEEDS)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."

@@ -14,6 +14,7 @@ import pandas
 
 from tasklens.report import predictions
 from tasklens.report.measurements import Measurements
+from tasklens.runtime.files import Files
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents, VerificationContents
 
@@ -122,6 +123,15 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
             value = f"{row['accuracy']:.2f} % in the table, {anew:.2f} % from the weights"
             failures.append(Failure(lens, ", ".join(map(str, contents.seeds)), f"{name}: {contents.name}", value))
     return failures
+
+
+def run(contents: VerificationContents, inputs: Files, outputs: Files) -> int:
+    """Print the verdicts, and all that was found; 1 where something fails."""
+    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
+    findings = verify(contents, measurements, inputs.reproduced, inputs.tables)
+    print(inputs.verdicts.read_text())
+    print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet
+    return 1 if findings.failures else 0
 
 
 def summary(findings: Findings) -> str:

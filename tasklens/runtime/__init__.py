@@ -1,0 +1,1 @@
+"""How any job runs: files, checkpoints, devices, process groups, progress."""

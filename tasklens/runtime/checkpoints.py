@@ -72,6 +72,7 @@ class Checkpoint:
 
     def write(self) -> None:
         """Write all parts that are known."""
+        assert self.path is not None  # only a checkpoint with a file is ever due
         with replacing(self.path) as temporary:
             torch.save(self.records, temporary)
         self.written = time.monotonic()

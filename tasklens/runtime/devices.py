@@ -4,12 +4,13 @@ import fcntl
 import tempfile
 import time
 from pathlib import Path
+from typing import TextIO
 
 import torch
 from torch import Tensor
 
 CPU = torch.device("cpu")
-_locked: dict[str, object] = {}  # by GPU, open files: a lock ends with its process, however that ends
+_locked: dict[str, TextIO] = {}  # by GPU, open files: a lock ends with its process, however that ends
 
 
 def claim() -> torch.device:
@@ -31,7 +32,7 @@ def claim_several(wanted: int) -> list[torch.device]:
     while wanted > 1 and not _lock("several"):  # two that collect at once could wait for each other without end
         time.sleep(1.0)
     while True:
-        found = []
+        found: list[torch.device] = []
         for index in range(count):
             if len(found) < wanted and _lock(str(torch.cuda.get_device_properties(index).uuid)):
                 found.append(torch.device("cuda", index))

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from tasklens.runtime.errors import InputError
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 
 class FileError(InputError):
     """A file that does not hold what it should; the message names it and says what was expected."""
+
+
+class Files(SimpleNamespace):
+    """Input or output files of a job by name: paths, or mappings or sequences of paths."""
 
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")

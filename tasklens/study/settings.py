@@ -37,7 +37,7 @@ def renamed(names: dict[str, str]) -> Any:
         found = [old for old in names if isinstance(given, dict) and old in given]
         if not found:
             return handler(given)
-        problems = []
+        problems: list[Any] = []
         for old in found:
             words = f"since format 2 `{old}` is {'gone: ' if ' ' in names[old] else 'now called '}{names[old]}"
             problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
@@ -51,13 +51,22 @@ def renamed(names: dict[str, str]) -> Any:
         ]
         raise ValidationError.from_exception_data(cls.__name__, details)
 
-    return model_validator(mode="wrap")(classmethod(refuse))
+    return model_validator(mode="wrap")(classmethod(refuse))  # type: ignore[arg-type]
 
 
 class Frozen(BaseModel):
     """Base of all settings: immutable, and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Slice(Frozen):
+    """A part of a study, by names of its own: what a job may read."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    def __getattr__(self, name: str) -> Any:  # for type checkers: pydantic finds what there is
+        return super().__getattr__(name)  # type: ignore[misc]
 
 
 class Spec(Frozen):

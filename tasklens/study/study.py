@@ -7,7 +7,7 @@ was expected.
 import difflib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
@@ -39,7 +39,8 @@ from tasklens.study.settings import (
     renamed,
 )
 
-TABLES = ("table1", "table2", "table3", "table4")
+TableName = Literal["table1", "table2", "table3", "table4"]
+TABLES: tuple[TableName, ...] = get_args(TableName)
 
 
 class StudyError(InputError):
@@ -82,7 +83,7 @@ class Study(Frozen):
     imported: dict[Name, ImportedLens] = Field(default_factory=dict, description="By name: lenses from files.")
     ablations: dict[Name, Ablation] = Field(default_factory=dict, description="By name: a design beside variants.")
     classifiers: dict[Name, ClassifierSettings] = Field(min_length=1, description="By name: the networks.")
-    tables: tuple[Literal["table1", "table2", "table3", "table4"], ...] = Field(
+    tables: tuple[TableName, ...] = Field(
         TABLES, min_length=1, description="The tables that the study makes, judges and verifies."
     )
     supervisor: Name = Field(
@@ -268,7 +269,10 @@ def _problems(error: ValidationError) -> str:
     return "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
 
 
-def pick(known: Mapping, name: str, kind: str):
+_Entry = TypeVar("_Entry")
+
+
+def pick(known: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
     """The entry `name` of `known`; raises StudyError with the known names."""
     if name not in known:
         raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(known)}")

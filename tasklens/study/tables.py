@@ -75,11 +75,6 @@ def table_lenses(study: Study) -> tuple[str, ...]:
     return tuple(lens for lens in study.lenses if lens in found)
 
 
-def table_measurements(study: Study) -> tuple[tuple[str, str], ...]:
-    """Lens (or SHARP) and classifier of every measurement in these tables, each once."""
-    return tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured))
-
-
 def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
     """The imaging lenses among which a design from the best imaging lens chooses; empty for every other design.
 
@@ -91,14 +86,6 @@ def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
     return tuple(f"{entry.elements}-{name}" for name in study.imaging_designs)
 
 
-class TailContents(Frozen):
-    """The lenses of the table of PSF tails."""
-
-    study: str
-    lenses: tuple[str, ...]
-    seeds: tuple[int, ...]
-
-
 class VerificationContents(Frozen):
     """What is verified: the tables of a study, their lenses and their measurements.
 
@@ -107,7 +94,7 @@ class VerificationContents(Frozen):
         constrained: those whose method is required to keep the constraints.
         efl_mm: by lens, the specified focal length.
         tables: whose accuracies are compared.
-        measured: lens (or SHARP) and classifier of every measurement in them.
+        measured: lens (or SHARP) and classifier of every measurement in them, each once.
         seeds: of the study.
     """
 
@@ -117,3 +104,16 @@ class VerificationContents(Frozen):
     tables: tuple[TableContents, ...]
     measured: tuple[tuple[str, str], ...]
     seeds: tuple[int, ...]
+
+
+def verification(study: Study) -> VerificationContents:
+    """What a study has to verify."""
+    entries = {name: study.lens(name) for name in table_lenses(study)}
+    return VerificationContents(
+        lenses=tuple(entries),
+        constrained=tuple(name for name, lens in entries.items() if lens.constrained),
+        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in entries.items()},
+        tables=tables(study),
+        measured=tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured)),
+        seeds=study.seeds,
+    )

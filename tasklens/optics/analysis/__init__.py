@@ -1,0 +1,1 @@
+"""What rays and first-order data say of a lens."""

@@ -136,7 +136,7 @@ def _local_curvatures(lens: Lens, surface: int, y: Tensor) -> tuple[Tensor, Tens
     """Tangential curvature c_t, s'(r) / r, and 1 / sqrt(1 + s'^2) of a surface at heights y."""
     shape = lens.curvature[surface], lens.conic[surface], lens.alpha[surface]
     u = y * y
-    slope, change = torch.func.jvp(lambda u: sag(u, *shape)[1], (u,), (torch.ones_like(u),))  # ds/du, d2s/du2
+    slope, change = torch.func.jvp(lambda u: sag(u, *shape)[1], (u,), (torch.ones_like(u),))  # type: ignore[misc]  # ds/du, d2s/du2
     across = 2 * slope
     cosine = torch.rsqrt(1 + u * across**2)
     return (across + 4 * u * change) * cosine**3, across, cosine

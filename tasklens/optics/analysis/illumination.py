@@ -33,7 +33,7 @@ def relative_illumination(lens: Lens, view: View) -> Tensor:
         return (rays.l[:, 0], rays.m[:, 0]), rays.valid[:, 0]
 
     along_x, along_y = torch.eye(2, dtype=points.dtype).expand(len(points), 2, 2).unbind(1)
-    _, (lx, mx), arrives = torch.func.jvp(cosines, (points,), (along_x,), has_aux=True)
-    _, (ly, my), _ = torch.func.jvp(cosines, (points,), (along_y,), has_aux=True)
+    _, (lx, mx), arrives = torch.func.jvp(cosines, (points,), (along_x,), has_aux=True)  # type: ignore[misc]
+    _, (ly, my), _ = torch.func.jvp(cosines, (points,), (along_y,), has_aux=True)  # type: ignore[misc]
     area = torch.where(arrives, weights * (lx * my - ly * mx).abs(), 0.0).sum(-1)
     return torch.where(area[0] > 0, area[1:] / torch.where(area[0] > 0, area[0], 1.0), 0.0)

@@ -1,0 +1,1 @@
+"""Lens files: YAML and Zemax."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 import yaml
@@ -133,11 +134,11 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
         stop=stop,
     )
     comments = tuple(str(surface.get("comment", "")) for surface in surfaces)
-    comments = comments if any(comments) else None
-    return Prescription(lens, str(content.get("title", "")), comments, **_use(content, name))
+    title = str(content.get("title", ""))
+    return Prescription(lens, title, comments if any(comments) else None, **_use(content, name))
 
 
-def _part(content: Mapping, key: str, kind: type, where: str):
+def _part(content: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
     if key not in content:
         raise FileError(f"{where}: has no {key}")
     if not isinstance(content[key], kind) or isinstance(content[key], bool):

@@ -191,7 +191,7 @@ def write(path: Path, prescription: Prescription) -> None:
 
 
 def _lines(prescription: Prescription, name: str) -> list[str]:
-    lens, wavelengths = prescription.lens, prescription.wavelengths_um
+    lens, wavelengths, primary = prescription.lens, prescription.wavelengths_um, prescription.primary or 0
     comments = prescription.comments or ("",) * len(lens.media)
     if not prescription.fields or not wavelengths or len(wavelengths) > _WAVELENGTHS:
         raise FileError(f"{name}: a Zemax file needs fields, and 1 to {_WAVELENGTHS} wavelengths")
@@ -202,7 +202,7 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
     aperture = "FLOA"
     if prescription.aperture is not None:
         kind, value = prescription.aperture
-        expected = stop_radius(lens, prescription.aperture, wavelengths[prescription.primary])
+        expected = stop_radius(lens, prescription.aperture, wavelengths[primary])
         if not math.isclose(radii[lens.stop], expected, rel_tol=1e-9):
             raise FileError(f"{name}: {kind} {value} asks for a stop of {expected} mm, the lens has {radii[lens.stop]}")
         aperture = {v: k for k, v in _APERTURES.items()}[kind] + f" {decimal(value)}"
@@ -223,9 +223,9 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
     lines += [f"{axis} {' '.join(decimal(point[i]) for point in points)}" for i, axis in enumerate(("XFLN", "YFLN"))]
     lines += [f"FWGN{' 1' * len(points)}", *(f"{key}{zeros}" for key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"))]
     lines += [f"WAVM {i} {decimal(wavelength)} 1" for i, wavelength in enumerate(wavelengths, 1)]
-    lines += [f"PWAV {prescription.primary + 1}"]
-    distance = prescription.object_distance_mm
-    distance = decimal(distance) if math.isfinite(distance) else "INFINITY"
+    lines += [f"PWAV {primary + 1}"]
+    near = math.isfinite(prescription.object_distance_mm)
+    distance = decimal(prescription.object_distance_mm) if near else "INFINITY"
     lines += ["SURF 0", "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', f"  DISZ {distance}", '  DIAM 0 0 0 0 1 ""']
     for i, comment in enumerate(comments):
         lines += [f"SURF {i + 1}", *to_lines(lens, i, comment, radii[i])]

@@ -1,7 +1,7 @@
 """The surfaces of Zemax lens files: from their lines to a lens, and back."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -52,7 +52,7 @@ def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, M
     for block in blocks:
         media.append(_medium(block, media, glasses, searched))
 
-    def column(values) -> torch.Tensor:
+    def column(values: Iterable[float | list[float]]) -> torch.Tensor:
         return torch.tensor(list(values), dtype=torch.float64)
 
     return Lens(
@@ -94,13 +94,14 @@ def _clear_radius(block: Block) -> float:
             raise block.lines[keyword].error("only round clear apertures (CLAP, FLAP) are read")
     for keyword in ("CLAP", "FLAP"):
         if keyword in block.lines:
-            line = block.lines[keyword]
-            if line.number(0):
-                raise line.error("the aperture has a hole; only full circles are read")
-            return line.number(1)
+            aperture = block.lines[keyword]
+            if aperture.number(0):
+                raise aperture.error("the aperture has a hole; only full circles are read")
+            return aperture.number(1)
     line = block.lines.get("DIAM")
-    fixed = line is not None and len(line.words) > 1 and line.integer(1) in (1, 2)  # by hand, or picked up
-    return line.number(0) if fixed else math.inf
+    if line is not None and len(line.words) > 1 and line.integer(1) in (1, 2):  # by hand, or picked up
+        return line.number(0)
+    return math.inf
 
 
 def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material], searched: str) -> Material:

@@ -1,0 +1,19 @@
+"""The page of a lens: its figures, its aberrations, its limits and its manufacturability."""
+
+from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
+from tasklens.optics.analysis.shapes import shapes
+from tasklens.optics.analysis.tolerances import errors_by_part
+from tasklens.optics.io import prescription
+from tasklens.report import certificate, manufacturability
+from tasklens.runtime.files import Files, write_text
+from tasklens.study.settings import Slice
+
+
+def run(settings: Slice, inputs: Files, outputs: Files) -> None:
+    """Write the page."""
+    found, content = prescription.read(inputs.lens)
+    lens = found.lens
+    view = view_of(lens, content, str(inputs.lens))
+    figures = certificate.markdown(settings.title, view.fields.tolist(), content, seidel_by_surface(lens, view))
+    errors = errors_by_part(lens, view, content["figures"]["rays"])
+    write_text(outputs.page, f"{figures}\n{manufacturability.markdown(content['margins'], shapes(lens), *errors)}")

@@ -1,0 +1,18 @@
+"""Train a classifier on the sharp images, or take its published weights."""
+
+from tasklens.recognition import classifiers, dataset, training
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.devices import claim
+from tasklens.runtime.files import Files, write_tensors
+from tasklens.study.settings import ClassifierSettings
+
+
+def run(settings: ClassifierSettings, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
+    """Write the weights."""
+    device = claim()
+    train = dataset.read(*inputs.train, device=device)
+    training.reseed(0)
+    classifier = classifiers.build(settings, train.classes).to(device)
+    if settings.training is not None:
+        training.fit(classifier, train, settings.training, 0, "reference", checkpoint=checkpoint)
+    write_tensors(outputs.weights, classifier.network.state_dict(), {"model": settings.model})
