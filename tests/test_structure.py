@@ -6,23 +6,31 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tasklens.pipeline import digest
+from tasklens.pipeline import (
+    digest,
+    jobs,  # noqa: F401  declares the stages
+)
+from tasklens.pipeline.stage import STAGES
 from tasklens.runtime import files
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglob("*.py"))
 
-# From the ground up: a module imports only from its own floor (its own package) and from the floors below.
+# From the ground up: a module imports only from its own room (its package) and from the floors below. A package's own
+# modules stand where it is named, those of its packages where these are.
 FLOORS = [
-    ("tasklens.runtime", "tasklens.materials", "tasklens.pipeline.digest"),
+    ("tasklens.runtime",),
+    ("tasklens.materials",),
     ("tasklens.study",),
-    ("tasklens.optics.lens", "tasklens.optics.view"),
+    ("tasklens.optics",),  # rays, aspheres, surface, lens, view, psf
     ("tasklens.optics.tracing",),
-    ("tasklens.optics",),
+    ("tasklens.optics.analysis",),
+    ("tasklens.optics.io",),
     ("tasklens.imaging",),
     ("tasklens.recognition",),
     ("tasklens.design",),
@@ -62,6 +70,15 @@ def test_imports_run_downward(path):
         assert below < floor or other == room, f"{module} imports {imported}"
 
 
+def test_the_library_does_not_import_the_workflow():
+    """It knows neither jobs nor files of a study; mistakes that it finds are input errors of its own."""
+    for path in MODULES:
+        module = name_of(path)
+        if not module.startswith("tasklens.pipeline"):
+            assert not [name for name in imports_of(path) if name.startswith("tasklens.pipeline")], module
+            assert module.startswith("tasklens.study") or "StudyError" not in path.read_text(), module
+
+
 def test_modules_of_a_room_do_not_import_in_a_circle():
     graph = {name_of(path): imports_of(path) for path in MODULES}
     done: set[str] = set()
@@ -76,20 +93,39 @@ def test_only_the_stages_that_measure_import_restoration():
     assert {user for user in users if not user.startswith("restoration")} == {"tasklens.pipeline.stages.measure"}
 
 
-@pytest.mark.parametrize("module", ["cli", "study", "jobs", "claims", "layout", "digest", "files"])
-def test_parsing_a_study_needs_no_torch(module):
+def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
+    """Which of the heavy packages are there after each module is imported, one after the other, in a new process."""
+    code = (
+        f"import importlib, sys\nfor name in {modules!r}:\n    importlib.import_module(name)\n"
+        f"    found = [m for m in {heavy!r} if m in sys.modules]\n    if found: sys.exit(f'{{name}}: {{found}}')"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr
+
+
+def test_parsing_a_study_needs_no_torch():
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
+    pipeline = [f"tasklens.pipeline.{name}" for name in ("digest", "stage", "jobs", "run", "forecast", "cli")]
+    study = [name_of(path) for path in (ROOT / "tasklens" / "study").glob("*.py")]
+    stages = ["tasklens.pipeline.stages.measure", "tasklens.pipeline.stages.report"]
+    others = ["tasklens.runtime.files", "tasklens.runtime.errors", "tasklens.materials.catalogues"]
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
-    code = f"import sys; import tasklens.{module}; print([m for m in {heavy!r} if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    assert imported_with([*others, *study, *pipeline, *stages], heavy) == ""
+    assert "pandas" in imported_with(["tasklens.report.tables"], heavy)  # it would be seen
 
 
-@pytest.mark.parametrize("module", ["tables", "verdicts", "verification", "tails", "ablations", "regimes"])
-def test_tables_need_no_torch(module):
-    code = f"import sys, tasklens.report.{module}; print('torch' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "False"
+def test_tables_need_no_torch():
+    names = (
+        "tables",
+        "verdicts",
+        "verification",
+        "tails",
+        "ablations",
+        "regimes",
+        "bootstrap",
+        "publish",
+        "measurements",
+    )
+    assert imported_with([f"tasklens.report.{name}" for name in names], ("torch", "matplotlib")) == ""
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -101,40 +137,110 @@ def test_a_module_holds_one_idea(path):
 # ---- digests of code
 
 
+def running_nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """The nodes of a syntax tree but for what only type checkers see."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            waiting += node.orelse
+        else:
+            yield node
+            waiting += ast.iter_child_nodes(node)
+
+
+def taken_from_data(tree: ast.AST) -> list[str]:
+    """What code takes from the modules that digests leave out, other than classes, and classes that it fills itself."""
+    wrong, classes = [], set()
+    for node in running_nodes(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+            wrong += [name for name in names if any(f"{data}.".startswith(f"{name}.") for data in digest.DATA_ONLY)]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "digests do not see relative imports"
+            for alias in node.names:
+                if f"{node.module}.{alias.name}" in digest.DATA_ONLY:
+                    wrong.append(f"{node.module}.{alias.name}")
+                elif node.module in digest.DATA_ONLY:
+                    body = digest.parse(node.module).body
+                    if any(isinstance(found, ast.ClassDef) and found.name == alias.name for found in body):
+                        classes.add(alias.asname or alias.name)
+                    else:
+                        wrong.append(f"{node.module}.{alias.name}")
+    for node in running_nodes(tree):
+        if isinstance(node, ast.Call):
+            called = node.func.value if isinstance(node.func, ast.Attribute) else node.func
+            if isinstance(called, ast.Name) and called.id in classes:
+                wrong.append(f"{called.id}(..)")
+    return wrong
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_digests_cover_every_constant_that_a_stage_computes_with(stage):
+    """The modules that they leave out are data: code takes classes of settings from there, whose values are in a job's
+    slice, and no constant, no function, and no settings of its own making, whose defaults would be constants."""
+    modules = digest.reached_modules(STAGES[stage].function.rpartition(".")[0])
+    assert {name: wrong for name in modules if (wrong := taken_from_data(digest.parse(name)))} == {}
+
+
+def test_modules_of_data_are_there_and_of_no_torch():
+    for module in digest.DATA_ONLY:
+        assert ROOT.joinpath(*module.split(".")).with_suffix(".py").is_file(), module
+        names = {node.id for node in ast.walk(digest.parse(module)) if isinstance(node, ast.Name)}
+        assert not names & {"torch", "numpy"}, module
+
+
+@pytest.mark.parametrize(
+    "code, wrong",
+    [
+        ("from tasklens.study.settings import RENDERED_CLASSES", ["tasklens.study.settings.RENDERED_CLASSES"]),
+        ("def f():\n    from tasklens.study.study import load, Study", ["tasklens.study.study.load"]),
+        ("from tasklens.study import settings, names", ["tasklens.study.settings"]),
+        ("from tasklens.study.settings import *", ["tasklens.study.settings.*"]),
+        ("import tasklens.study.settings as s", ["tasklens.study.settings"]),
+        ("import tasklens.study", ["tasklens.study"]),
+        ("from tasklens.study.settings import Spec as S\nS()", ["S(..)"]),
+        ("from tasklens.study.settings import Spec\nSpec.model_validate({})", ["Spec(..)"]),
+        ("from tasklens.study.settings import Spec\ndef f(x: Spec):\n    return isinstance(x, Spec)", []),
+        ("if TYPE_CHECKING:\n    from tasklens.study.study import load\nelse:\n    import tasklens.study.study",
+         ["tasklens.study.study"]),
+        ("from tasklens.study.names import SHARP", []),
+    ],
+)  # fmt: skip
+def test_what_is_taken_from_modules_of_data_is_found(code, wrong):
+    assert taken_from_data(ast.parse(code)) == wrong
+
+
+@pytest.fixture(scope="module")
+def digests() -> dict[str, str]:
+    """Of every stage, as it is."""
+    return {name: digest.code_digest(stage.function) for name, stage in STAGES.items()}
+
+
 @pytest.fixture
-def copy(tmp_path, monkeypatch):
-    """A copy of the packages, and a function that edits it and takes the digest of a stage."""
+def edited(tmp_path, monkeypatch):
+    """A function that edits a file in a copy of the packages, and returns the digests of all stages then."""
     for package in digest.PACKAGES:
-        shutil.copytree(ROOT / package, tmp_path / package)
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(digest, "ROOT", tmp_path)
 
-    def after(stage: str, path: str = "", old: str = "", new: str = "") -> str:
-        if path:
-            text = (tmp_path / path).read_text()
-            assert old in text
-            (tmp_path / path).write_text(text.replace(old, new, 1))
+    def edit(path: str, old: str, new: str) -> dict[str, str]:
+        text = (tmp_path / path).read_text()
+        assert old in text
+        (tmp_path / path).write_text(text.replace(old, new, 1))
         digest.parse.cache_clear()
         digest.code_digest.cache_clear()
-        return digest.code_digest(stages.STAGES[stage].function)
+        return {name: digest.code_digest(stage.function) for name, stage in STAGES.items()}
 
-    yield after
+    yield edit
     digest.parse.cache_clear()
     digest.code_digest.cache_clear()
 
 
 READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
-STAGES = (
-    *READ_IMAGES,
-    "psf",
-    "tail",
-    "table",
-    "psf_tail",
-    "verdicts",
-    "ablation",
-    "figure",
-    "comparison",
-    "certificate",
-)
+JUDGE = {"verdicts", "regimes", "ablation"}
+MEASUREMENTS = {"table", "figure", "comparison", "verify", *JUDGE}
+OPTICS = {"design", "psf", "tail", "figure", "comparison", "certificate"}
 
 
 @pytest.mark.parametrize(
@@ -146,44 +252,40 @@ STAGES = (
         ("tasklens/pipeline/stages/psf.py", '"""Trace the PSF', '"""Calculate the PSF'),
     ],
 )
-def test_words_do_not_change_a_digest(copy, path, old, new):
+def test_words_do_not_change_a_digest(digests, edited, path, old, new):
     """Comments, docstrings and blank lines rerun nothing."""
-    before = {stage: copy(stage) for stage in STAGES}
-    copy("psf", path, old, new)
-    assert {stage: copy(stage) for stage in STAGES} == before
+    assert edited(path, old, new) == digests
 
 
 @pytest.mark.parametrize(
     "path, old, new, touched",
     [
-        (
-            "tasklens/optics/psf.py",
-            "kernel_size // 2",
-            "kernel_size // 3",
-            {"design", "psf", "tail", "figure", "comparison", "certificate"},
-        ),
+        ("tasklens/optics/psf.py", "kernel_size // 2", "kernel_size // 3", OPTICS),
         ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "restore", "fine_tune", "reproduce"}),
         ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
-        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table", "verdicts", "ablation", "comparison"}),
+        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
+        ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
+        ("tasklens/report/publish.py", "index=False", "index=True", {"table", "psf_tail", *JUDGE}),
+        ("tasklens/study/names.py", '"-restored"', '"-mended"', MEASUREMENTS - {"figure", "comparison"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", {"restore", "fine_tune", "reproduce"}),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
         ("tasklens/pipeline/stages/psf.py", "grid.float()", "grid", {"psf"}),
-        ("tasklens/pipeline/stages/figures.py", "Panel(title,", "Panel(title.upper(),", {"figure", "comparison"}),
         (
-            "tasklens/report/bootstrap.py",
-            "RESAMPLES = 10_000",
-            "RESAMPLES = 10",
-            {"verdicts", "ablation", "comparison"},
+            "tasklens/pipeline/stages/classify.py",
+            ".eval().requires_grad_(False)",
+            ".eval()",
+            {"fine_tune", "reproduce"},
         ),
+        ("tasklens/pipeline/stages/figures.py", "Panel(title,", "Panel(title.upper(),", {"figure", "comparison"}),
+        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE),
+        ("tasklens/study/settings.py", "Field(2.8,", "Field(2.9,", set()),  # such a value is in the slice
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )
-def test_code_changes_the_digests_of_the_stages_that_run_it(copy, path, old, new, touched):
-    before = {stage: copy(stage) for stage in STAGES}
-    copy("psf", path, old, new)
-    found = {stage for stage in STAGES if copy(stage) != before[stage]}
-    assert found == touched
+def test_code_changes_the_digests_of_the_stages_that_run_it(digests, edited, path, old, new, touched):
+    after = edited(path, old, new)
+    assert {stage for stage in STAGES if after[stage] != digests[stage]} == touched
 
 
 def test_unknown_stage_raises():

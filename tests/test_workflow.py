@@ -17,6 +17,7 @@ from examples import changed, make_lens, tiny_study
 
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
+from tasklens.pipeline import jobs  # noqa: F401  declares the stages
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES
@@ -252,9 +253,9 @@ def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
     """It has the jobs of an imaging design, and no other lens waits for it."""
     study = with_imported(tmp_path)
     monkeypatch.chdir(tmp_path)
-    jobs = expected(parse(study))
-    assert jobs["design"] == 7 and jobs["restore"] == 5
-    assert plan(tmp_path, study, "tables") == jobs
+    counts = expected(parse(study))
+    assert counts["design"] == 7 and counts["restore"] == 5
+    assert plan(tmp_path, study, "tables") == counts
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
     assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}
     assert plan(tmp_path, study, lens.format("doublet-end_to_end_from_imaging"))["design"] == 4
@@ -330,7 +331,7 @@ def test_a_dry_run_changes_nothing(finished):
 
 @TRUE_RUN
 @pytest.mark.parametrize(
-    "key, value, jobs",
+    "key, value, rerun",
     [
         ("tables", ["table1"], {}),
         ("restoration.steps", 9, {}),
@@ -345,10 +346,10 @@ def test_a_dry_run_changes_nothing(finished):
     ],
     ids=lambda v: v if isinstance(v, str) else "",
 )
-def test_a_changed_value_reruns_what_reads_it(finished, key, value, jobs):
+def test_a_changed_value_reruns_what_reads_it(finished, key, value, rerun):
     """And what comes after that, up to the table; everything else stays."""
     found = plan(finished, changed(one_lens(), key, value), "table1")
-    assert found == jobs
+    assert found == rerun
 
 
 def test_a_failing_job_leaves_no_output(tmp_path):

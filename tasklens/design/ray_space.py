@@ -20,7 +20,6 @@ from tasklens.design.merit import Merit
 from tasklens.design.variables import Variables
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.study.design_settings import LearningRates
 from tasklens.study.settings import Constraints
 
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
@@ -75,7 +74,7 @@ class RaySpace:
     """The variables of a lens as one vector, with what they do to its rays and limits."""
 
     def __init__(self, lens: Lens, view: View, limits: Constraints):
-        self.variables = Variables.stepped(lens, view, LearningRates())
+        self.variables = Variables.normalised(lens, view)
         self.merit = Merit(view, limits, rim=_MARGINAL_RAYS)
         values = self.variables.values()
         self.names = list(values)

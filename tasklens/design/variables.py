@@ -35,8 +35,11 @@ class Variables:
     @classmethod
     def stepped(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
         """As `rates` are meant: R = the radius that light uses on each surface of `lens` if they are normalised."""
-        if not rates.normalised:
-            return cls.plain(lens)
+        return cls.normalised(lens, view) if rates.normalised else cls.plain(lens)
+
+    @classmethod
+    def normalised(cls, lens: Lens, view: View) -> "Variables":
+        """R = the radius that light uses on each surface of `lens`."""
         return cls(lens, clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop])))
 
     def _scale(self, order: int) -> Tensor:
