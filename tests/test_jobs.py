@@ -15,8 +15,9 @@ from tasklens.materials.catalogues import builtin
 from tasklens.pipeline import digest, jobs
 from tasklens.pipeline.stage import STAGES, Stage, flatten
 from tasklens.study import claims, names, tables
+from tasklens.study.loading import dump, load, parse
 from tasklens.study.names import SHARP
-from tasklens.study.study import TABLES, Study, StudyError, dump, load, parse
+from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
 

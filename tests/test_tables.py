@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pandas
@@ -12,12 +11,12 @@ from examples import changed, finish, job_of, tiny_study, write
 
 from tasklens.pipeline import cli, jobs
 from tasklens.pipeline.jobs import PAPER as PAPER_FILE
-from tasklens.pipeline.run import run
 from tasklens.report import tables
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError
+from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
-from tasklens.study.study import TABLES, dump, parse
+from tasklens.study.study import TABLES
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
 ACCURACY = {
@@ -222,7 +221,7 @@ def test_files_of_a_table_agree(study, name):
 
 def test_latex_escapes_underscores_everywhere(study):
     job = job_of(jobs.table, study, table="table1")
-    run(jobs.table, replace(job, settings=job.settings.model_copy(update={"study": "my_study"})))
+    tables.make(job.settings.model_copy(update={"study": "my_study"}), job.inputs, job.outputs)
     latex = job.outputs.tex.read_text()
     assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)
 
