@@ -109,11 +109,6 @@ def test_parsing_a_study_needs_no_torch():
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
     pipeline = [f"tasklens.pipeline.{name}" for name in ("digest", "stage", "jobs", "run", "forecast", "cli")]
     study = [name_of(path) for path in (ROOT / "tasklens" / "study").glob("*.py")]
-    stages = [
-        "tasklens.pipeline.stages.classify",
-        "tasklens.pipeline.stages.restore",
-        "tasklens.pipeline.stages.report",
-    ]
     others = ["tasklens.runtime.files", "tasklens.runtime.errors", "tasklens.materials.catalogues"]
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
     assert imported_with([*others, *study, *pipeline], heavy) == ""
