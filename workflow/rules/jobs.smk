@@ -32,6 +32,7 @@ for stage in STAGES.values():  # functions of wildcards are called later: each k
             f"{results(study)}/benchmarks/{stage.label}.tsv"
         priority: stage.priority
         retries: int(stage.resumable)
+        localrule: not stage.patterns  # it prints
         threads: lambda wildcards, stage=stage: stage.threads * plan_of(stage, wildcards).processes
         resources:
             mem_mb=lambda wildcards, attempt, stage=stage: attempt * durations.memory_mb(stage.name),
