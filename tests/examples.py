@@ -14,10 +14,11 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
 from tasklens.pipeline.run import run
-from tasklens.pipeline.stage import Job, Stage
+from tasklens.pipeline.stage import Stage
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report.measurements import Measurements
+from tasklens.runtime.files import Files
 from tasklens.study.settings import Spec, TrainingSettings
 from tasklens.study.study import Study
 
@@ -193,16 +194,20 @@ def changed(study: dict, key: str, value) -> dict:
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
 
 
-def finish(stage: Stage, study: Study, **wildcards: str | int) -> Job:
-    """Do one job of a study in the present folder, as the command line does; returns it for its outputs."""
-    job = stage.job(study, **wildcards)
-    run(stage, job)
-    return job
+def finish(stage: Stage, study: Study, **wildcards: str | int) -> Files:
+    """Do one job of a study in the present folder, as the command line does; returns its outputs."""
+    run(stage, study, wildcards)
+    return Files(**stage.outputs(study, **wildcards))
 
 
-def measurements_of(job: Job) -> Measurements:
-    """What a job is given to judge by."""
-    return Measurements(job.inputs.lenses, job.inputs.metrics, job.inputs.predictions)
+def inputs_of(stage: Stage, study: Study, **wildcards: str | int) -> Files:
+    """What a job is given."""
+    return Files(**stage.plan(study, **wildcards).inputs)
+
+
+def measurements_of(inputs: Files) -> Measurements:
+    """What a job that judges is given to judge by."""
+    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
 
 
 def write(path: str | Path, text: str) -> None:

@@ -3,18 +3,24 @@
 import itertools
 import string
 from collections.abc import Iterator
-from inspect import getmembers, isfunction
+from importlib import import_module
+from inspect import getmembers, isfunction, signature
 from pathlib import Path
+from re import fullmatch
 
 import pytest
 import yaml
-from examples import changed, tiny_study, with_imported
+from examples import changed, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import builtin
-from tasklens.pipeline import digest, jobs, run
-from tasklens.pipeline.stage import STAGES, Stage, flatten
+from tasklens.pipeline import cli, digest, jobs, run
+from tasklens.pipeline import stage as stages
+from tasklens.pipeline.stage import STAGES, Plan, Stage, flatten
+from tasklens.runtime import files
+from tasklens.runtime.files import FileError, Files
 from tasklens.study import claims, names, tables
 from tasklens.study.names import SHARP
+from tasklens.study.settings import Slice
 from tasklens.study.study import TABLES, Study, StudyError, dump, load, parse
 
 ROOT = Path(__file__).parents[1]
@@ -53,7 +59,7 @@ def slices(mapping: dict) -> dict[tuple, list[str]]:
     return found
 
 
-def needed(study: Study, *targets: str) -> set[tuple]:
+def needed(study: Study, *targets: Path) -> set[tuple]:
     """All jobs that some files wait for, by the inputs that are declared; those of every seed once."""
     makers = {}
     for key, stage, wildcards in every_job(study):
@@ -64,7 +70,7 @@ def needed(study: Study, *targets: str) -> set[tuple]:
     while waiting:
         path = waiting.pop()
         if path not in makers:
-            assert not path.startswith("results/"), f"no job makes {path}"
+            assert path.parts[0] != "results", f"no job makes {path}"
             continue
         key, stage, wildcards = makers[path]
         if (key, wildcards.get("seed")) not in found:
@@ -187,7 +193,7 @@ def test_what_a_job_reads_another_makes(mapping):
         assert not reads & set(stage.outputs(study, **wildcards).values()), key
         if stage.wildcards[-1:] == ("seed",):
             others = [f"seed{seed}" for seed in study.seeds if seed != wildcards["seed"]]
-            assert not [path for path in reads if any(part in Path(path).parts for part in others)], key
+            assert not [path for path in reads if any(part in path.parts for part in others)], key
 
 
 def test_an_imported_lens_adds_rows_and_changes_no_other_job():
@@ -204,7 +210,7 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     assert plan.settings.classifier is None and plan.inputs["weights"] is None and plan.inputs["train"] is None
     assert plan.inputs["files"] == [study.imported["phone"].file]
     assert tables.imaging_baselines(study, "quadruplet-phone") == ()
-    assert not any("phone" in path for path in flatten(jobs.design.plan(study, SUPERVISED[1], 0).inputs))
+    assert not any("phone" in str(path) for path in flatten(jobs.design.plan(study, SUPERVISED[1], 0).inputs))
 
 
 def test_baselines_are_the_imaging_lenses_of_the_same_elements():
@@ -215,8 +221,8 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
     assert tables.imaging_baselines(study, "doublet-end_to_end_from_flat") == ()
     assert tables.imaging_baselines(study, "doublet-tasklens") == ()
     inputs = jobs.design.plan(study, "doublet-end_to_end_from_imaging", 3).inputs
-    assert inputs["baselines"] == {name: f"results/tiny/lenses/{name}/seed3/lens.yaml" for name in expected}
-    assert inputs["metrics"] == {name: f"results/tiny/metrics/{name}/seed3/small.csv" for name in expected}
+    assert inputs["baselines"] == {name: Path(f"results/tiny/lenses/{name}/seed3/lens.yaml") for name in expected}
+    assert inputs["metrics"] == {name: Path(f"results/tiny/metrics/{name}/seed3/small.csv") for name in expected}
     for name in ("end_to_end_from_flat", "tasklens", "imaging1"):
         inputs = jobs.design.plan(study, f"doublet-{name}", 3).inputs
         assert inputs["baselines"] == inputs["metrics"] == {}
@@ -240,41 +246,87 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 def test_a_stage_is_declared_in_one_piece(stage):
-    """It has a function with a sentence about it, and its wildcards, all of them, are in the path of every output."""
-    assert run.stage_function(stage).__doc__
+    """It has a sentence, a function, and wildcards that are all in the names of its jobs and of every output."""
+    assert stage is getattr(jobs, stage.name) and stage.plan.__doc__.endswith(".")
+    module, _, name = stage.function.rpartition(".")
+    function = getattr(import_module(module), name)
+    parameters = list(signature(function).parameters)
+    assert parameters[1:] == ["inputs", "outputs", *(["checkpoint"] if stage.resumable else [])]
     assert digest.code_digest(stage.function)
-    for pattern in stage.patterns.values():
+    for pattern in [*stage.patterns.values(), stage.label]:
         found = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
         assert found == set(stage.wildcards)
-    assert {name for _, name, _, _ in string.Formatter().parse(stage.label) if name is not None} == {*stage.wildcards}
 
 
 def test_every_function_among_the_stages_is_a_stage():
-    """And the digests know every file of theirs."""
-    folder = ROOT / "tasklens" / "pipeline" / "stages"
-    assert {f"tasklens.pipeline.stages.{path.stem}" for path in folder.glob("*.py")} == {
-        *digest.STAGES,
-        "tasklens.pipeline.stages.__init__",
-    }
+    """And no two stages have one function, or write one file."""
     found = []
-    for name in digest.STAGES:
-        module = __import__(name, fromlist=["functions"])
-        found += [f for f, value in getmembers(module, isfunction) if value.__module__ == name and f[0] != "_"]
-    assert sorted(found) == sorted(stage.function for stage in STAGES.values())
+    for path in (ROOT / "tasklens" / "pipeline" / "stages").glob("*.py"):
+        name = f"tasklens.pipeline.stages.{path.stem}"
+        public = getmembers(import_module(name), lambda value: isfunction(value) and value.__name__[0] != "_")
+        found += [f"{name}.{key}" for key, value in public if value.__module__ == name]
+    functions = [stage.function for stage in STAGES.values()]
+    assert set(found) == {name for name in functions if not name.startswith("tasklens.report.")}
+    assert len(set(functions)) == len(functions)
+    patterns = [pattern for stage in STAGES.values() for pattern in stage.patterns.values()]
+    assert len(set(patterns)) == len(patterns)
 
 
-def test_a_job_knows_its_files_as_paths():
+def test_a_new_stage_takes_a_declaration_and_a_function(tmp_path, monkeypatch, capsys):
+    """Its command, its files, and what is said of a missing input follow from these."""
+    monkeypatch.setattr(stages, "STAGES", {})
+    monkeypatch.setattr(cli, "STAGES", stages.STAGES)
+
+    @stages.stage("tasklens.runtime.files.polish_glass", {"report": "polish/{lens}/seed{seed}.txt"})
+    def polish_glass(study: Study, lens: str, seed: int) -> Plan:
+        """Polish a lens."""
+        return Plan(Slice(lens=study.lens(lens).name, seed=seed), {"lens": Path(f"{lens}.yaml")})
+
+    def work(settings: Slice, inputs: Files, outputs: Files) -> None:
+        write(outputs.report, f"{settings} {inputs.lens.read_text()}")
+
+    monkeypatch.setattr(files, "polish_glass", work, raising=False)
+    monkeypatch.chdir(tmp_path)
+    write("study.yaml", yaml.safe_dump(tiny_study()))
+    command = ["polish-glass", "study.yaml", "singlet-imaging1", "--seed", "3"]
+    assert cli.main(command) == 2
+    assert "polish_glass/singlet-imaging1-seed3: missing input singlet-imaging1.yaml" in capsys.readouterr().err
+    write("singlet-imaging1.yaml", "glass")
+    assert cli.main(command) == 0
+    expected = "lens='singlet-imaging1' seed=3 glass"
+    assert Path("results/tiny/polish/singlet-imaging1/seed3.txt").read_text() == expected
+
+
+def test_a_job_is_given_its_slice_its_files_and_a_checkpoint_of_its_own(tmp_path, monkeypatch):
+    """It is removed when the job ends; before, one of a job of the same name that computed something else."""
+    monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
-    job = jobs.design.job(study, lens="singlet-end_to_end_from_imaging", seed=4)
-    assert job.name == "design/singlet-end_to_end_from_imaging-seed4"
-    assert job.checkpoint == "results/tiny/checkpoints/design-singlet-end_to_end_from_imaging-seed4"
-    assert vars(job.outputs) == {
-        "lens": Path("results/tiny/lenses/singlet-end_to_end_from_imaging/seed4/lens.yaml"),
-        "history": Path("results/tiny/lenses/singlet-end_to_end_from_imaging/seed4/history.csv"),
+    lens = "singlet-end_to_end_from_imaging"
+    plan = jobs.design.plan(study, lens, 4)
+    words = f"^design/{lens}-seed4: missing input results/tiny/images/train.npy and 6 more; `snakemake` makes"
+    with pytest.raises(FileError, match=words):
+        run.run(jobs.design, study, {"lens": lens, "seed": 4})
+    for path in flatten(plan.inputs):
+        write(path, "")
+    folder = Path("results/tiny/checkpoints")
+    other, another = folder / f"design-{lens}-seed4-{16 * 'a'}.pt", folder / f"design-{lens}-seed40-{16 * 'a'}.pt"
+    for path in (other, another):
+        write(path, "")
+    given = []
+
+    def work(*arguments):
+        given.extend(arguments)
+        write(arguments[3].path, "")
+
+    monkeypatch.setattr("tasklens.pipeline.stages.design.run", work)
+    run.run(jobs.design, study, {"lens": lens, "seed": 4})
+    settings, inputs, outputs, checkpoint = given
+    assert settings == plan.settings and vars(inputs) == plan.inputs
+    assert vars(outputs) == {
+        "lens": Path(f"results/tiny/lenses/{lens}/seed4/lens.yaml"),
+        "history": Path(f"results/tiny/lenses/{lens}/seed4/history.csv"),
     }
-    assert job.inputs.train == [Path("results/tiny/images/train.npy"), Path("results/tiny/images/train.json")]
-    assert job.inputs.baselines.keys() == {"singlet-imaging1", "singlet-imaging2"}
-    assert all(isinstance(path, Path) for path in job.inputs.baselines.values())
-    assert jobs.images.job(study).name == "images"
+    assert fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", checkpoint.path.name)
+    assert list(folder.iterdir()) == [another]
     with pytest.raises(StudyError, match="nobody"):
-        jobs.reference.job(study, classifier="nobody")
+        run.run(jobs.reference, study, {"classifier": "nobody"})
