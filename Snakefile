@@ -12,7 +12,7 @@ from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import SEED, STAGES, flatten, results
 from tasklens.runtime import files
-from tasklens.study import claims, names
+from tasklens.study import claims, loading, names
 from tasklens.study import study as studies
 
 min_version("9.10")
@@ -23,7 +23,7 @@ if not workflow.config_settings.configfiles:
 
 
 try:
-    study = studies.parse(config)
+    study = loading.parse(config)
 except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
@@ -91,7 +91,7 @@ shown = []  # the tables of this run, printed at its end
 
 onstart:
     # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
-    files.write_if_changed(RESOLVED, studies.dump(study))
+    files.write_if_changed(RESOLVED, loading.dump(study))
     running = list(workflow.dag.needrun_jobs())
     networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
     if networks or study.imported:

@@ -19,7 +19,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from restoration.nafnet import build
 from tasklens.recognition.classifiers import Classifier
-from tasklens.study import study as studies
+from tasklens.study import loading
 from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
 from tasklens.study.names import SHARP
 from tasklens.study.settings import ClassifierSettings
@@ -112,7 +112,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--test", type=int, default=50_000)
     parser.add_argument("--throughput", type=float, default=A100, help="images/s of training ResNet50 at 224 pixels")
     options = parser.parse_args(arguments)
-    study = studies.load(options.study)
+    study = loading.load(options.study)
     cost = Cost(study, options.train, options.test)
     with torch.device("meta"):
         rate = TO_WEIGHTS * options.throughput * operations(build_classifier(RESNET50), 224)

@@ -28,8 +28,8 @@ from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.design_settings import EndToEndSettings, LeastSquaresSettings
+from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
-from tasklens.study.study import parse
 
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
 OPTICS = ("rays, PSFs, limits", "their backward", "captures and their backward")

@@ -15,6 +15,7 @@ class SimpleGate(nn.Module):
     """The product of the two halves of the channels."""
 
     def forward(self, x: Tensor) -> Tensor:
+        """(B, 2 C, H, W) to (B, C, H, W)."""
         first, second = x.chunk(2, dim=1)
         return first * second
 
@@ -37,6 +38,7 @@ class NAFBlock(nn.Module):
         self.gamma = nn.Parameter(torch.zeros(1, c, 1, 1))
 
     def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) to the same shape."""
         y = self.sg(self.conv2(self.conv1(self.norm1(x))))
         x = x + self.beta * self.conv3(y * self.sca(y))
         return x + self.gamma * self.conv5(self.sg(self.conv4(self.norm2(x))))

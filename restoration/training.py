@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from restoration.nafnet import NAFNet, build
@@ -38,7 +39,7 @@ def train(
 
     Args:
         settings: network, rate, and the most steps.
-        dataset, minival: sharp images to train with and to judge by.
+        dataset, minival: sharp images to train with and to validate with.
         camera: the lens.
         seed: of the network, of the order of the images and of their fields.
         checkpoint: of the job, for its part `restoration`.
@@ -65,14 +66,10 @@ def train(
     for step in range(part.step + 1, settings.steps + 1):
         images, _ = dataset.batch(order.next())
         fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
-        quality = psnr(network(camera.single(images, fields)), images).mean()
-        if not torch.isfinite(quality):
-            raise FloatingPointError(f"restoration: the PSNR became {quality.item()} at step {step}")
-        optimizer.zero_grad()
-        (-quality).backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 0.01)
-        optimizer.step()
-        progress(step, psnr_db=quality.item())
+        quality = _step(network, optimizer, camera.single(images, fields), images)
+        if not math.isfinite(quality):
+            raise FloatingPointError(f"restoration: the PSNR became {quality} at step {step}")
+        progress(step, psnr_db=quality)
         if step % settings.check == 0 or step == settings.steps:
             validated = _validation_psnr(network, minival, camera)
             if not math.isfinite(validated):
@@ -90,6 +87,17 @@ def train(
         print(f"restoration: not converged within {settings.steps} steps", file=sys.stderr, flush=True)
     network.load_state_dict(found)
     return network.eval(), part.history
+
+
+def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, images: Tensor) -> float:
+    """Take one step towards the images (B, 3, H, W), unless their mean PSNR [dB], which is returned, is not finite."""
+    quality = psnr(network(captures), images).mean()
+    if torch.isfinite(quality):
+        optimizer.zero_grad()
+        (-quality).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 0.01)
+        optimizer.step()
+    return quality.item()
 
 
 @torch.no_grad()

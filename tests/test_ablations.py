@@ -10,8 +10,9 @@ from test_verdicts import results
 from tasklens.pipeline import jobs
 from tasklens.report.verdicts import HOLDS, UNDECIDED
 from tasklens.study import claims
+from tasklens.study.loading import dump, parse
 from tasklens.study.settings import CaptureSettings
-from tasklens.study.study import StudyError, dump, parse
+from tasklens.study.study import StudyError
 
 RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "restart": {"pixels": [1, 1]}}}}
 WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside_window": "renormalise"}}}}

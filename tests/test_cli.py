@@ -13,7 +13,7 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import cli, jobs
 from tasklens.pipeline.stage import STAGES
 from tasklens.runtime.files import read_tensors
-from tasklens.study.study import parse
+from tasklens.study.loading import parse
 
 STUDY = parse(tiny_study())
 

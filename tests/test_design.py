@@ -22,8 +22,8 @@ from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.study.design_settings import EndToEndSettings, LearningRates
+from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
-from tasklens.study.study import parse
 
 SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 LOOKS = view_of_spec(SPEC)

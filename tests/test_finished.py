@@ -9,8 +9,9 @@ from examples import read_rows, tiny_study
 
 from tasklens.pipeline import cli, jobs
 from tasklens.runtime.files import read_tensors, write_tensors
+from tasklens.study.loading import parse
 from tasklens.study.names import split
-from tasklens.study.study import TABLES, parse
+from tasklens.study.study import TABLES
 from tasklens.study.tables import verification
 
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}

@@ -20,8 +20,8 @@ from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
 from tasklens.runtime.files import FileError
 from tasklens.study.design_settings import ImportedLens
+from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
-from tasklens.study.study import parse
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
 VIEW = view_of_spec(SPEC)

@@ -19,9 +19,10 @@ from tasklens.pipeline.stage import STAGES, Plan, Stage, flatten
 from tasklens.runtime import files
 from tasklens.runtime.files import FileError, Files
 from tasklens.study import claims, names, tables
+from tasklens.study.loading import dump, load, parse
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
-from tasklens.study.study import TABLES, Study, StudyError, dump, load, parse
+from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
 

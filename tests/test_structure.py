@@ -220,7 +220,7 @@ def test_modules_of_data_are_there_and_of_no_torch():
     "code, wrong",
     [
         ("from tasklens.study.settings import RENDERED_CLASSES", ["tasklens.study.settings.RENDERED_CLASSES"]),
-        ("def f():\n    from tasklens.study.study import load, Study", ["tasklens.study.study.load"]),
+        ("def f():\n    from tasklens.study.study import pick, Study", ["tasklens.study.study.pick"]),
         ("from tasklens.study import settings, names", ["tasklens.study.settings"]),
         ("from tasklens.study.settings import *", ["tasklens.study.settings.*"]),
         ("import tasklens.study.settings as s", ["tasklens.study.settings"]),
@@ -228,7 +228,7 @@ def test_modules_of_data_are_there_and_of_no_torch():
         ("from tasklens.study.settings import Spec as S\nS()", ["S(..)"]),
         ("from tasklens.study.settings import Spec\nSpec.model_validate({})", ["Spec(..)"]),
         ("from tasklens.study.settings import Spec\ndef f(x: Spec):\n    return isinstance(x, Spec)", []),
-        ("if TYPE_CHECKING:\n    from tasklens.study.study import load\nelse:\n    import tasklens.study.study",
+        ("if TYPE_CHECKING:\n    from tasklens.study.study import pick\nelse:\n    import tasklens.study.study",
          ["tasklens.study.study"]),
         ("from tasklens.study.names import SHARP", []),
     ],

@@ -10,8 +10,9 @@ from examples import changed, tiny_study, with_imported
 
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.design_settings import LearningRates
+from tasklens.study.loading import dump, load, parse
 from tasklens.study.settings import Spec
-from tasklens.study.study import StudyError, dump, load, parse
+from tasklens.study.study import StudyError
 
 CONFIGS = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
 CONFIGS = [path for path in CONFIGS if "format: 2" in path.read_text()]  # the others are laid over the default study

@@ -14,8 +14,9 @@ from tasklens.pipeline.jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError, Files
+from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
-from tasklens.study.study import TABLES, dump, parse
+from tasklens.study.study import TABLES
 from tasklens.study.tables import table as table_of
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0

@@ -14,8 +14,8 @@ from tasklens.optics.analysis.spots import distances
 from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
+from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
-from tasklens.study.study import parse
 
 ORIGIN = f64([[0.0, 0.0]])
 

@@ -20,8 +20,8 @@ from tasklens.optics.psf import psf
 from tasklens.pipeline import jobs
 from tasklens.recognition.training import fit
 from tasklens.study.design_settings import LearningRates, RaySpaceSettings, SpotSettings, TaskDrivenSettings
+from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
-from tasklens.study.study import parse
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})

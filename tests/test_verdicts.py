@@ -15,8 +15,8 @@ from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.runtime.files import FileError
 from tasklens.study import claims, tables
 from tasklens.study.claims import FEWER_ELEMENTS, FLAT_FAILS, OVER_END_TO_END, OVER_IMAGING1, OVER_STRONG
+from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
-from tasklens.study.study import dump, parse
 
 IMAGES, FIELDS = 200, 9
 DOUBLET = ["COC", "OKP4"]

@@ -12,8 +12,8 @@ from tasklens.pipeline.run import run
 from tasklens.report import verification
 from tasklens.runtime.files import FileError
 from tasklens.study import tables
+from tasklens.study.loading import parse
 from tasklens.study.names import SHARP, restored
-from tasklens.study.study import parse
 
 FIELDS, IMAGES = 9, 40
 LENS = "singlet-imaging1"

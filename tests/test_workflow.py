@@ -22,7 +22,8 @@ from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES
 from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
-from tasklens.study.study import Study, load, parse
+from tasklens.study.loading import load, parse
+from tasklens.study.study import Study
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))

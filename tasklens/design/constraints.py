@@ -1,4 +1,4 @@
-"""What every design has to keep: margins that are positive where a limit holds."""
+"""Limits that every design has to keep: margins that are positive where a limit holds."""
 
 import math
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ _BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty en
 
 
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
-    """Distance of the lens from each limit of `limits` [mm; slopes without unit], negative where it is broken.
+    """Distance of the lens from each limit of `limits` [mm; slopes without unit], negative where it is violated.
 
     An element reaches as far out as light does on either of its surfaces. Beyond its own light, a surface is a flat
     flange: its polynomial means nothing there.

@@ -35,6 +35,7 @@ class JointDescent(GradientDescent):
         self.settings = settings
 
     def step(self, step: int) -> Step:
+        """A step of AdamW of lens and network on the loss of a batch, at the pixels and stop of this step."""
         cold, view = self.settings.cold_start, self.problem.view
         indices = self.order.next()
         pixels = stop = 1.0

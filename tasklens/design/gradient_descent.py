@@ -77,12 +77,15 @@ class GradientDescent(Descent):
         return float(self.schedule.get_last_lr()[0])
 
     def state(self) -> dict[str, Any]:
+        """Present and remembered variables."""
         return {"values": self.values, "remembered": self.remembered}
 
     def resume(self, state: Mapping[str, Any]) -> None:
+        """Take both from a state."""
         for name, value in self.values.items():
             value.data.copy_(state["values"][name])
         self.remembered = state["remembered"]
 
     def lens(self) -> Lens:
+        """The present lens, out of every graph."""
         return self.assemble().detached()

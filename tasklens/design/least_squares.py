@@ -114,9 +114,9 @@ class _Search:
     def __init__(self, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint):
         self.settings, self.checkpoint = settings, checkpoint
         self.rng = numpy.random.default_rng(problem.seed)
-        habits = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
-        self.merit = Merit(problem.view, problem.limits, *habits)
-        self.strict = Merit(problem.view, problem.limits, *habits, per_mm=_STRICT * VIOLATION_UM_PER_MM)
+        options = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
+        self.merit = Merit(problem.view, problem.limits, *options)
+        self.strict = Merit(problem.view, problem.limits, *options, per_mm=_STRICT * VIOLATION_UM_PER_MM)
         self.orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
         self.progress = Progress("least squares", settings.evaluations)
         self.evaluations = itertools.count(1)

@@ -29,6 +29,7 @@ class SpotDescent(GradientDescent):
         self.settings, self.least = settings, math.inf
 
     def step(self, step: int) -> Step:
+        """A step of AdamW on the mean spot and the penalty, with the stop of this step."""
         settings, view = self.settings, self.problem.view
         lens = self.assemble()
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * self.steps))
@@ -51,12 +52,15 @@ class SpotDescent(GradientDescent):
         return Step(rays, spots, numbers | {"learning_rate": self.learning_rate})
 
     def lens(self) -> Lens:
+        """The lens of the least loss so far."""
         return self.variables.assemble(self.remembered).detached()
 
     def state(self) -> dict[str, Any]:
+        """As of every gradient descent, and the least loss."""
         return super().state() | {"least": self.least}
 
     def resume(self, state: Mapping[str, Any]) -> None:
+        """Take them from a state."""
         super().resume(state)
         self.least = state["least"]
 

@@ -54,6 +54,7 @@ class RaySpaceDescent(Descent):
         self.holders = {"order": self.order}
 
     def step(self, step: int) -> Step:
+        """Move rays along the mean gradient of the loss, by the step size and at the pixels of this step."""
         settings, view = self.settings, self.supervisor.problem.view
         indices = self.order.next()
         pixels, step_um = self._schedule((step - 1) / self.steps)
@@ -100,13 +101,16 @@ class RaySpaceDescent(Descent):
         return moved, model
 
     def state(self) -> dict[str, Any]:
+        """Variables, mean gradient, and the last variables with a finite loss."""
         return {"vector": self.vector, "mean": self.mean, "finite": self.finite}
 
     def resume(self, state: Mapping[str, Any]) -> None:
+        """Take them from a state, and linearise again."""
         self.vector, self.mean, self.finite = (state[name] for name in ("vector", "mean", "finite"))
         self.model = self.space.linearise(self.vector)
 
     def lens(self) -> Lens:
+        """The present lens."""
         return self.space.lens(self.vector)
 
 

@@ -26,6 +26,7 @@ class Line:
 
     @property
     def words(self) -> list[str]:
+        """What follows the keyword, at its spaces."""
         return self.text.split()
 
     def error(self, message: str) -> FileError:

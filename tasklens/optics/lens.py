@@ -44,6 +44,7 @@ class Lens:
 
     @property
     def dtype(self) -> torch.dtype:
+        """Of all its numbers."""
         return self.curvature.dtype
 
     @property

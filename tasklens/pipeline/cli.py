@@ -17,8 +17,9 @@ from tasklens.pipeline import jobs
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage
 from tasklens.runtime.errors import InputError
+from tasklens.study.loading import load
 from tasklens.study.names import SHARP
-from tasklens.study.study import TABLES, load
+from tasklens.study.study import TABLES
 
 _HELP: dict[str, dict[str, Any]] = {
     "study": {"type": Path, "help": "study file (YAML)"},

@@ -1,7 +1,7 @@
 """How long jobs take and how much memory: from the benchmarks that Snakemake keeps of finished jobs.
 
-Those of this study on this machine come first. For stages without any, `config/durations.csv` has what was measured
-elsewhere; its durations are scaled by how much slower or faster this machine has been so far.
+Those of this study on this machine come first. For the studies of `config/`, `durations.csv` there has what was
+measured elsewhere; its durations are scaled by how much slower or faster this machine has been so far.
 """
 
 import csv
@@ -15,7 +15,7 @@ from statistics import mean
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
 _LIMIT = 4.0  # times the longest job of a stage: a job that takes longer hangs
 _LEAST_LIMIT_MIN = 10.0
-_UNKNOWN_MIN, _UNKNOWN_MB = 120.0, 4000.0  # for a stage that nobody has measured
+_UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage that nobody has measured
 _MARGIN = 1.5  # of memory, over the largest job of a stage
 
 
@@ -52,14 +52,11 @@ def _number(text: str) -> float:
 
 
 def elsewhere(study: str) -> dict[str, Measured]:
-    """What was measured for a study of `config/`, by stage; of the default study, where it has none."""
+    """What was measured for a study of `config/`, by stage; nothing for other studies."""
     with open(MEASURED, newline="") as file:
-        rows = list(csv.DictReader(file))
-    default = {row["stage"]: row for row in rows if row["study"] == "small"}
-    own = {row["stage"]: row for row in rows if row["study"] == study}
+        rows = [row for row in csv.DictReader(file) if row["study"] == study]
     return {
-        stage: Measured(float(row["seconds"]), float(row["longest_s"]), float(row["memory_mb"]))
-        for stage, row in (default | own).items()
+        row["stage"]: Measured(float(row["seconds"]), float(row["longest_s"]), float(row["memory_mb"])) for row in rows
     }
 
 
@@ -112,6 +109,8 @@ class Durations:
         counts = Counter(stages)
         seconds = {stage: self.seconds(stage) for stage in counts}
         total = sum(count * (seconds[stage] or 0.0) for stage, count in counts.items())
-        line = f"Study {self.study}: {counts.total()} jobs, about {total / cores / 60:.0f} minutes on {cores} cores"
         unknown = [stage for stage in counts if seconds[stage] is None]
-        return f"{line}, without the unknown durations of {', '.join(unknown)}." if unknown else f"{line}."
+        line = f"Study {self.study}: {counts.total()} jobs"
+        if len(unknown) < len(counts):
+            line += f", about {total / cores / 60:.0f} minutes on {cores} cores"
+        return f"{line}; nothing is known yet of how long {', '.join(unknown)} takes." if unknown else f"{line}."

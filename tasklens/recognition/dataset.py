@@ -34,6 +34,7 @@ class ImageDataset:
         return send(self.images[indices], self.device).float() / 255, send(self.labels[indices], self.device)
 
     def take(self, indices: Tensor) -> "ImageDataset":
+        """The images with these indices."""
         return replace(self, images=self.images[indices], labels=self.labels[indices])
 
 

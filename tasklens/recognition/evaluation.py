@@ -1,4 +1,4 @@
-"""What a classifier sees of an image through a lens, and how well it recognises it, field by field."""
+"""Captures of images through a lens, and the accuracy of a classifier on them, field by field."""
 
 import math
 from collections.abc import Callable
@@ -20,13 +20,13 @@ _BATCH = 64  # images rendered at once, and captures per forward pass of a netwo
 
 @dataclass(frozen=True)
 class CapturePipeline:
-    """The way from an image to a classifier: through a camera (or none), then through restoration (or none)."""
+    """From an image to what a classifier takes: a capture through a camera (or none), then restored (or not)."""
 
     camera: Camera | None = None
     restoration: nn.Module | None = None
 
     def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
-        """A share of images (B, 3, H, W) in [0, 1], each seen at a random field, for training."""
+        """A share of images (B, 3, H, W) in [0, 1], each captured at a random field, for training."""
         if self.camera is None:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
@@ -52,7 +52,7 @@ def evaluate(
     label: str = "evaluation",
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Tensor, Tensor]:
-    """How well a classifier recognises N images at F fields.
+    """Classify N images at F fields.
 
     Args:
         classifier: logits (B, C) of images (B, 3, H, W).
@@ -60,7 +60,7 @@ def evaluate(
         checkpoint: of the job, for its part `label`.
 
     Returns:
-        Whether each image is recognised at each field, (F, N) bool, and the PSNR of it there [dB], (F, N).
+        Whether each image is classified correctly at each field, (F, N) bool, and the PSNR of it there [dB], (F, N).
     """
     part = checkpoint.part(label)
     if part.result is not None:
@@ -91,7 +91,7 @@ def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
 def zero_shot(
     classifier: Classifier, dataset: ImageDataset, pipeline: CapturePipeline, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> list[dict]:
-    """How well a network with more outputs than the images have classes recognises them among all its outputs.
+    """Accuracy among all outputs of a network that has more of them than the images have classes.
 
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
@@ -105,7 +105,7 @@ def zero_shot(
 
 
 def predictions_by_image(correct: Tensor, dataset: ImageDataset) -> list[dict]:
-    """A row per image: its place in the split, its label, and at each field 1 where it is recognised, else 0.
+    """A row per image: its place in the split, its label, and at each field 1 where it is classified correctly, else 0.
 
     Args:
         correct: (F, N) bool, from `evaluate`.
@@ -124,7 +124,7 @@ def measure(
     pipeline: CapturePipeline,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[list[dict], list[dict]]:
-    """How well a classifier recognises, as means and image by image.
+    """Accuracy and PSNR of a classifier on captures, as means and image by image.
 
     Args:
         splits: `test` and `minival`.
@@ -133,7 +133,7 @@ def measure(
     Returns:
         Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of the worst 1 %,
         per field; parameters [millions], and `chance`, the accuracy of guessing [%]. The PSNR is left out where the
-        images themselves are seen.
+        images themselves are classified.
         And the rows of `predictions_by_image` for the test images.
     """
     correct, quality = evaluate(classifier, splits["test"], pipeline, "test", checkpoint)

@@ -31,6 +31,7 @@ class Listing:
         return len(self.files)
 
     def take(self, indices: Tensor) -> "Listing":
+        """The files with these indices."""
         return Listing(tuple(self.files[i] for i in indices.tolist()), self.labels[indices], self.classes)
 
 

@@ -74,14 +74,14 @@ def fit(
 
     Args:
         classifier: takes images (B, 3, H, W) in [0, 1].
-        images: the sharp training images.
+        dataset: the sharp training images.
         training: budget and rates.
         seed: of the order of the images, the flips and the network's own randomness.
         label: for the progress lines.
-        see: what the classifier sees instead of the sharp images (B, 3, H, W), given a random generator, of which it
-            takes the same numbers whatever the share of the images that is wanted.
+        see: captures of a share of the sharp images (B, 3, H, W), given a random generator, from which it draws the
+            same numbers whatever the share.
         checkpoint: of the job, for its part `label`; the first process writes it.
-        team: the processes that train together; all end with the same network.
+        group: the processes that train together; all end with the same network.
 
     Raises:
         FloatingPointError: the loss stopped being finite, or the weights did at the last step.
@@ -98,7 +98,7 @@ def fit(
     progress = Progress(label, steps)
     part = checkpoint.part(label, network=classifier, optimizer=optimizer, schedule=schedule, order=order)
 
-    def judge(step: int, loss: float) -> None:
+    def check(step: int, loss: float) -> None:
         if not math.isfinite(loss):
             raise FloatingPointError(f"{label}: the loss became {loss} at step {step} of {steps}")
         if group.is_first:
@@ -110,7 +110,7 @@ def fit(
         images, labels = dataset.batch(order.next())
         flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
         if before is not None:  # only now, so that a GPU has the step before to compute while images are fetched
-            judge(step - 1, before.item())
+            check(step - 1, before.item())
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(together(see(images, generator, share)), labels[share])
         optimizer.zero_grad()
@@ -121,7 +121,7 @@ def fit(
         if group.is_first:
             part.save(step, loss=before)
     if before is not None:
-        judge(steps, before.item())
+        check(steps, before.item())
     if not all(parameter.isfinite().all() for parameter in classifier.parameters()):
         raise FloatingPointError(f"{label}: the weights stopped being finite at step {steps} of {steps}")
     classifier.eval()

@@ -19,7 +19,7 @@ def markdown(
     """A section for the page of a lens: a verdict in words, and the tables that it rests on.
 
     Args:
-        margins: distance from each limit [mm, slopes and fractions without unit], negative where it is broken.
+        margins: distance from each limit [mm, slopes and fractions without unit], negative where it is violated.
         shapes: of the surfaces.
         nominal_um: RMS spot as designed and focused, root mean square over fields [um].
         errors_um: by how much each moulding error enlarges it, to be added as squares [um].
@@ -62,9 +62,9 @@ def markdown(
 
 def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) -> str:
     """Manufacturability in a sentence or two."""
-    broken = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
-    if broken:
-        return f"Not as it stands: it violates {', '.join(broken)}."
+    violated = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
+    if violated:
+        return f"Not as it stands: it violates {', '.join(violated)}."
     growth = built_um / nominal_um
     if growth <= ROBUST:
         return f"Within precision moulding: all limits are kept, and its errors enlarge the spot {growth:.1f} times."

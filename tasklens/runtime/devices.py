@@ -14,7 +14,7 @@ _locked: dict[str, TextIO] = {}  # by GPU, open files: a lock ends with its proc
 
 
 def claim() -> torch.device:
-    """A GPU for this process alone, once one is free, and the same when asked again; the CPU where there is none.
+    """Claim a GPU for this process, as soon as one is free; the same when asked again, the CPU where there is none.
 
     Jobs that Snakemake runs side by side spread over the visible GPUs, and wait where there are more jobs than those.
     """
@@ -25,7 +25,7 @@ def claim() -> torch.device:
 
 
 def claim_several(wanted: int) -> list[torch.device]:
-    """As many GPUs, of which there are that many, for this process and its team alone; the CPU where there is none."""
+    """Claim `wanted` GPUs, of which the machine has that many, for this process group; the CPU where there is none."""
     count = torch.cuda.device_count()
     if count == 0:
         return wanted * [CPU]

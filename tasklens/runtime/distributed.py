@@ -17,7 +17,7 @@ from tasklens.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """Which of how many processes this one is, and where it computes; the first also writes."""
+    """Rank of this process, number of processes and device; the first process also writes."""
 
     rank: int = 0
     size: int = 1
@@ -25,6 +25,7 @@ class ProcessGroup:
 
     @property
     def is_first(self) -> bool:
+        """Whether this process writes."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
@@ -56,7 +57,7 @@ SINGLE_PROCESS = ProcessGroup()
 
 @contextmanager
 def process_group() -> Iterator[ProcessGroup]:
-    """The team that `torchrun` has started, each process with a GPU of its own if there is one, or this one alone.
+    """Join the process group that `torchrun` has started, each process with a GPU of its own, or be the only one.
 
     Raises:
         InputError: the machine has GPUs, but fewer than the group has processes.

@@ -51,7 +51,7 @@ def temporary_of(path: Path) -> Path:
 def replacing(path: Path, begun: bool = False) -> Iterator[Path]:
     """A temporary path beside `path`, renamed to it when the block ends, removed when it raises.
 
-    The next writer of `path` removes what a killed one has left, unless it goes on with what is `begun`.
+    The next writer of `path` removes what a killed one has left, unless it continues what is `begun`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_of(path)
@@ -86,7 +86,7 @@ def writing_array(
     """An array in a .npy file that is being written, mapped: for more than fits into memory.
 
     Args:
-        begun: go on with the file that a killed writer of the same array has left, whose values are kept.
+        begun: continue the file that a killed writer of the same array has left, whose values are kept.
 
     Raises:
         FileError: the disk has no room for the file; before the block.

@@ -10,7 +10,7 @@ class Progress:
     def __init__(self, label: str, total: int, interval: float = 15.0):
         self.label, self.total, self.interval = label, total, interval
         self.start = self.written = time.monotonic()
-        self.first: int | None = None  # not 1 where a job goes on from a checkpoint
+        self.first: int | None = None  # not 1 where a job resumes
 
     def __call__(self, step: int, **values: float) -> None:
         """Report that `step` of the total (counted from 1) is done."""

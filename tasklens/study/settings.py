@@ -205,7 +205,7 @@ class ClassifierSettings(Frozen):
         if self.pretrained and self.weights:
             raise ValueError("take either `pretrained` or `weights`, not both")
         if not (self.pretrained or self.weights or self.training):
-            raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network judges nothing")
+            raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network classifies nothing")
         return self
 
 

@@ -1,4 +1,4 @@
-"""The shapes of finished surfaces, as one who has to mould them asks for them."""
+"""Shapes of finished surfaces: steepest angle, departure from a sphere, inflections."""
 
 from dataclasses import dataclass
 

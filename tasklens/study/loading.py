@@ -1,0 +1,46 @@
+"""Study files: YAML to a study, and back."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import yaml
+from pydantic import ValidationError
+
+from tasklens.study.settings import Spec
+from tasklens.study.study import Study, StudyError
+
+
+def parse(config: Mapping) -> Study:
+    """The study that a mapping describes.
+
+    Raises:
+        StudyError: naming every wrong key with its value and what was expected.
+    """
+    try:
+        return Study.model_validate(dict(config))
+    except ValidationError as error:
+        lines = []
+        for item in error.errors():
+            key = ".".join(str(part) for part in item["loc"]) or "study"
+            value = item["input"]
+            shown = f" = {value!r}" if not isinstance(value, dict) else ""
+            lines.append(f"  {key}{shown}: {item['msg'].removeprefix('Value error, ')}")
+        raise StudyError("the study cannot be run:\n" + "\n".join(lines)) from None
+
+
+def load(path: str | Path) -> Study:
+    """The study in a YAML file; raises StudyError as `parse` does, and where the file is no YAML mapping."""
+    try:
+        with open(path) as file:
+            content = yaml.safe_load(file)
+    except yaml.YAMLError as error:
+        raise StudyError(f"{path}: not valid YAML: {error}") from None
+    if not isinstance(content, Mapping):
+        raise StudyError(f"{path}: expected keys and values, found {type(content).__name__}")
+    return parse(content)
+
+
+def dump(study: Study) -> str:
+    """The resolved study as YAML, every default written out."""
+    computed = {"spec": set(Spec.model_computed_fields)}
+    return yaml.safe_dump(study.model_dump(mode="json", exclude=computed), sort_keys=False)
