@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -19,7 +19,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import Files
-from tasklens.study.settings import Frozen, Spec, TrainingSettings
+from tasklens.study.settings import Spec, TrainingSettings
 from tasklens.study.study import Study
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
@@ -194,30 +194,20 @@ def changed(study: dict, key: str, value) -> dict:
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
 
 
-@dataclass(frozen=True)
-class Job:
-    """What the function of a stage is given."""
-
-    settings: Frozen
-    inputs: Files
-    outputs: Files
-
-
-def job_of(stage: Stage, study: Study, **wildcards: str | int) -> Job:
-    """The job of a stage with these wildcards."""
-    plan = stage.plan(study, **wildcards)
-    return Job(plan.settings, Files(**plan.inputs), Files(**stage.outputs(study, **wildcards)))
-
-
-def finish(stage: Stage, study: Study, **wildcards: str | int) -> Job:
-    """Do one job of a study in the present folder, as the command line does; returns it for its outputs."""
+def finish(stage: Stage, study: Study, **wildcards: str | int) -> Files:
+    """Do one job of a study in the present folder, as the command line does; returns its outputs."""
     run(stage, study, wildcards)
-    return job_of(stage, study, **wildcards)
+    return Files(**stage.outputs(study, **wildcards))
 
 
-def measurements_of(job: Job) -> Measurements:
-    """What a job is given to judge by."""
-    return Measurements(job.inputs.lenses, job.inputs.metrics, job.inputs.predictions)
+def inputs_of(stage: Stage, study: Study, **wildcards: str | int) -> Files:
+    """What a job is given."""
+    return Files(**stage.plan(study, **wildcards).inputs)
+
+
+def measurements_of(inputs: Files) -> Measurements:
+    """What a job that judges is given to judge by."""
+    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
 
 
 def write(path: str | Path, text: str) -> None:

@@ -111,7 +111,7 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     assert compared.base == base and [claim.lens for claim in compared.claims.claims] == [variant]
     lenses = {base: 0.5, variant: 0.8}
     results(study, lambda lens, *_: lenses[lens], lenses=lenses)
-    outputs = finish(jobs.ablation, study, ablation="mine").outputs
+    outputs = finish(jobs.ablation, study, ablation="mine")
     rows = pandas.read_csv(outputs.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
     first, other = (rows.loc[lens] for lens in lenses)

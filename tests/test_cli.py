@@ -36,7 +36,7 @@ def run(stage: str, *arguments: str) -> int:
 
 def of_lens(stage, name: str, lens: str, seed: int = 0) -> Path:
     """An output of a stage that has a job per lens."""
-    return Path(stage.output(STUDY, name, lens=lens, seed=seed))
+    return stage.output(STUDY, name, lens=lens, seed=seed)
 
 
 def lens_content(lens: str, seed: int = 0) -> dict:
@@ -44,7 +44,7 @@ def lens_content(lens: str, seed: int = 0) -> dict:
 
 
 def metrics(lens: str, measured_name: str = "small") -> Path:
-    return Path(jobs.fine_tune.output(STUDY, "metrics", lens=lens, measured_name=measured_name, seed=0))
+    return jobs.fine_tune.output(STUDY, "metrics", lens=lens, measured_name=measured_name, seed=0)
 
 
 def values(path: Path, metric: str) -> list[float]:

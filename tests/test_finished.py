@@ -12,6 +12,7 @@ from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.study.loading import parse
 from tasklens.study.names import split
 from tasklens.study.study import TABLES
+from tasklens.study.tables import verification
 
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
 STUDY = parse(TINY)
@@ -37,7 +38,7 @@ def make() -> None:
             assert verified(stage, f"singlet-{name}") == 0
         if name in imaging:  # what the end-to-end design starts from is judged first
             assert verified("fine-tune", f"singlet-{name}", "small") == 0
-    for lens, name in jobs.verify.plan(STUDY).settings.measured:
+    for lens, name in verification(STUDY).measured:
         if split(name)[1]:
             assert verified("restore", lens) == 0
         for stage in ("fine-tune", "reproduce"):
@@ -51,7 +52,7 @@ def verified(stage: str, *arguments: str) -> int:
 
 
 def measured(output: str, lens: str, measured_name: str = "small") -> Path:
-    return Path(jobs.fine_tune.output(STUDY, output, lens=lens, measured_name=measured_name, seed=0))
+    return jobs.fine_tune.output(STUDY, output, lens=lens, measured_name=measured_name, seed=0)
 
 
 def accuracies(path: Path) -> list[float]:
@@ -65,7 +66,7 @@ def failed(printed: str) -> list[str]:
 def test_predictions_are_kept(finished):
     """A row per test image with its label; their means are the accuracies of the metrics file."""
     found = read_rows(measured("predictions", "singlet-imaging1"))
-    labels = json.loads(Path(jobs.images.output(STUDY, "test_labels")).read_text())
+    labels = json.loads(jobs.images.output(STUDY, "test_labels").read_text())
     assert [row["image"] for row in found] == [str(k) for k in range(20)]
     assert [row["label"] for row in found] == [labels["classes"][k] for k in labels["labels"]]
     means = [100 * sum(int(row[f"field{k}"]) for row in found) / 20 for k in range(9)]
@@ -87,7 +88,7 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
     printed = capsys.readouterr().out
     violated: dict[str, set] = {"failed": set(), "unconstrained": set()}
     for name in STUDY.designs:
-        path = Path(jobs.design.output(STUDY, "lens", lens=f"singlet-{name}", seed=0))
+        path = jobs.design.output(STUDY, "lens", lens=f"singlet-{name}", seed=0)
         margins = yaml.safe_load(path.read_text())["margins"]
         said = "unconstrained" if name == "end_to_end_from_flat" else "failed"
         violated[said] |= {

@@ -1,22 +1,27 @@
 """Jobs: which of them reads what of the study, and which files of which others."""
 
-import importlib
-import inspect
 import itertools
 import string
 from collections.abc import Iterator
+from importlib import import_module
+from inspect import getmembers, isfunction, signature
 from pathlib import Path
+from re import fullmatch
 
 import pytest
 import yaml
-from examples import changed, tiny_study, with_imported
+from examples import changed, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import builtin
-from tasklens.pipeline import digest, jobs
-from tasklens.pipeline.stage import STAGES, Stage, flatten
+from tasklens.pipeline import cli, digest, jobs, run
+from tasklens.pipeline import stage as stages
+from tasklens.pipeline.stage import STAGES, Plan, Stage, flatten
+from tasklens.runtime import files
+from tasklens.runtime.files import FileError, Files
 from tasklens.study import claims, names, tables
 from tasklens.study.loading import dump, load, parse
 from tasklens.study.names import SHARP
+from tasklens.study.settings import Slice
 from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
@@ -242,39 +247,87 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 def test_a_stage_is_declared_in_one_piece(stage):
-    """It has a sentence, a function with as many parameters as it is given, and all its wildcards in every path."""
+    """It has a sentence, a function, and wildcards that are all in the names of its jobs and of every output."""
+    assert stage is getattr(jobs, stage.name) and stage.plan.__doc__.endswith(".")
     module, _, name = stage.function.rpartition(".")
-    parameters = inspect.signature(getattr(importlib.import_module(module), name)).parameters
-    assert len(parameters) == 3 + stage.resumable and list(parameters)[1:3] == ["inputs", "outputs"]
-    assert stage.plan.__doc__ and digest.code_digest(stage.function)
-    for pattern in (*stage.patterns.values(), stage.label):
-        assert {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None} == {*stage.wildcards}
+    function = getattr(import_module(module), name)
+    parameters = list(signature(function).parameters)
+    assert parameters[1:] == ["inputs", "outputs", *(["checkpoint"] if stage.resumable else [])]
+    assert digest.code_digest(stage.function)
+    for pattern in [*stage.patterns.values(), stage.label]:
+        found = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
+        assert found == set(stage.wildcards)
 
 
 def test_every_function_among_the_stages_is_a_stage():
-    """Nothing lies there that no rule calls."""
+    """And no two stages have one function, or write one file."""
     found = []
-    for path in (ROOT / "tasklens" / "pipeline" / "stages").glob("[!_]*.py"):
-        module = importlib.import_module(f"tasklens.pipeline.stages.{path.stem}")
-        functions = inspect.getmembers(module, inspect.isfunction)
-        found += [
-            f"{f.__module__}.{name}" for name, f in functions if f.__module__ == module.__name__ and name[0] != "_"
-        ]
-    assert sorted(found) == sorted(s.function for s in STAGES.values() if s.function.startswith("tasklens.pipeline"))
+    for path in (ROOT / "tasklens" / "pipeline" / "stages").glob("*.py"):
+        name = f"tasklens.pipeline.stages.{path.stem}"
+        public = getmembers(import_module(name), lambda value: isfunction(value) and value.__name__[0] != "_")
+        found += [f"{name}.{key}" for key, value in public if value.__module__ == name]
+    functions = [stage.function for stage in STAGES.values()]
+    assert set(found) == {name for name in functions if not name.startswith("tasklens.report.")}
+    assert len(set(functions)) == len(functions)
+    patterns = [pattern for stage in STAGES.values() for pattern in stage.patterns.values()]
+    assert len(set(patterns)) == len(patterns)
 
 
-def test_a_job_knows_its_files_as_paths():
+def test_a_new_stage_takes_a_declaration_and_a_function(tmp_path, monkeypatch, capsys):
+    """Its command, its files, and what is said of a missing input follow from these."""
+    monkeypatch.setattr(stages, "STAGES", {})
+    monkeypatch.setattr(cli, "STAGES", stages.STAGES)
+
+    @stages.stage("tasklens.runtime.files.polish_glass", {"report": "polish/{lens}/seed{seed}.txt"})
+    def polish_glass(study: Study, lens: str, seed: int) -> Plan:
+        """Polish a lens."""
+        return Plan(Slice(lens=study.lens(lens).name, seed=seed), {"lens": Path(f"{lens}.yaml")})
+
+    def work(settings: Slice, inputs: Files, outputs: Files) -> None:
+        write(outputs.report, f"{settings} {inputs.lens.read_text()}")
+
+    monkeypatch.setattr(files, "polish_glass", work, raising=False)
+    monkeypatch.chdir(tmp_path)
+    write("study.yaml", yaml.safe_dump(tiny_study()))
+    command = ["polish-glass", "study.yaml", "singlet-imaging1", "--seed", "3"]
+    assert cli.main(command) == 2
+    assert "polish_glass/singlet-imaging1-seed3: missing input singlet-imaging1.yaml" in capsys.readouterr().err
+    write("singlet-imaging1.yaml", "glass")
+    assert cli.main(command) == 0
+    expected = "lens='singlet-imaging1' seed=3 glass"
+    assert Path("results/tiny/polish/singlet-imaging1/seed3.txt").read_text() == expected
+
+
+def test_a_job_is_given_its_slice_its_files_and_a_checkpoint_of_its_own(tmp_path, monkeypatch):
+    """It is removed when the job ends; before, one of a job of the same name that computed something else."""
+    monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
-    wildcards = {"lens": "singlet-end_to_end_from_imaging", "seed": 4}
-    assert jobs.design.label.format(**wildcards) == "design/singlet-end_to_end_from_imaging-seed4"
-    assert jobs.design.outputs(study, **wildcards) == {
-        "lens": Path("results/tiny/lenses/singlet-end_to_end_from_imaging/seed4/lens.yaml"),
-        "history": Path("results/tiny/lenses/singlet-end_to_end_from_imaging/seed4/history.csv"),
+    lens = "singlet-end_to_end_from_imaging"
+    plan = jobs.design.plan(study, lens, 4)
+    words = f"^design/{lens}-seed4: missing input results/tiny/images/train.npy and 6 more; `snakemake` makes"
+    with pytest.raises(FileError, match=words):
+        run.run(jobs.design, study, {"lens": lens, "seed": 4})
+    for path in flatten(plan.inputs):
+        write(path, "")
+    folder = Path("results/tiny/checkpoints")
+    other, another = folder / f"design-{lens}-seed4-{16 * 'a'}.pt", folder / f"design-{lens}-seed40-{16 * 'a'}.pt"
+    for path in (other, another):
+        write(path, "")
+    given = []
+
+    def work(*arguments):
+        given.extend(arguments)
+        write(arguments[3].path, "")
+
+    monkeypatch.setattr("tasklens.pipeline.stages.design.run", work)
+    run.run(jobs.design, study, {"lens": lens, "seed": 4})
+    settings, inputs, outputs, checkpoint = given
+    assert settings == plan.settings and vars(inputs) == plan.inputs
+    assert vars(outputs) == {
+        "lens": Path(f"results/tiny/lenses/{lens}/seed4/lens.yaml"),
+        "history": Path(f"results/tiny/lenses/{lens}/seed4/history.csv"),
     }
-    inputs = jobs.design.plan(study, **wildcards).inputs
-    assert inputs["train"] == [Path("results/tiny/images/train.npy"), Path("results/tiny/images/train.json")]
-    assert inputs["baselines"].keys() == {"singlet-imaging1", "singlet-imaging2"}
-    assert all(isinstance(path, Path) for path in inputs["baselines"].values())
-    assert jobs.images.label == "images"
+    assert fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", checkpoint.path.name)
+    assert list(folder.iterdir()) == [another]
     with pytest.raises(StudyError, match="nobody"):
-        jobs.reference.plan(study, classifier="nobody")
+        run.run(jobs.reference, study, {"classifier": "nobody"})

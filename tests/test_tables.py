@@ -7,16 +7,17 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, job_of, tiny_study, write
+from examples import changed, finish, inputs_of, tiny_study, write
 
 from tasklens.pipeline import cli, jobs
 from tasklens.pipeline.jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
 from tasklens.report.measurements import Measurements
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import FileError, Files
 from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
 from tasklens.study.study import TABLES
+from tasklens.study.tables import table as table_of
 
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
 ACCURACY = {
@@ -79,15 +80,15 @@ def results(tmp_path, monkeypatch, study):
             write(jobs.design.output(study, "lens", lens=lens, seed=seed), content)
 
 
-def metrics_file(study, lens, measured_name, seed) -> str:
+def metrics_file(study, lens, measured_name, seed) -> Path:
     return jobs.fine_tune.output(study, "metrics", lens=lens, measured_name=measured_name, seed=seed)
 
 
 def table(study, name):
     """A table from the files that its job is given, by design."""
-    job = job_of(jobs.table, study, table=name)
-    rows = tables.collect(job.settings, Measurements(job.inputs.lenses, job.inputs.metrics))
-    return tables.summarise(job.settings, rows, PAPER).set_index("design")
+    contents, inputs = table_of(study, name), inputs_of(jobs.table, study, table=name)
+    rows = tables.collect(contents, Measurements(inputs.lenses, inputs.metrics))
+    return tables.summarise(contents, rows, PAPER).set_index("design")
 
 
 def test_table1_means_over_fields_and_seeds(study):
@@ -163,7 +164,7 @@ def test_one_seed_has_no_spread(study):
 
 
 def test_a_missing_measurement_is_named(study):
-    path = Path(metrics_file(study, "doublet-imaging1", "small", 1))
+    path = metrics_file(study, "doublet-imaging1", "small", 1)
     path.unlink()
     with pytest.raises(FileError, match=f"table/table1: missing input {path}; `snakemake`"):
         finish(jobs.table, study, table="table1")
@@ -177,7 +178,7 @@ def test_a_partial_table_has_what_has_been_measured(study, lost):
         "metrics": [metrics_file(study, "doublet-imaging1", "small", seed) for seed in (1, 0)],
         "lens": [jobs.design.output(study, "lens", lens="doublet-imaging1", seed=seed) for seed in (1, 0)],
     }
-    Path(files[lost][0]).unlink()
+    files[lost][0].unlink()
     found = partial(study)
     assert {path.name for path in Path("results/tiny/tables").iterdir()} == {
         f"table1-partial.{suffix}" for suffix in ("csv", "seeds.csv", "md", "tex", "json")
@@ -185,7 +186,7 @@ def test_a_partial_table_has_what_has_been_measured(study, lost):
     assert found.loc["imaging1", "accuracy"] == pytest.approx(60)
     assert found.loc["tasklens", "accuracy"] == pytest.approx(71)
     assert "Not measured yet" not in Path("results/tiny/tables/table1-partial.md").read_text()
-    Path(files[lost][1]).unlink()
+    files[lost][1].unlink()
     assert list(partial(study).index) == ["reference", "tasklens", "imaging2"]
     assert "Not measured yet: doublet-imaging1." in Path("results/tiny/tables/table1-partial.md").read_text()
 
@@ -205,7 +206,7 @@ def test_nothing_measured_yet_is_said(study, capsys):
 @pytest.mark.parametrize("name", TABLES)
 def test_files_of_a_table_agree(study, name):
     """CSV, Markdown and LaTeX have the same rows; the sidecar says what made them."""
-    outputs = finish(jobs.table, study, table=name).outputs
+    outputs = finish(jobs.table, study, table=name)
     rows = pandas.read_csv(outputs.csv, keep_default_na=False)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == (4 if name == "table1" else 6 if name == "table2" else 3)
@@ -220,9 +221,10 @@ def test_files_of_a_table_agree(study, name):
 
 
 def test_latex_escapes_underscores_everywhere(study):
-    job = job_of(jobs.table, study, table="table1")
-    tables.make(job.settings.model_copy(update={"study": "my_study"}), job.inputs, job.outputs)
-    latex = job.outputs.tex.read_text()
+    contents = table_of(study, "table1").model_copy(update={"study": "my_study"})
+    outputs = Files(**jobs.table.outputs(study, table="table1"))
+    tables.make(contents, inputs_of(jobs.table, study, table="table1"), outputs)
+    latex = outputs.tex.read_text()
     assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)
 
 

@@ -108,7 +108,7 @@ def test_table_means_over_fields_and_seeds(tmp_path, monkeypatch):
         write(files["psf_tail"], pandas.DataFrame(rows).to_csv(index=False))
         curve = pandas.DataFrame({"field": [0, 1], "radius_um": 5.0, "fraction": 0.5})
         write(files["encircled_energy"], curve.to_csv(index=False))
-    outputs = finish(jobs.psf_tail, study).outputs
+    outputs = finish(jobs.psf_tail, study)
     table = pandas.read_csv(outputs.csv).set_index("lens")
     a, b = table.loc["singlet-imaging1"], table.loc["singlet-imaging2"]
     assert a["core_radius_um"] == 3 and a["core_radius_um_std"] == pytest.approx(2**0.5)

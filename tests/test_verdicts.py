@@ -7,7 +7,7 @@ import numpy
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, job_of, measurements_of, read_rows, tiny_study, write
+from examples import changed, finish, inputs_of, measurements_of, read_rows, tiny_study, write
 
 from tasklens.pipeline import jobs
 from tasklens.report import verdicts
@@ -68,8 +68,7 @@ def judged(study, accuracy, **others) -> pandas.DataFrame:
 
 def collected(study) -> pandas.DataFrame:
     """The verdicts, by the files that their job is given."""
-    job = job_of(jobs.verdicts, study)
-    return verdicts.collect(job.settings, measurements_of(job))
+    return verdicts.collect(claims.claims(study), measurements_of(inputs_of(jobs.verdicts, study)))
 
 
 def by_design(**accuracies):
@@ -132,7 +131,7 @@ def test_claims_about_absent_lenses_are_left_out():
     study = parse(tiny_study() | {"designs": designs})
     job = claims.claims(study)
     assert job.claims == ()
-    outputs = finish(jobs.verdicts, study).outputs
+    outputs = finish(jobs.verdicts, study)
     assert list(pandas.read_csv(outputs.csv)) == verdicts.COLUMNS
     assert "Study `tiny` has no lenses that the paper's claims are about" in outputs.md.read_text()
 
@@ -234,7 +233,7 @@ def test_interval_is_of_images_not_of_captures():
     assert found["high"] - found["low"] == pytest.approx(width, rel=0.05)
 
 
-def predictions(study, lens) -> str:
+def predictions(study, lens) -> Path:
     return jobs.fine_tune.output(study, "predictions", lens=lens, measured_name="small", seed=0)
 
 
@@ -250,7 +249,7 @@ def test_other_images_are_refused():
 def test_files_of_the_verdicts_agree():
     study = study_of(1)
     results(study, by_design(tasklens=0.6))
-    outputs = finish(jobs.verdicts, study).outputs
+    outputs = finish(jobs.verdicts, study)
     rows = pandas.read_csv(outputs.csv)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 5 + 10 + 4 + 5
@@ -281,10 +280,10 @@ def test_map_of_regimes():
     share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
     results(study, lambda lens, *_: share.get(lens, 0.3))
     for lens in study.lenses.values():
-        path = Path(jobs.design.output(study, "lens", lens=lens.name, seed=0))
+        path = jobs.design.output(study, "lens", lens=lens.name, seed=0)
         spec = study.spec_of(lens.elements).model_dump(mode="json")
         path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"spec": spec}))
-    outputs = finish(jobs.regimes, study).outputs
+    outputs = finish(jobs.regimes, study)
     rows = pandas.read_csv(outputs.csv).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}

@@ -5,12 +5,13 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import finish, job_of, measurements_of, tiny_study, with_imported, write
+from examples import finish, inputs_of, measurements_of, tiny_study, with_imported, write
 
 from tasklens.pipeline import jobs
 from tasklens.pipeline.run import run
 from tasklens.report import verification
 from tasklens.runtime.files import FileError
+from tasklens.study import tables
 from tasklens.study.loading import parse
 from tasklens.study.names import SHARP, restored
 
@@ -28,7 +29,7 @@ def study():
 def results(tmp_path, monkeypatch, study):
     """Lenses inside all limits, and classifiers that recognise 3 of 4 images at every field, each time again."""
     monkeypatch.chdir(tmp_path)
-    for lens, name in jobs.verify.plan(study).settings.measured:
+    for lens, name in tables.verification(study).measured:
         right = [int(k % 4 > 0) for k in range(IMAGES)]
         fields = {f"field{k}": right for k in range(1 if lens == SHARP else FIELDS)}
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | fields)
@@ -42,23 +43,23 @@ def results(tmp_path, monkeypatch, study):
     for lens in study.lenses:
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm)))
     for name in study.tables:
-        if jobs.table.plan(study, name).settings.lenses:
+        if tables.table(study, name).lenses:
             finish(jobs.table, study, table=name)
 
 
-def metrics(study, lens, name) -> str:
+def metrics(study, lens, name) -> Path:
     return jobs.fine_tune.output(study, "metrics", lens=lens, measured_name=name, seed=0)
 
 
-def predictions(study, lens, name) -> str:
+def predictions(study, lens, name) -> Path:
     return jobs.fine_tune.output(study, "predictions", lens=lens, measured_name=name, seed=0)
 
 
-def reproduced(study, lens, name) -> str:
+def reproduced(study, lens, name) -> Path:
     return jobs.reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=0)
 
 
-def lens_file(study, lens) -> str:
+def lens_file(study, lens) -> Path:
     return jobs.design.output(study, "lens", lens=lens, seed=0)
 
 
@@ -71,9 +72,9 @@ def lens_content(efl_mm, **margins) -> dict:
 
 def verified(study, **changes) -> verification.Findings:
     """What is found in the files that the job is given; `changes` are to its settings."""
-    job = job_of(jobs.verify, study)
-    settings = job.settings.model_copy(update=changes)
-    return verification.verify(settings, measurements_of(job), job.inputs.reproduced, job.inputs.tables)
+    contents = tables.verification(study).model_copy(update=changes)
+    inputs = inputs_of(jobs.verify, study)
+    return verification.verify(contents, measurements_of(inputs), inputs.reproduced, inputs.tables)
 
 
 def failures(study) -> list[str]:
@@ -112,7 +113,7 @@ def test_the_focal_length_is_kept_to_2_percent(study, part, kept):
 
 def test_a_lens_that_is_not_constrained_is_reported_only(study):
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(9.0, max_slope=-0.1)))
-    settings = jobs.verify.plan(study).settings
+    settings = tables.verification(study)
     assert settings.constrained == settings.lenses == tuple(study.lenses)
     found = verified(study, constrained=("singlet-tasklens",))
     assert not found.failures
@@ -122,7 +123,7 @@ def test_a_lens_that_is_not_constrained_is_reported_only(study):
 
 def test_every_lens_is_constrained_but_end_to_end_from_flat_and_the_imported():
     study = parse(with_imported())
-    settings = jobs.verify.plan(study).settings
+    settings = tables.verification(study)
     assert {*settings.lenses} - {*settings.constrained} == {"singlet-end_to_end_from_flat", "quadruplet-phone"}
 
 
@@ -192,7 +193,7 @@ def test_other_images_do_not_reproduce(study):
 
 def test_a_missing_reproduction_is_named(study):
     write(jobs.verdicts.output(study, "md"), "")
-    path = Path(reproduced(study, LENS, "small"))
+    path = reproduced(study, LENS, "small")
     path.unlink()
     with pytest.raises(FileError, match=f"verify: missing input {path}; "):
         run(jobs.verify, study, {})
