@@ -299,7 +299,7 @@ def finished(tmp_path_factory):
     done = snakemake(folder, one_lens(), "table1")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "**Table 1" in done.stdout + done.stderr
-    assert "Study tiny: 7 jobs, about " in done.stdout + done.stderr
+    assert "Study tiny: 7 jobs" in done.stdout + done.stderr
     return folder
 
 
@@ -314,12 +314,16 @@ def test_a_finished_table_has_nothing_to_be_done(finished):
 
 @TRUE_RUN
 def test_durations_of_finished_jobs_are_known(finished):
-    """A benchmark file for every job, from which the next forecast is made."""
+    """A benchmark file for every job, from which the next forecast, time limits and memory are made."""
     files = sorted((finished / "results/tiny/benchmarks").rglob("*.tsv"))
     assert len(files) == sum(STAGES_OF_TABLE_1.values())
     durations = Durations("tiny", str(finished / "results/tiny"))
     assert durations.here.keys() == STAGES_OF_TABLE_1.keys()
     assert all(0 < durations.seconds(stage) < 120 for stage in STAGES_OF_TABLE_1)
+    assert "about" in durations.forecast(["design"], 1)
+    _, output = forked(finished, changed(one_lens(), "constraints.max_track", 4.2), "--dry-run", "table1")
+    assert f"mem_mb={durations.memory_mb('design')}," in output and durations.memory_mb("design") not in (0, 4000)
+    assert f"runtime={durations.limit_minutes('design')}," in output
 
 
 @TRUE_RUN

@@ -1,0 +1,119 @@
+"""Forecasts: durations, limits and memory of jobs, from benchmark files of which every number is known."""
+
+import csv
+
+import pytest
+from examples import write
+
+from tasklens.pipeline import forecast, jobs
+from tasklens.pipeline.forecast import Durations, Measured
+from tasklens.study.loading import load
+
+HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time"  # as Snakemake writes it
+
+
+def benchmark(folder, job: str, *rows: tuple[object, object]) -> None:
+    """The file of a job, with seconds and memory [MB] of each time that it was measured."""
+    lines = [f"{s}\t0:00:00\t{mb}\t9999.0\t100.0\t100.0\t0.0\t0.0\t99.0\t1.0" for s, mb in rows]
+    write(folder / "benchmarks" / f"{job}.tsv", "\n".join([HEADER, *lines]) + "\n")
+
+
+@pytest.fixture
+def results(tmp_path, monkeypatch):
+    """A folder of results without benchmarks; elsewhere, the study `mine` was measured."""
+    write(
+        tmp_path / "durations.csv",
+        "study,stage,seconds,longest_s,memory_mb\n"
+        "mine,design,100,900,1000\nmine,psf,4,5,200\nmine,tail,6,8,300\ntheirs,figure,1000,1000,1000\n",
+    )
+    monkeypatch.setattr(forecast, "MEASURED", tmp_path / "durations.csv")
+    return tmp_path / "results"
+
+
+def durations(results, study: str = "mine") -> Durations:
+    return Durations(study, str(results))
+
+
+def test_benchmarks_are_of_stages(results):
+    """Of all jobs of a stage, with wildcards in a folder of its own or without; the last row of a file counts."""
+    benchmark(results, "design/singlet-imaging1-seed0", (10, 500))
+    benchmark(results, "design/singlet-imaging2-seed0", (99, 9999), (30.5, 700.5))
+    benchmark(results, "fine_tune/singlet-imaging1-small-seed0", (7, 800))
+    benchmark(results, "images", (0.01, "-"))  # too short to be looked at
+    write(results / "benchmarks" / "verdicts.tsv", HEADER + "\n")  # killed before it was measured
+    assert durations(results).here == {
+        "design": Measured(20.25, 30.5, 700.5),
+        "fine_tune": Measured(7, 7, 800),
+        "images": Measured(0.01, 0.01, 0),
+    }
+
+
+def test_without_benchmarks_it_is_as_long_as_elsewhere(results):
+    """For the study that was measured there; nothing is known of another study, or of another stage."""
+    found = durations(results)
+    assert found.here == {} and found.scale == 1
+    assert (found.seconds("design"), found.seconds("psf"), found.seconds("figure")) == (100, 4, None)
+    assert found.elsewhere["tail"] == Measured(6, 8, 300)
+    assert durations(results, "yours").elsewhere == {} and durations(results, "yours").seconds("design") is None
+
+
+def test_what_ran_here_comes_first_and_scales_the_rest(results):
+    """Stages that are known in both places ran (150 + 6) / (100 + 4) = 1.5 times as long here."""
+    benchmark(results, "design/a", (120, 500))
+    benchmark(results, "design/b", (180, 500))
+    benchmark(results, "psf/a", (6, 100))
+    benchmark(results, "restore/a", (40, 100))  # of which nothing is known elsewhere
+    found = durations(results)
+    assert found.scale == pytest.approx(1.5)
+    assert found.seconds("design") == 150 and found.seconds("restore") == 40
+    assert found.seconds("tail") == pytest.approx(9)
+    assert found.seconds("figure") is None
+
+
+def test_a_job_may_take_four_times_the_longest_of_its_stage(results):
+    """Known here or elsewhere, and ten minutes at least; a day where nobody has measured one."""
+    assert durations(results).limit_minutes("design") == 4 * 900 / 60
+    assert durations(results).limit_minutes("psf") == 10
+    assert durations(results).limit_minutes("figure") == 24 * 60
+    benchmark(results, "design/a", (300, 500))
+    assert durations(results).limit_minutes("design") == 60
+    benchmark(results, "design/a", (1200, 500))
+    benchmark(results, "design/b", (1, 500))
+    assert durations(results).limit_minutes("design") == 80
+
+
+def test_a_job_is_given_half_as_much_memory_again_as_the_largest_of_its_stage(results):
+    """Known here or elsewhere; 4 GB where it is not known, or was too short to be measured."""
+    assert durations(results).memory_mb("design") == 1500
+    assert durations(results).memory_mb("figure") == 4000
+    benchmark(results, "design/a", (1, 1200))
+    benchmark(results, "design/b", (1, 1400))
+    benchmark(results, "images", (0.01, "-"))
+    benchmark(results, "tail/a", (0.01, "-"))
+    assert durations(results).memory_mb("design") == 2100
+    assert durations(results).memory_mb("images") == 4000
+    assert durations(results).memory_mb("tail") == 450
+
+
+def test_the_forecast_adds_up(results):
+    """12 designs and 12 PSFs of 1200 + 48 s on two cores are 10.4 minutes; unknown stages are named."""
+    every = 12 * ["design", "psf"]
+    assert durations(results).forecast(every, 2) == "Study mine: 24 jobs, about 10 minutes on 2 cores."
+    assert durations(results).forecast(every, 1) == "Study mine: 24 jobs, about 21 minutes on 1 cores."
+    some = durations(results).forecast([*every, "figure", "figure", "restore"], 2)
+    assert some.startswith("Study mine: 27 jobs, about 10 minutes on 2 cores; nothing is known")
+    assert some.endswith("how long figure, restore takes.")
+    nothing = durations(results).forecast(["figure"], 2)
+    assert "Study mine: 1 jobs; nothing is known" in nothing and "minutes" not in nothing
+    assert durations(results).forecast([], 2).startswith("Study mine: 0 jobs")
+
+
+def test_the_durations_that_we_ship_are_of_our_studies():
+    """Each once, of a stage that there is, and longest at least as long as the mean."""
+    with open(forecast.MEASURED, newline="") as file:
+        rows = list(csv.DictReader(file))
+    studies = {load(path).name for path in forecast.MEASURED.parent.glob("*.yaml") if "format: 2" in path.read_text()}
+    assert len({(row["study"], row["stage"]) for row in rows}) == len(rows) > 0
+    for row in rows:
+        assert row["study"] in studies and hasattr(jobs, row["stage"])
+        assert 0 < float(row["seconds"]) <= float(row["longest_s"]) and float(row["memory_mb"]) > 0
