@@ -10,7 +10,7 @@ from snakemake.utils import min_version
 from tasklens.pipeline import jobs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
-from tasklens.pipeline.stage import SEED, STAGES, flatten, results
+from tasklens.pipeline.stage import STAGES, flatten, results
 from tasklens.runtime import files
 from tasklens.study import claims, loading, names
 from tasklens.study import study as studies
@@ -98,7 +98,7 @@ onstart:
         shell("tasklens check {RESOLVED} {networks} > /dev/null")
     found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
-        found.discard(jobs.verdicts.output(study, "md"))
+        found.discard(str(jobs.verdicts.output(study, "md")))
     shown.extend(sorted(path for path in found if path.endswith(".md")))
     print(durations.forecast([job.rule.name for job in running if job.rule.name in STAGES], workflow.cores or 1))
 

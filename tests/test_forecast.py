@@ -109,11 +109,11 @@ def test_the_forecast_adds_up(results):
 
 
 def test_the_durations_that_we_ship_are_of_our_studies():
-    """Each once, of a stage that there is, and longest at least as long as the mean."""
+    """Each once, of a stage that there is, and longest at least as long as the mean; gaps where nobody looked."""
     with open(forecast.MEASURED, newline="") as file:
         rows = list(csv.DictReader(file))
     studies = {load(path).name for path in forecast.MEASURED.parent.glob("*.yaml") if "format: 2" in path.read_text()}
     assert len({(row["study"], row["stage"]) for row in rows}) == len(rows) > 0
     for row in rows:
         assert row["study"] in studies and hasattr(jobs, row["stage"])
-        assert 0 < float(row["seconds"]) <= float(row["longest_s"]) and float(row["memory_mb"]) > 0
+        assert 0 < float(row["seconds"]) <= float(row["longest_s"] or "inf") and float(row["memory_mb"] or 1) > 0

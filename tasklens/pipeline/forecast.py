@@ -44,7 +44,7 @@ def benchmarks(folder: Path) -> dict[str, Measured]:
 
 
 def _number(text: str) -> float:
-    """A number of a benchmark file; 0 where the job was too short to be looked at."""
+    """A number of a file; 0 where there is none, as for the memory of a very short job."""
     try:
         return float(text)
     except ValueError:
@@ -52,12 +52,10 @@ def _number(text: str) -> float:
 
 
 def elsewhere(study: str) -> dict[str, Measured]:
-    """What was measured for a study of `config/`, by stage; nothing for other studies."""
+    """What was measured for a study of `config/`, by stage; nothing for other studies. Gaps of the file are zeros."""
     with open(MEASURED, newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["study"] == study]
-    return {
-        row["stage"]: Measured(float(row["seconds"]), float(row["longest_s"]), float(row["memory_mb"])) for row in rows
-    }
+    return {row["stage"]: Measured(*(_number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
 
 
 class Durations:
@@ -96,7 +94,8 @@ class Durations:
 
     def limit_minutes(self, stage: str) -> int:
         """Time after which a scheduler may end a job of a stage [min]."""
-        known = [measured[stage].longest_s for measured in (self.here, self.elsewhere) if stage in measured]
+        found = (measured[stage] for measured in (self.here, self.elsewhere) if stage in measured)
+        known = [max(each.seconds, each.longest_s) for each in found]
         return round(max(_LEAST_LIMIT_MIN, _LIMIT * max(known) / 60) if known else _UNKNOWN_MIN)
 
     def memory_mb(self, stage: str) -> int:

@@ -85,6 +85,18 @@ class Stage:
         parts = (f"seed{{{name}}}" if name == SEED else f"{{{name}}}" for name in self.wildcards)
         return f"{self.name}/{'-'.join(parts)}" if self.wildcards else self.name
 
+    def plan_from(self, study: Study, wildcards: Mapping[str, str]) -> Plan:
+        """The plan of a job, from wildcards as texts."""
+        return self.plan(study, **{n: int(wildcards[n]) if n == SEED else wildcards[n] for n in self.wildcards})
+
+    def command(self, study: Study, wildcards: Mapping[str, str], file: str) -> str:
+        """What a person would type for a job of the study in `file`."""
+        processes = self.plan_from(study, wildcards).processes
+        # Snakemake sets the threads of a job to its cores, here those of all its processes.
+        together = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.pipeline.cli"
+        words = [f"--seed {wildcards[name]}" if name == SEED else wildcards[name] for name in self.wildcards]
+        return " ".join(["tasklens" if processes == 1 else together, self.name.replace("_", "-"), file, *words])
+
     def outputs(self, study: Study, **wildcards: str | int) -> dict[str, Path]:
         """Paths of the outputs of a job by name; without wildcards their patterns, as Snakemake wants them."""
         return {name: self.output(study, name, **wildcards) for name in self.patterns}

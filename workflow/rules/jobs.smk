@@ -1,29 +1,12 @@
 """One rule for every stage: what a job reads, writes and depends on is declared in `tasklens.pipeline.jobs`."""
 
-
-def plan_of(stage, wildcards):
-    """Settings, inputs and processes of the job with these wildcards."""
-    named = {name: wildcards[name] for name in stage.wildcards}
-    return stage.plan(study, **(named | ({SEED: int(named[SEED])} if SEED in named else {})))
-
-
-def command(stage, wildcards):
-    """What a person would type for this job."""
-    processes = plan_of(stage, wildcards).processes
-    # Snakemake sets the threads of a job to its cores, here those of all its processes.
-    together = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.pipeline.cli"
-    words = [wildcards[name] for name in stage.wildcards if name != SEED]
-    seed = ["--seed", wildcards[SEED]] if SEED in stage.wildcards else []
-    return " ".join(["tasklens" if processes == 1 else together, stage.name.replace("_", "-"), RESOLVED, *words, *seed])
-
-
 for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
 
     rule:
         name:
             stage.name
         input:
-            unpack(lambda wildcards, stage=stage: {"files": list(flatten(plan_of(stage, wildcards).inputs))}),
+            unpack(lambda w, stage=stage: {"files": [*map(str, flatten(stage.plan_from(study, w).inputs))]}),
         output:
             **stage.outputs(study),
         log:
@@ -32,14 +15,15 @@ for stage in STAGES.values():  # functions of wildcards are called later: each k
             f"{results(study)}/benchmarks/{stage.label}.tsv"
         priority: stage.priority
         retries: int(stage.resumable)
-        threads: lambda wildcards, stage=stage: stage.threads * plan_of(stage, wildcards).processes
+        localrule: not stage.patterns  # it prints
+        threads: lambda w, stage=stage: stage.threads * stage.plan_from(study, w).processes
         resources:
-            mem_mb=lambda wildcards, attempt, stage=stage: attempt * durations.memory_mb(stage.name),
+            mem_mb=lambda w, attempt, stage=stage: attempt * durations.memory_mb(stage.name),
             runtime=durations.limit_minutes(stage.name),
-            gpu=lambda wildcards, stage=stage: plan_of(stage, wildcards).gpus,
+            gpu=lambda w, stage=stage: stage.plan_from(study, w).gpus,
         params:
-            settings=lambda wildcards, stage=stage: plan_of(stage, wildcards).settings.model_dump_json(),
-            command=lambda wildcards, stage=stage: command(stage, wildcards),
+            settings=lambda w, stage=stage: stage.plan_from(study, w).settings.model_dump_json(),
+            command=lambda w, stage=stage: stage.command(study, w, RESOLVED),
             code=code_digest(stage.function),
         shell:
             "{params.command} 2> {log}"

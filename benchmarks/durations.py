@@ -1,0 +1,39 @@
+"""What the jobs of finished studies took: writes their rows of config/durations.csv, from which runs are forecast.
+
+    python benchmarks/durations.py results/small results/smoke
+
+Stages that a study has not run here keep the row that they have.
+"""
+
+import argparse
+import csv
+import io
+from pathlib import Path
+
+from tasklens.pipeline.forecast import MEASURED, benchmarks
+from tasklens.runtime.files import write_text
+
+COLUMNS = ("study", "stage", "seconds", "longest_s", "memory_mb")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("results", nargs="+", type=Path, help="folders of results")
+    parser.add_argument("--table", type=Path, default=MEASURED, help="the file to write")
+    options = parser.parse_args(arguments)
+    with open(options.table, newline="") as file:
+        rows = {(row["study"], row["stage"]): row for row in csv.DictReader(file)}
+    for folder in options.results:
+        for stage, found in benchmarks(folder / "benchmarks").items():
+            numbers = {"seconds": found.seconds, "longest_s": found.longest_s, "memory_mb": found.memory_mb}
+            words = {name: f"{value:.1f}" for name, value in numbers.items()}
+            rows[folder.name, stage] = {"study": folder.name, "stage": stage} | words
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows[key] for key in sorted(rows))
+    write_text(options.table, text.getvalue())
+
+
+if __name__ == "__main__":
+    main()
