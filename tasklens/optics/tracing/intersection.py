@@ -97,7 +97,9 @@ def _polynomial(u: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
     return value
 
 
-def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: PreparedSurface):
+def distance(
+    x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: PreparedSurface
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """Distance t [mm] at which rays from (x, y) on the vertex plane meet the surface, and which of them do.
 
     Newton's iteration, on all rays together: a step below the square root of the precision leaves an error below the
@@ -139,7 +141,9 @@ def distance(x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: Pre
     return *(torch.where(met, v, 0.0) for v in (t, u, h)), met
 
 
-def _careful_distance(a: Tensor, b: Tensor, c: Tensor, n: Tensor, surface: PreparedSurface, tolerance: float):
+def _careful_distance(
+    a: Tensor, b: Tensor, c: Tensor, n: Tensor, surface: PreparedSurface, tolerance: float
+) -> tuple[Tensor, Tensor]:
     """`distance` for the few: limited steps that never divide by little, from the base conic, then from the plane."""
     # the conic: c (r^2 + (1 + k) z^2) = 2 z with z = t n
     along = n - surface.curvature * b

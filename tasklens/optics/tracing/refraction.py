@@ -56,13 +56,16 @@ class Refraction(NamedTuple):
     b: Tensor
 
 
-def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: PreparedSurface) -> tuple[RayState, Tensor, Refraction]:
-    """Bend rays at the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
+def refract(
+    at: RayState, t: Tensor, u: Tensor, h: Tensor, mu: Tensor, surface: PreparedSurface
+) -> tuple[RayState, Tensor, Refraction]:
+    """Bend rays `at` the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
 
     Returns:
         the rays behind it, z from its vertex; R^2, not positive in total reflection, when the ray behind means nothing
         but is finite; the Refraction.
     """
+    x, y, z, l, m, n = at
     e, w = slope(u, surface)
     e *= -2
     q = torch.addcmul(n, e, h)
@@ -78,7 +81,11 @@ def refract(x, y, z, l, m, n, t, u, h, mu: Tensor, surface: PreparedSurface) -> 
 
 
 def refract_jvp(
-    before: RayState, mu_change, parameters, refraction: Refraction, surface: PreparedSurface
+    before: RayState,
+    mu_change: Tensor,
+    parameters: tuple[Tensor, Tensor, Tensor],
+    refraction: Refraction,
+    surface: PreparedSurface,
 ) -> tuple[RayState, Tensor]:
     """Carry small changes of the rays before a surface, and of the surface, to the rays behind it.
 
@@ -119,7 +126,9 @@ def refract_jvp(
     return RayState(dx, dy, dz, dl, dm, mu * dn + mu_change * n + db), dt
 
 
-def refract_vjp(after: RayState, along: Tensor, refraction: Refraction, surface: PreparedSurface, index: bool):
+def refract_vjp(
+    after: RayState, along: Tensor, refraction: Refraction, surface: PreparedSurface, index: bool
+) -> tuple[RayState, tuple[Tensor, Tensor, Tensor], Tensor | None]:
     """Carry the gradient at the rays behind a surface back to the rays before it, and to the surface.
 
     Args:
@@ -160,7 +169,9 @@ def refract_vjp(after: RayState, along: Tensor, refraction: Refraction, surface:
     return RayState(b_x, b_y, b_z, b_l, b_m, b_n), _at_surface(tau * u, b_slope, u, w, powers, surface), b_mu
 
 
-def _at_surface(b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: PreparedSurface):
+def _at_surface(
+    b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: PreparedSurface
+) -> tuple[Tensor, Tensor, Tensor]:
     """Gradient at curvature, conic and alpha, from that at the sag (times u) and at the slope."""
     b_by_u, b_slope, u, w = (v.flatten() for v in (b_by_u, b_slope, u, w))
     cube, v = w * w * w, w / (1 + w)  # v = 1 / (1 + sqrt(1 - (1 + k) c^2 u))

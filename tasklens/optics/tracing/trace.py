@@ -106,7 +106,7 @@ class _Sequence(torch.autograd.Function):
         return None, None, None, *rays, b_path, b_indices, b_curvature, b_conic, b_alpha, torch.stack(b_spaces[::-1])
 
     @staticmethod
-    def jvp(ctx, _notes, _fate, _lost_at, *changes):
+    def jvp(ctx, _notes, _status, _lost_at, *changes):
         (indices,) = ctx.saved_tensors
         *rays, path, d_indices, curvature, conic, alpha, thickness = changes
         return *_pushed(ctx.notes, indices, rays, path, d_indices, curvature, conic, alpha, thickness), None, None
@@ -159,7 +159,7 @@ def _onward(
         x, y = torch.where(met, x, 0.0), torch.where(met, y, 0.0)
     t, x, y, z = beyond - t, torch.addcmul(x, beyond, l), torch.addcmul(y, beyond, m), beyond * n
     path = torch.addcmul(path, media[0], t)
-    behind, squared, refraction = refract(x, y, z, l, m, n, t, u, h, media[0] / media[1], surface)
+    behind, squared, refraction = refract(RayState(x, y, z, l, m, n), t, u, h, media[0] / media[1], surface)
     limit = _limit(semi_diameter)
     if limit < math.inf and float(u.max()) > limit:
         behind = losses.add(u > limit, RayStatus.VIGNETTED, i, behind, path)
