@@ -24,3 +24,18 @@ def start():
     spec, limits = Spec(kernel_size=11), Constraints()
     flat_lens = flat(materials("COC", "OKP4"), spec, limits)
     return least_squares.random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]
+
+
+# Those that take longest, which two processes begin with: else the last of them would keep one waiting.
+LONGEST = (
+    "test_workflow_runs.py",
+    "test_checkpoints.py",
+    "test_task_design.py",
+    "test_workflow.py",
+    "test_benchmarks.py",
+)
+
+
+def pytest_collection_modifyitems(items):
+    order = {f"test_{name}": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(LONGEST)))

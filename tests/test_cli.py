@@ -16,7 +16,6 @@ from tasklens.runtime.files import read_tensors
 from tasklens.study.loading import parse
 
 STUDY = parse(tiny_study())
-pytestmark = pytest.mark.xdist_group("command line")
 
 
 @pytest.fixture(scope="module")

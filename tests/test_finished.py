@@ -16,7 +16,6 @@ from tasklens.study.tables import verification
 
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
 STUDY = parse(TINY)
-pytestmark = pytest.mark.xdist_group("finished study")
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,11 @@
-"""The study as a workflow: plans of all studies, one true small run, and what reruns after a change."""
+"""The study as a workflow: what a dry run plans, and what stops a study before its first job."""
 
 import math
 import multiprocessing
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -19,7 +17,6 @@ from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import jobs  # noqa: F401  declares the stages
 from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES
 from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
 from tasklens.study.loading import load, parse
@@ -29,7 +26,6 @@ ROOT = Path(__file__).parents[1]
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 CONFIGS = [path for path in CONFIGS if "format: 2" in path.read_text()]  # the others are laid over the default study
 FORK = multiprocessing.get_context("fork")
-TRUE_RUN = pytest.mark.xdist_group("true run")  # one process runs it, for all tests that look at it
 
 
 def arguments(folder: Path, study: dict | Path | None, *others: str) -> list[str]:
@@ -260,148 +256,3 @@ def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
     assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}
     assert plan(tmp_path, study, lens.format("doublet-end_to_end_from_imaging"))["design"] == 4
-
-
-def test_a_changed_file_reruns_the_imported_lens(tmp_path):
-    """The lens file or a catalogue; a file that cannot be used stops the study before its first job."""
-    study, target = with_imported(tmp_path), "results/smoke/lenses/singlet-theirs/seed0/lens.yaml"
-    done = snakemake(tmp_path, study, target)
-    assert done.returncode == 0 and (tmp_path / target).exists(), done.stdout + done.stderr
-    assert plan(tmp_path, study, target) == {}
-    for name, old, new in (("singlet.zmx", "DISZ 0.5", "DISZ 0.6"), ("glass.agf", "2.3", "2.4")):
-        path = tmp_path / name
-        before, times = path.read_text(), (path.stat().st_atime, path.stat().st_mtime)
-        path.write_text(before.replace(old, new))
-        assert path.read_text() != before and plan(tmp_path, study, target) == {"design": 1}
-        path.write_text(before)
-        os.utime(path, times)
-    path.write_text("NM COC 1 0 1.5\n")
-    done = snakemake(tmp_path, study, "results/smoke/images/train.npy")
-    assert done.returncode != 0 and "glass.agf" in done.stdout + done.stderr
-    assert not (tmp_path / "results/smoke/images").exists()
-
-
-# ---- a true run
-
-
-def one_lens() -> dict:
-    study = tiny_study()
-    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}}
-
-
-STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "psf": 1, "fine_tune": 2, "table": 1}
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """Table 1 of one lens, truly run."""
-    folder = tmp_path_factory.mktemp("run")
-    done = snakemake(folder, one_lens(), "table1")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "**Table 1" in done.stdout + done.stderr
-    assert "Study tiny: 7 jobs" in done.stdout + done.stderr
-    return folder
-
-
-@TRUE_RUN
-def test_a_finished_table_has_nothing_to_be_done(finished):
-    """The run wrote the study with every default, the table, and is complete."""
-    assert load(finished / "results/tiny/study.yaml") == parse(one_lens())
-    text = (finished / "results/tiny/tables/table1.csv").read_text().splitlines()
-    assert [line.split(",")[:2] for line in text[1:]] == [["", "reference"], ["singlet", "imaging1"]]
-    assert plan(finished, one_lens(), "table1") == {}
-
-
-@TRUE_RUN
-def test_durations_of_finished_jobs_are_known(finished):
-    """A benchmark file for every job, from which the next forecast, time limits and memory are made."""
-    files = sorted((finished / "results/tiny/benchmarks").rglob("*.tsv"))
-    assert len(files) == sum(STAGES_OF_TABLE_1.values())
-    durations = Durations("tiny", str(finished / "results/tiny"))
-    assert durations.here.keys() == STAGES_OF_TABLE_1.keys()
-    assert all(0 < durations.seconds(stage) < 120 for stage in STAGES_OF_TABLE_1)
-    assert "about" in durations.forecast(["design"], 1)
-    _, output = forked(finished, changed(one_lens(), "constraints.max_track", 4.2), "--dry-run", "table1")
-    assert f"mem_mb={durations.memory_mb('design')}," in output and durations.memory_mb("design") not in (0, 4000)
-    assert f"runtime={durations.limit_minutes('design')}," in output
-
-
-@TRUE_RUN
-def test_a_dry_run_changes_nothing(finished):
-    """Planning another value must not change the study that a run in progress reads."""
-    before = (finished / "results/tiny/study.yaml").read_text()
-    plan(finished, changed(one_lens(), "fine_tuning.learning_rate", 4e-3), "table1")
-    assert (finished / "results/tiny/study.yaml").read_text() == before
-
-
-@TRUE_RUN
-@pytest.mark.parametrize(
-    "key, value, rerun",
-    [
-        ("tables", ["table1"], {}),
-        ("restoration.steps", 9, {}),
-        ("designs.tasklens", tiny_study()["designs"]["tasklens"], {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "table": 1}),
-        ("capture.outside_window", "renormalise", {"fine_tune": 1, "table": 1}),
-        ("evaluation_rays", 128, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("constraints.max_track", 4.3, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("constraints.flat_track", 1.2, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2, "table": 1}),
-        ("images.seed", 4, {"images": 1, "reference": 1, "fine_tune": 2, "table": 1}),
-    ],
-    ids=lambda v: v if isinstance(v, str) else "",
-)
-def test_a_changed_value_reruns_what_reads_it(finished, key, value, rerun):
-    """And what comes after that, up to the table; everything else stays."""
-    found = plan(finished, changed(one_lens(), key, value), "table1")
-    assert found == rerun
-
-
-def test_a_failing_job_leaves_no_output(tmp_path):
-    """An unreadable image: the images job fails, names the file in its log, and leaves no split behind."""
-    from PIL import Image
-
-    for split, name in (("train", "a"), ("train", "b"), ("val", "a"), ("val", "b")):
-        (tmp_path / "photos" / split / name).mkdir(parents=True)
-        for k in range(3):
-            Image.new("RGB", (16, 16)).save(tmp_path / "photos" / split / name / f"{k}.png")
-    bad = tmp_path / "photos" / "val" / "b" / "1.png"
-    bad.write_text("not an image")
-    images = {"size": 16, "minival": 2, "folder": str(tmp_path / "photos")}
-    done = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.npy")
-    assert done.returncode != 0
-    assert str(bad) in (tmp_path / "results/tiny/logs/images.log").read_text()
-    assert not [path for path in (tmp_path / "results/tiny/images").rglob("*") if path.is_file()]
-
-
-def test_a_killed_run_goes_on(tmp_path):
-    """Killed with Snakemake in the midst of a long design: neither lens nor history; unlocked, it is made again.
-
-    Also where one of its two files is there already.
-    """
-    study = changed(one_lens(), "designs.imaging1.steps", 1_000_000)
-    target, log = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml", tmp_path / "results/tiny/logs/design"
-    process = subprocess.Popen(
-        command(tmp_path, study, target),
-        cwd=tmp_path,
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        deadline = time.monotonic() + 60
-        while not any("step 1/" in path.read_text() for path in log.glob("*.log")):
-            assert process.poll() is None and time.monotonic() < deadline
-            time.sleep(0.2)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    assert not [path for path in (tmp_path / "results/tiny/lenses").rglob("*") if path.is_file()]
-    assert plan(tmp_path, study, target) == {"design": 1}
-    (tmp_path / target).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / target).write_text("half")
-    study = one_lens()
-    assert forked(tmp_path, study, "--unlock")[0] == 0
-    done = snakemake(tmp_path, study, target)
-    assert done.returncode == 0, done.stderr
-    assert yaml.safe_load((tmp_path / target).read_text())["margins"]
