@@ -35,7 +35,7 @@ class LearningRates(Frozen):
     curvature: Positive = Field(1e-4, description="Learning rate of curvatures [1/mm].")
     thickness: Positive = Field(1e-4, description="Learning rate of thicknesses [mm].")
     alpha_4: Positive = Field(1e-4, description="Learning rate of alpha_4, in the units of `normalised`.")
-    decay: Fraction = Field(0.02, description="Learning rate of an asphere order over that of the lower one (paper 3.3).")
+    decay: Fraction = Field(0.02, description="Ratio of learning rates of successive asphere orders (paper 3.3).")
     normalised: bool = Field(
         True,
         description="Asphere variables are alpha_k R^(k - 1), R the radius that light uses on the surface of the start "
@@ -82,7 +82,7 @@ class JointDescentSettings(Frozen):
 
 
 class RaySpaceSettings(Frozen):
-    """Settings of a ray-space descent, whose steps are measured by ray displacement on the sensor (design.ray_space)."""
+    """Settings of a ray-space descent: steps of given ray displacement on the sensor (see design.ray_space)."""
 
     _renamed = renamed({"stride": "step_size"})
 
@@ -104,7 +104,7 @@ class TaskDrivenSettings(Frozen):
     batch_size: Count = Field(64, description="Images per step, each at all nine fields.")
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
     rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
-    restarts: Count = Field(1, description="Descents from flat plates, each with its own image order; the best is refined.")
+    restarts: Count = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
     restart: RaySpaceSettings = Field(description="Descent of each restart.")
     refinement: RaySpaceSettings = Field(description="Descent that refines the best restart.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")

@@ -133,7 +133,7 @@ class Constraints(Frozen):
     min_back_focus: Positive = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
     max_track: Positive = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
     max_slope: Positive = Field(0.57, description="Largest slope d sag / d r of a surface.")
-    stop_distance: Positive = Field(0.1, description="Distance from the stop to the first surface of a flat start [mm].")
+    stop_distance: Positive = Field(0.1, description="Distance from stop to first surface of a flat start [mm].")
     flat_track: Positive = Field(1.3, description="Distance from stop to sensor of a flat start [focal lengths].")
     efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
     distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
@@ -191,9 +191,7 @@ class ClassifierSettings(Frozen):
         description="One output per class of the images; or ImageNet's 1000, of which those of the folders, named by "
         "WordNet ids, are used. The others count only in the zero-shot accuracy.",
     )
-    training: TrainingSettings | None = Field(
-        None, description="Training on the sharp images; null: none."
-    )
+    training: TrainingSettings | None = Field(None, description="Training on the sharp images; null: none.")
     processes: Count = Field(
         1,
         description="Size of the process group for fine-tuning on one machine; each process takes its share of every "
