@@ -1,23 +1,23 @@
-"""One rule for every stage: what a job reads, writes and depends on is declared in `tasklens.pipeline.jobs`."""
+"""One rule for every stage; inputs, outputs and settings of jobs are declared in `tasklens.pipeline.jobs`."""
 
 
 def plan_of(stage, wildcards):
-    """Settings, inputs and processes of the job with these wildcards."""
+    """Return the plan of the job with these wildcards."""
     named = {name: wildcards[name] for name in stage.wildcards}
     return stage.plan(study, **(named | ({SEED: int(named[SEED])} if SEED in named else {})))
 
 
 def command(stage, wildcards):
-    """What a person would type for this job."""
+    """Return the command line of a job."""
     processes = plan_of(stage, wildcards).processes
-    # Snakemake sets the threads of a job to its cores, here those of all its processes.
+    # Snakemake sets OMP_NUM_THREADS to the cores of a job, which here are those of all its processes.
     together = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.pipeline.cli"
     words = [wildcards[name] for name in stage.wildcards if name != SEED]
     seed = ["--seed", wildcards[SEED]] if SEED in stage.wildcards else []
     return " ".join(["tasklens" if processes == 1 else together, stage.name.replace("_", "-"), RESOLVED, *words, *seed])
 
 
-for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
+for stage in STAGES.values():  # functions of wildcards are called later, so each binds its stage as a default argument
 
     rule:
         name:
