@@ -1,4 +1,4 @@
-"""The study as a workflow: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
+"""Workflow of a study: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
 
 import os
 import shlex
@@ -27,13 +27,13 @@ try:
 except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
-RESOLVED = f"{results(study)}/study.yaml"  # the study with every default, which jobs read
+RESOLVED = f"{results(study)}/study.yaml"  # the study with all defaults, read by jobs
 durations = Durations(study.name, results(study))
 LENSES = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
 
-# `tasklens` is that of the Python that runs Snakemake, also where its environment is not activated.
-# What a job frees stays with it: given back to the system, every page of the next array would be faulted in again, a fifth
-# of a training's time with images of 64 pixels, half of an evaluation's with 224.
+# `tasklens` is that of the Python that runs Snakemake, even if its environment is not activated.
+# Freed memory stays with the process, since page faults of new arrays otherwise take a fifth of the time of a training
+# with images of 64 pixels, and half of that of an evaluation with 224.
 shell.prefix(
     f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH"
     " MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=2147483647; "
@@ -52,7 +52,7 @@ wildcard_constraints:
 
 TABLES = {name: [jobs.table.output(study, "csv", table=name)] for name in studies.TABLES}
 ABLATIONS = {f"ablation_{name}": [jobs.ablation.output(study, "csv", ablation=name)] for name in study.ablations}
-TARGETS = {  # what a person asks for; the first is the default
+TARGETS = {  # targets of the command line; the first is the default
     "tables": [
         *sum((TABLES[name] for name in study.tables), []),
         jobs.verdicts.output(study, "csv"),
@@ -90,7 +90,7 @@ shown = []  # the tables of this run, printed at its end
 
 
 onstart:
-    # Here and not while parsing: a dry run beside a running study must not change what its jobs read.
+    # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
     files.write_if_changed(RESOLVED, loading.dump(study))
     running = list(workflow.dag.needrun_jobs())
     networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""

@@ -1,1 +1,1 @@
-"""Restoration of captures before the classifier sees them."""
+"""Restoration of captures before classification."""

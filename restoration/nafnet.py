@@ -1,6 +1,6 @@
 """NAFNet, a network for image restoration without nonlinear activations (Chen et al. 2022, arXiv:2204.04676).
 
-Parameter names are those of the original, so that published weights load.
+Parameter names are those of the original, so that published weights can be loaded.
 """
 
 import torch
@@ -12,10 +12,10 @@ from tasklens.study.settings import RestorationSettings
 
 
 class SimpleGate(nn.Module):
-    """The product of the two halves of the channels."""
+    """Product of the two halves of the channels."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, 2 C, H, W) to (B, C, H, W)."""
+        """Map (B, 2 C, H, W) to (B, C, H, W)."""
         first, second = x.chunk(2, dim=1)
         return first * second
 
@@ -38,7 +38,7 @@ class NAFBlock(nn.Module):
         self.gamma = nn.Parameter(torch.zeros(1, c, 1, 1))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, C, H, W) to the same shape."""
+        """Map (B, C, H, W) to the same shape."""
         y = self.sg(self.conv2(self.conv1(self.norm1(x))))
         x = x + self.beta * self.conv3(y * self.sca(y))
         return x + self.gamma * self.conv5(self.sg(self.conv4(self.norm2(x))))
@@ -49,7 +49,7 @@ class NAFNet(nn.Module):
 
     Args:
         width: channels at full resolution; each encoder level doubles them.
-        encoder, middle, decoder: blocks per level.
+        encoder, middle, decoder: number of blocks per level.
     """
 
     def __init__(self, width: int, encoder: tuple[int, ...], middle: int, decoder: tuple[int, ...]):
@@ -72,7 +72,7 @@ class NAFNet(nn.Module):
         self.to(memory_format=torch.channels_last)  # a third faster on a CPU
 
     def forward(self, captures: Tensor) -> Tensor:
-        """Restored images (B, 3, H, W) of captures (B, 3, H, W); H and W are multiples of 2^levels."""
+        """Restore captures (B, 3, H, W); raises ValueError unless H and W are multiples of 2^levels."""
         if captures.shape[-2] % self.multiple or captures.shape[-1] % self.multiple:
             raise ValueError(
                 f"captures of {captures.shape[-2]} x {captures.shape[-1]} pixels: expected multiples of {self.multiple}"
@@ -94,5 +94,5 @@ class NAFNet(nn.Module):
 
 
 def build(settings: RestorationSettings) -> NAFNet:
-    """The untrained network that `settings` describe."""
+    """Build the untrained network of `settings`."""
     return NAFNet(settings.width, settings.encoder, settings.middle, settings.decoder)

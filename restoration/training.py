@@ -1,4 +1,4 @@
-"""Training of the restoration network on the captures of one lens, until it has converged."""
+"""Training of the restoration network on the captures of one lens until convergence."""
 
 import copy
 import math
@@ -18,8 +18,8 @@ from tasklens.runtime.progress import Progress
 from tasklens.study.settings import RestorationSettings
 
 _VALIDATION_IMAGES = 64  # minival images, each at every field
-_GAIN_DB = 0.1  # less than this above the last check with progress is none
-_DROP = 0.1  # of the rate, at the first check without progress; the second such check says: converged
+_GAIN_DB = 0.1  # least gain over the best PSNR at a check that counts as progress
+_DROP = 0.1  # factor on the learning rate at the first check without progress; the second one ends the training
 
 
 def train(
@@ -30,26 +30,26 @@ def train(
     seed: int,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[NAFNet, list[dict[str, Any]]]:
-    """A NAFNet that restores captures of `camera`, each at a random field, to their sharp images.
+    """Train a NAFNet to restore captures of `camera`, each at a random field, to their sharp images.
 
-    The loss is the negative PSNR of each image; AdamW with betas (0.9, 0.9) and gradients clipped at a norm of 0.01, as
-    the authors of NAFNet train it. Every `settings.check` steps the mean PSNR of 64 minival images at all fields is
-    taken. Where it is not 0.1 dB above the last check that was progress, the rate drops to a tenth; at the second such
-    check the training has converged.
+    The loss is the negative PSNR of each image; the optimizer is AdamW with betas (0.9, 0.9) and gradients clipped at a
+    norm of 0.01, as NAFNet's authors do. Every `settings.check` steps the mean PSNR of 64 minival images at all fields
+    is computed. If it is not 0.1 dB above the last check with progress, the learning rate drops to a tenth; at the
+    second such check the training has converged.
 
     Args:
-        settings: network, rate, and the most steps.
-        dataset, minival: sharp images to train with and to validate with.
-        camera: the lens.
-        seed: of the network, of the order of the images and of their fields.
-        checkpoint: of the job, for its part `restoration`.
+        settings: network, learning rate, and maximum number of steps.
+        dataset, minival: sharp images for training and for validation.
+        camera: camera with the PSFs of the lens.
+        seed: seed of the network, the image order and the fields.
+        checkpoint: checkpoint of the job; the part is `restoration`.
 
     Returns:
-        The network of the best check; and a row per check: step, learning rate, PSNR [dB], and whether the training has
-        converged by then.
+        The network of the best check, in `eval()`; and a row per check: step, learning rate, PSNR [dB], and whether the
+        training has converged.
 
     Raises:
-        FloatingPointError: the PSNR stopped being finite.
+        FloatingPointError: the PSNR is not finite.
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
@@ -90,7 +90,7 @@ def train(
 
 
 def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, images: Tensor) -> float:
-    """Take one step towards the images (B, 3, H, W), unless their mean PSNR [dB], which is returned, is not finite."""
+    """Return the mean PSNR [dB] of restored captures (B, 3, H, W), and take a step if it is finite."""
     quality = psnr(network(captures), images).mean()
     if torch.isfinite(quality):
         optimizer.zero_grad()
@@ -102,6 +102,6 @@ def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, i
 
 @torch.no_grad()
 def _validation_psnr(network: NAFNet, minival: ImageDataset, camera: Camera) -> float:
-    """Mean PSNR [dB] over images and fields."""
+    """Compute the mean PSNR [dB] over images and fields."""
     images, _ = minival.batch(torch.arange(min(_VALIDATION_IMAGES, len(minival))))
     return float(torch.stack([psnr(network(captures), images).mean() for captures in camera.grid(images)]).mean())

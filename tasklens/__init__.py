@@ -1,1 +1,1 @@
-"""Design lenses for a task: a classifier's loss flows through captures, PSFs and rays into a lens."""
+"""Task-driven lens design: the gradient of a classifier's loss passes through captures, PSFs and rays to the lens."""

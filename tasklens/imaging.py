@@ -1,9 +1,9 @@
-"""From images and PSFs to captures: convolution by the fast Fourier transform.
+"""Rendering of captures from images and PSFs by FFT convolution, and PSNR.
 
 capture = image * PSF + (1 - sum(PSF)) mean(image)
 
-The second term is the light that misses the PSF window: it reaches the sensor as a uniform veil, and the mean flux is
-conserved. Borders are reflected.
+The second term is the light outside the PSF window, modelled as a uniform veil, so that the mean flux is conserved.
+Borders are reflected.
 """
 
 from collections.abc import Callable
@@ -14,31 +14,32 @@ from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-_BLOCK = 8  # images that a CPU renders at once: their spectra, and those of a capture each, then stay in the cache
+_BLOCK = 8  # images that a CPU renders at once, so that their spectra and those of their captures fit the cache
 
 
 def _spectrum(planes: Tensor, size: tuple[int, int]) -> Tensor:
-    """Two-dimensional spectrum of real planes (..., h, w), zero-padded to `size`: (..., w / 2 + 1, h), transposed.
+    """Compute the 2D spectrum of real planes (..., h, w), zero-padded to `size`: (..., w / 2 + 1, h), transposed.
 
-    Where the columns are contiguous, the inverse transform along them costs half.
+    The transposition halves the cost of the inverse transform along the columns, which are contiguous.
     """
     return torch.fft.fft(torch.fft.rfft(planes, size[1]).transpose(-1, -2), size[0])
 
 
 def _at_once(images: Tensor) -> int:
-    """How many images are rendered at once: all on a GPU, which wants them so."""
+    """Return the number of images that are rendered at once: all on a GPU."""
     return _BLOCK if images.device.type == "cpu" else len(images)
 
 
 class Camera:
-    """Renders captures through a fixed set of PSFs.
+    """A renderer of captures through a fixed set of PSFs.
 
-    The spectra of the PSFs are kept, with their graph: PSFs that carry a gradient need a new Camera per backward pass.
+    The spectra of the PSFs are cached with their graph: PSFs that require a gradient need a new Camera per backward
+    pass.
 
     Args:
         psf: (F, 3, K, K) one PSF per field and colour, K odd.
-        outside_window: "veil" as above, or "renormalise" the PSF to unit energy, which deletes that light for free.
-        colour: light adds up in the values as they are ("srgb", the paper's reading) or in "linear" light.
+        outside_window: "veil" as above, or "renormalise" the PSF to unit energy, without light outside the window.
+        colour: convolution of sRGB values ("srgb", our reading of the paper) or of "linear" light.
     """
 
     def __init__(self, psf: Tensor, outside_window: str = "veil", colour: str = "srgb"):
@@ -51,7 +52,7 @@ class Camera:
         self._spectra: dict[tuple[int, int], Tensor] = {}
 
     def grid(self, images: Tensor) -> Tensor:
-        """Captures of every image at every field: (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
+        """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
         blocks = []
         for block in images.split(_at_once(images)):
             render, kernels = self._prepare(block)
@@ -59,7 +60,7 @@ class Camera:
         return torch.cat(blocks, 1)
 
     def single(self, images: Tensor, fields: Tensor) -> Tensor:
-        """Captures of each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
+        """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
         captures = []
         for block, chosen in zip(images.split(_at_once(images)), fields.split(_at_once(images)), strict=True):
             render, kernels = self._prepare(block)
@@ -67,11 +68,14 @@ class Camera:
         return torch.cat(captures)
 
     def _prepare(self, images: Tensor) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
-        """Everything that is done once for all fields.
+        """Compute what all fields share.
 
         Returns:
             A function from spectra of PSFs and their veils, one for all images or one each, to captures (B, 3, H, W);
             and the spectra of all PSFs (F, 3, w, h).
+
+        Raises:
+            ValueError: the images are smaller than half of the PSF window.
         """
         height, width = images.shape[-2:]
         half = self.psf.shape[-1] // 2
@@ -86,8 +90,8 @@ class Camera:
         mean = images.mean((-2, -1), keepdim=True)
 
         def render(kernel: Tensor, veil: Tensor) -> Tensor:
-            # The circular convolution wraps only into the border of 2 * half rows and columns that is cut away: the
-            # rows before the second transform, which then has fewer.
+            # Circular convolution wraps only into the border of 2 * half rows and columns that is cropped: rows before
+            # the second transform, which is then smaller.
             rows = torch.fft.ifft(spectra * kernel)[..., 2 * half : 2 * half + height].transpose(-1, -2)
             captures = torch.fft.irfft(rows, size[1])[..., 2 * half : 2 * half + width] + veil * mean
             return linear_rgb_to_rgb(captures) if self.linear else captures
@@ -96,5 +100,5 @@ class Camera:
 
 
 def psnr(images: Tensor, reference: Tensor) -> Tensor:
-    """Peak signal-to-noise ratio of each image [dB], for values in [0, 1]: -10 log10(mean squared error)."""
+    """Compute the PSNR of each image [dB], for values in [0, 1]: -10 log10(mean squared error)."""
     return -10 * torch.log10((images - reference).square().mean((-3, -2, -1)).clamp(min=1e-12))

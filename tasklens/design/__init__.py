@@ -1,1 +1,1 @@
-"""Methods of lens design; the only room where optics meets a network."""
+"""Methods of lens design, the only package that uses both optics and networks."""

@@ -1,4 +1,4 @@
-"""Limits that every design has to keep: margins that are positive where a limit holds."""
+"""Limits of designs and their margins, which are negative where a limit is violated."""
 
 import math
 from collections.abc import Mapping
@@ -15,15 +15,15 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
-_HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # parts of the semi-diameter at which limits are checked
-_BUFFER = 0.01  # designs aim this far inside a limit, so that a soft penalty ends with the limit kept
+_HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
+_BUFFER = 0.01  # margin that designs aim at [mm; a tenth of it for fractions], since a soft penalty ends short of it
 
 
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
-    """Distance of the lens from each limit of `limits` [mm; slopes without unit], negative where it is violated.
+    """Compute the margins of manufacturing limits [mm; slopes without unit], negative where a limit is violated.
 
-    An element reaches as far out as light does on either of its surfaces. Beyond its own light, a surface is a flat
-    flange: its polynomial means nothing there.
+    An element has the larger of the radii that light uses on its two surfaces. Beyond the radius that light uses, a
+    surface is a flat flange, and its polynomial is not evaluated.
 
     Args:
         semi_diameter: (S,) radius that light uses on each surface [mm].
@@ -52,7 +52,7 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
 
 
 def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tensor) -> dict[str, Tensor]:
-    """Margins of focal length and distortion, as fractions.
+    """Compute the margins of focal length and distortion, as fractions.
 
     Args:
         chief: (F, 2) image points of the chief rays of `view` [mm].
@@ -65,7 +65,7 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tens
 
 
 def violation(margins: Mapping[str, Tensor]) -> Tensor:
-    """How far each margin falls short of the buffer that designs keep: zero where it does not; one vector."""
+    """Return the violation of all limits, with a buffer, as one vector; zero where a margin exceeds the buffer."""
     return torch.cat([(_BUFFER * _scale(name) - margin).clamp(min=0) for name, margin in margins.items()])
 
 
@@ -74,13 +74,13 @@ def _scale(name: str) -> float:
 
 
 def corner_view(view: View) -> View:
-    """The axis and the corner of the field in the middle colour: enough to know how much of a surface light uses."""
+    """Return the view of axis and corner at the middle wavelength, which suffices for clear semi-diameters."""
     extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.radii.argmax()]])
     return replace(view.in_reference(), fields=extreme)
 
 
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
-    """Sum of squared violations of all margins, for gradient descent."""
+    """Sum the squared violations of all limits, for gradient descent."""
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
     margins = manufacturing_margins(lens, limits, semi_diameter)
     margins |= first_order_margins(lens, limits, view, chief_points(lens, view))
@@ -88,7 +88,7 @@ def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
 
 
 def worst_margin(margins: Mapping[str, Tensor]) -> tuple[str, float]:
-    """Name and value of the smallest margin."""
+    """Return name and value of the smallest margin."""
     worst = {name: float(margin.min()) for name, margin in margins.items() if margin.numel()}
     name = min(worst, key=lambda key: worst[key] if math.isfinite(worst[key]) else -math.inf)
     return name, worst[name]

@@ -1,6 +1,6 @@
-"""The loop of every design that goes step by step: progress, history, checkpoints, and what to do when it diverges.
+"""The common loop of iterative designs: progress, history, checkpoints and divergence.
 
-A method is a `Descent`: it says what one step is. It never sees files, rows or steps that ran before it was killed.
+A method is a `Descent`, which implements one step.
 """
 
 import sys
@@ -20,13 +20,13 @@ from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.progress import Progress
 
 History = list[dict[str, Any]]
-_ROWS = 100  # of a history, at least, where there are that many steps
-_SHOWN = ("loss", "energy_in_window", "penalty")  # of a step's numbers, in progress lines
+_ROWS = 100  # least number of rows of a history, if there are as many steps
+_SHOWN = ("loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a step of a descent found: the rays of its lens, the losses (F,) of the fields, and numbers for its row."""
+    """Result of a step: the rays of its lens, the losses (F,) of the fields, and numbers for the history."""
 
     rays: Rays
     losses: Tensor
@@ -34,15 +34,15 @@ class Step:
 
 
 class Diverged(Exception):
-    """A step whose loss or change is not finite; the message says in which field and at which surface."""
+    """A step whose loss or change is not finite; the message names the field and the surface."""
 
 
 class Descent(ABC):
-    """A method that changes a lens step by step; `state` is all that it has to remember between two steps.
+    """An iterative design method.
 
     Attributes:
-        steps: how many it takes.
-        holders: parts of it that have `state_dict` and `load_state_dict`.
+        steps: number of steps.
+        holders: parts with `state_dict` and `load_state_dict`, by name, saved in addition to `state`.
     """
 
     steps: int
@@ -50,30 +50,30 @@ class Descent(ABC):
 
     @abstractmethod
     def step(self, step: int) -> Step:
-        """Take the step of this number, from 1; raises Diverged and leaves the last finite lens."""
+        """Take step number `step`, from 1; raises Diverged and restores the last finite lens."""
 
     @abstractmethod
     def state(self) -> dict[str, Any]:
-        """What the method is to remember after a step, beside `holders`."""
+        """Return the state after a step, without `holders`."""
 
     @abstractmethod
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Become what `state` remembers."""
+        """Resume from `state`."""
 
     @abstractmethod
     def lens(self) -> Lens:
-        """The present result, out of every graph."""
+        """Return the present result, detached from autograd."""
 
 
 def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, History]:
-    """Take all steps of a descent; if it diverges, stop with its last finite lens, and say so in the history.
+    """Take all steps of a descent; if it diverges, stop with its last finite lens, and record that in the history.
 
     Args:
-        label: of progress lines, of the history and of the checkpoint's part.
-        checkpoint: of the job.
+        label: label of progress lines, history and the part of the checkpoint.
+        checkpoint: checkpoint of the job.
 
     Returns:
-        The lens at the end, and a row per logged step: phase, step, the step's numbers, mean RMS spot [um].
+        The final lens, and a row per logged step: phase, step, the step's numbers, mean RMS spot [um].
     """
     part = checkpoint.part(label, **descent.holders)
     known = part.state if part.result is None else part.result
@@ -99,12 +99,12 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
 
 
 def divergence(lens: Lens, view: View, pupil: Tensor, losses: Tensor) -> Diverged:
-    """The first field whose loss is not finite, and the first surface at which the lens or its rays are not.
+    """Return an exception that names the first field whose loss, and the first surface whose values are not finite.
 
     Args:
-        lens: the lens of the step.
-        pupil: (N, 2) its rays.
-        losses: (F,) of the fields.
+        lens: lens of the step.
+        pupil: (N, 2) pupil points of its rays.
+        losses: (F,) losses of the fields.
     """
     wrong = (~torch.isfinite(losses)).nonzero()[:, 0].tolist()
     field = "no field"

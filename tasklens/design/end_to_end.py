@@ -1,4 +1,4 @@
-"""End-to-end design: lens and classifier descend the classifier's loss together."""
+"""End-to-end design: joint gradient descent of lens and classifier on the classifier's loss."""
 
 import torch
 from torch import nn
@@ -17,10 +17,10 @@ from tasklens.study.design_settings import JointDescentSettings
 
 
 class JointDescent(GradientDescent):
-    """Descent of the classifier's loss over the lens and the network at once, with AdamW.
+    """Joint gradient descent of lens and network on the classifier's loss, with AdamW.
 
-    The network is trained in place, in `train()`; all captures of a step pass at once, for its batch statistics. If
-    the loss stops being finite, the lens is that of the last step with a finite one.
+    The network is trained in place, in `train()`, with all captures of a step in one batch for its batch norms. If the
+    loss is not finite, the lens of the last finite loss is restored.
     """
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
@@ -35,7 +35,7 @@ class JointDescent(GradientDescent):
         self.settings = settings
 
     def step(self, step: int) -> Step:
-        """A step of AdamW of lens and network on the loss of a batch, at the pixels and stop of this step."""
+        """Take a step of AdamW on the loss of a batch, with the pixel pitch and stop of this step."""
         cold, view = self.settings.cold_start, self.problem.view
         indices = self.order.next()
         pixels = stop = 1.0
@@ -73,12 +73,12 @@ def design(
     label: str,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, History]:
-    """The lens at the end of a joint descent from `start`, and its history; the classifier is left in `eval()`.
+    """Run a joint descent from `start`; return the lens and its history, and leave the classifier in `eval()`.
 
     Args:
-        label: of the descent in progress lines, history and checkpoint.
+        label: label of progress lines, history and the part of the checkpoint.
     """
-    torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
+    torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     found = run(JointDescent(start, classifier, problem, settings), label, checkpoint)
     classifier.eval().requires_grad_(False)
     return found

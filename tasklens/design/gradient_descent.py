@@ -1,4 +1,4 @@
-"""Gradient descent on the numbers of a lens with AdamW: what the methods that use it share."""
+"""Base class of methods with gradient descent on the variables of a lens by AdamW."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,16 +16,16 @@ from tasklens.study.design_settings import LearningRates
 
 
 class GradientDescent(Descent):
-    """A descent with AdamW on the variables of a lens, whose learning rates fall on a cosine.
+    """Gradient descent on the variables of a lens by AdamW, with cosine schedule of the learning rates.
 
     Args:
-        start: the lens to begin with.
+        start: starting lens.
         problem: fields, limits, seed.
-        steps: of the descent.
+        steps: number of steps.
         rates: learning rates of the lens.
-        groups: further parameters for the optimizer.
-        betas: of AdamW.
-        holders: what a subclass remembers beside optimizer and schedule.
+        groups: further parameter groups of the optimizer.
+        betas: betas of AdamW.
+        holders: holders of a subclass, in addition to optimizer and schedule.
     """
 
     def __init__(
@@ -49,43 +49,43 @@ class GradientDescent(Descent):
         self.remembered = self.variables.values()
 
     def assemble(self) -> Lens:
-        """The present lens, differentiable in its variables."""
+        """Return the present lens, differentiable in its variables."""
         return self.variables.assemble(self.values)
 
     def penalty(self, lens: Lens) -> Tensor:
-        """Sum of squared violations of the limits."""
+        """Sum the squared violations of the limits."""
         return penalty(lens, self.problem.limits, self.problem.view)
 
     def remember(self) -> None:
-        """Remember the present lens."""
+        """Store the present variables."""
         self.remembered = {name: value.detach().clone() for name, value in self.values.items()}
 
     def revert(self) -> None:
-        """Go back to the lens that was remembered last, or to the start."""
+        """Restore the variables stored last, or those of the start."""
         for name, value in self.values.items():
             value.data.copy_(self.remembered[name])
 
     def advance(self) -> None:
-        """Step along the gradients that have been accumulated, and clear them."""
+        """Take a step of optimizer and schedule with the accumulated gradients, and clear them."""
         self.optimizer.step()
         self.schedule.step()
         self.optimizer.zero_grad()
 
     @property
     def learning_rate(self) -> float:
-        """Of the first group, the curvatures."""
+        """Present learning rate of the curvatures [1/mm]."""
         return float(self.schedule.get_last_lr()[0])
 
     def state(self) -> dict[str, Any]:
-        """Present and remembered variables."""
+        """Return the present and the stored variables."""
         return {"values": self.values, "remembered": self.remembered}
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Take both from a state."""
+        """Resume from `state`."""
         for name, value in self.values.items():
             value.data.copy_(state["values"][name])
         self.remembered = state["remembered"]
 
     def lens(self) -> Lens:
-        """The present lens, out of every graph."""
+        """Return the present lens, detached from autograd."""
         return self.assemble().detached()

@@ -1,4 +1,4 @@
-"""Lenses from outside: as their file has them, but for size, stop and focus, which the specification sets."""
+"""Imported lenses: size, stop and focus are set by the specification, all else by their file."""
 
 import math
 from dataclasses import replace
@@ -18,23 +18,23 @@ from tasklens.study.design_settings import ImportedLens
 
 
 def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
-    """The lens of a file, made to fit a specification.
+    """Read a lens and fit it to a specification.
 
     It is scaled to the focal length of `view`, its stop set to the F-number, and refocused for objects at infinity.
-    Its own clear apertures are scaled with it and go on stopping light.
+    Its clear apertures are scaled with it and vignette.
 
     Args:
-        settings: where the lens is.
-        view: fields, colours and focal length.
+        settings: file of the lens.
+        view: fields, wavelengths and focal length.
         f_number: focal length over diameter of the entrance pupil.
-        rays: pupil points per field and wavelength for the focus.
+        rays: number of pupil points per field and wavelength for the focus.
 
     Returns:
-        The lens, and what was done to it: the file with its EFL [mm] and object distance [mm, None = infinity], the
-        scale, and the shift of the image plane after that [mm].
+        The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale, and
+        the shift of the image plane after scaling [mm].
 
     Raises:
-        FileError: the file cannot be read, or its lens cannot serve the specification.
+        FileError: the file cannot be read, or its lens does not fit the specification.
     """
     name = str(settings.file)
     found = read(settings)
@@ -60,14 +60,14 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
 
 
 def read(settings: ImportedLens) -> Prescription:
-    """What the file says; raises FileError."""
+    """Read the prescription from the file of an imported lens; raises FileError."""
     if settings.file.suffix.lower() == ".zmx":
         return zemax.read(settings.file, settings.catalogues)
     return prescription.read(settings.file)[0]
 
 
 def refocused(lens: Lens, view: View, rays: int) -> Lens:
-    """The lens with its image plane where the mean over fields of the RMS spot radius about the centroid is least.
+    """Refocus a lens to the smallest mean over fields of the RMS spot radius about the centroid.
 
     Rays are straight behind the lens, so that each RMS is the norm of an affine function of the shift: the mean is
     convex, with one minimum.
@@ -86,7 +86,7 @@ def refocused(lens: Lens, view: View, rays: int) -> Lens:
 
 
 def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
-    """The whole beam on the axis passes, but for what the stop cuts, and the chief ray of every field."""
+    """Check that the beam on the axis, except at the stop, and all chief rays are not lost; raises FileError."""
     on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
     beam = trace_fields(lens, on_axis, rim(64))
     lost = ~beam.valid & (beam.lost_at != lens.stop)
@@ -102,7 +102,7 @@ def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
 
 
 def _loss(rays: Rays, lost: torch.Tensor) -> str:
-    """Where and why the first of the lost rays ended."""
+    """Describe the surface and status of the first lost ray."""
     surface, status = f"surface {int(rays.lost_at[lost][0])} (the first is 0)", RayStatus(int(rays.status[lost][0]))
     return {
         RayStatus.MISSED: f"where it misses {surface}",

@@ -1,9 +1,8 @@
 """Imaging design by damped least squares: ray residuals, random starts, staged variables, basin hopping.
 
-The way of a lens designer: many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders),
-and fewer of them are kept each time. Those left are perturbed out of their minima again and again, as in Hammer
-optimisation, and again only the best are kept. Budgets count evaluations, so that the result does not depend on the
-machine.
+Many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders), and fewer of them are kept
+at each stage. The remaining ones are repeatedly perturbed and improved, as in Hammer optimisation, and again only the
+best are kept. Budgets count evaluations, so that the result does not depend on the speed of the machine.
 """
 
 import itertools
@@ -29,12 +28,12 @@ from tasklens.runtime.progress import Progress
 from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.settings import Constraints
 
-_SPACES = 0.35  # a random start draws its element and air thicknesses below this part of the focal length
-_STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # part of the starts, asphere orders, part of the budget
-_PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # part of the starts, at least one lens; part of the budget
+_SPACES = 0.35  # largest element and air thickness of a random start [focal lengths]
+_STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # fraction of starts, asphere orders, fraction of budget
+_PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts, at least one lens; fraction of budget
 _PERTURBATION_EVALUATIONS = 12
-_SHAPE = ("curvature", "thickness", "alpha")  # of a lens: what a design changes
-_STRICT = 20.0  # times the weight of limits at the end: from the start it would hem in the search
+_SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
+_STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
 
 
 def improve(
@@ -44,14 +43,14 @@ def improve(
     evaluations: int,
     watch: Callable[[float], None] = lambda error: None,
 ) -> tuple[Lens, float]:
-    """Damped least squares over the variables `names`; returns the lens and its root-sum-square residual [um].
+    """Improve the variables `names` by damped least squares; return the lens and its root-sum-square residual [um].
 
     `watch` is called with the root-sum-square residual at each evaluation.
     """
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
     changes = variables.directions(start)
-    latest: dict = {}  # scipy asks for derivatives only at the last vector that it asked residuals for
+    latest: dict = {}  # scipy evaluates derivatives only at the vector of the latest residuals
 
     def assembled(vector: numpy.ndarray) -> Lens:
         return variables.assemble_vector(list(start), torch.from_numpy(vector))
@@ -78,7 +77,7 @@ def improve(
 
 
 def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: numpy.random.Generator) -> list[Lens]:
-    """Random paraxial lenses of the right focal length and track, focused; the last curvature is solved for."""
+    """Return random paraxial lenses, focused, within the track; the last curvature is solved for the focal length."""
     refracting = list(flat.refracting_surfaces)
     middle = view.wavelengths[len(view.wavelengths) // 2]
     strongest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
@@ -109,7 +108,7 @@ Candidate = tuple[float, int, Lens]  # root-sum-square residual [um], number of 
 
 
 class _Search:
-    """The improvement of candidates, each of them a part of the job's checkpoint."""
+    """Improvement of candidates; each result is a part of the checkpoint."""
 
     def __init__(self, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint):
         self.settings, self.checkpoint = settings, checkpoint
@@ -123,16 +122,16 @@ class _Search:
         self.history: History = []
 
     def improve(self, lens: Lens, merit: Merit, orders: int, evaluations: int) -> tuple[Lens, float]:
-        """As the function `improve`, over curvatures, thicknesses and so many asphere orders, with progress lines."""
+        """Improve curvatures, thicknesses and the first `orders` asphere orders, with progress lines."""
         names = ("curvature", "thickness", *self.orders[:orders])
         return improve(lens, merit, names, evaluations, lambda e: self.progress(next(self.evaluations), rms_um=e))
 
     def stage(self, orders: int, candidate: Candidate, count: int, budget: int) -> tuple[Lens, float, str]:
-        """A candidate improved over so many asphere orders."""
+        """Improve a candidate over the first `orders` asphere orders."""
         return *self.improve(candidate[2], self.merit, orders, max(2, budget)), f"{orders} orders"
 
     def hop(self, candidate: Candidate, count: int, budget: int) -> tuple[Lens, float, str]:
-        """A candidate perturbed and improved again and again, kept where it is better: basin hopping."""
+        """Improve a candidate by basin hopping: perturb and improve repeatedly, and keep better lenses."""
         best, _, lens = candidate
         for _ in range(max(1, budget // _PERTURBATION_EVALUATIONS)):
             perturbed = _perturbed(lens, self.rng)
@@ -144,7 +143,7 @@ class _Search:
     def best(
         self, name: str, candidates: list[Candidate], part: float, share: float, improve: Callable[..., Any]
     ) -> list[Candidate]:
-        """The best candidates, a part of the starts but one at least, improved with a share of the budget."""
+        """Improve the best candidates, a fraction `part` of the starts, at least one, with a share of the budget."""
         kept = sorted(candidates, key=lambda candidate: candidate[:2])[: max(1, round(part * self.settings.starts))]
         budget = round(share * self.settings.evaluations / len(kept))
         return [
@@ -153,7 +152,7 @@ class _Search:
         ]
 
     def _resumable(self, name: str, candidate: Candidate, improve: Callable[..., Any]) -> Candidate:
-        """What `improve` makes of a candidate, or has made of it before the job was killed."""
+        """Improve a candidate, or load the result from the checkpoint."""
         part = self.checkpoint.part(name)
         if part.result is None:
             lens, error, stage = improve()
@@ -170,10 +169,10 @@ class _Search:
 def design(
     flat: Lens, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> tuple[Lens, History]:
-    """The best lens that is found within the budget of `settings`, and a row per candidate of each stage.
+    """Return the best lens found within the budget of `settings`, and a row per candidate of each stage.
 
     Args:
-        flat: plates of the right materials, stop and stop distance.
+        flat: flat plates with the materials, stop and stop distance of the lens.
     """
     search = _Search(problem, settings, checkpoint)
     starts = random_starts(flat, problem.view, problem.limits, settings.starts, search.rng)
@@ -189,7 +188,7 @@ def design(
 
 
 def _perturbed(lens: Lens, rng: numpy.random.Generator) -> Lens:
-    """The lens with about 40 % of its variables moved by a few per cent of their scale."""
+    """Perturb about 40 % of the variables by 1.5 to 15 % of their mean magnitude (standard deviation)."""
     variables = Variables.plain(lens)
     size = rng.uniform(0.015, 0.15)
     moved = {}

@@ -1,4 +1,4 @@
-"""The merit function of damped least squares: two residuals per ray and one per limit, with their derivatives."""
+"""Merit function of damped least squares: two residuals per ray and one per limit, with derivatives."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,20 +16,24 @@ from tasklens.optics.tracing.trace import linearise
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
-HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields of the merit function, as parts of the largest: near the nine
-RINGS, ARMS = 8, 6  # with 6 x 4 corners got twice as bad between the rays
-_APERTURE_RESERVE = 1.01  # clear apertures over what the rays of the merit function use
+HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields as fractions of the largest, near the nine of a specification
+RINGS, ARMS = 8, 6  # with 6 x 4, spots in the corner became twice as large between the rays
+_APERTURE_RESERVE = 1.01  # clear apertures over the radii that the rays of the merit function use
 _LOST_RAY_UM = 300.0  # residual of a lost ray
-VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um counts as much as a ray error of 1 um over all rays
+VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um of violation weighs as much as an RMS spot of 1 um
 
 
 class Merit:
-    """Residuals [um] of a lens: two per ray, weighted so that their sum of squares is the mean squared spot radius.
+    """Residuals of a lens [um]: two per ray, whose sum of squares is the mean squared spot radius, then limits.
 
-    The stop of the lenses stands in front of them: rays then start alike, whatever the lens.
+    The stop must be in front of the lens, so that the launched rays do not depend on the lens.
 
     Args:
-        rim: marginal rays from the top of the pupil to its bottom: they tell how much of a surface light uses.
+        reference: reference point of the rays' errors in y.
+        corner_weight: weight of the corner field, geometric from 1 on the axis.
+        max_chief_ray_angle_deg: largest chief ray angle on the sensor [degrees]; None: no limit.
+        per_mm: residual per mm of violation [um/mm].
+        rim: number of marginal rays, from the top to the bottom of the pupil, for the radii that light uses.
     """
 
     def __init__(
@@ -49,24 +53,24 @@ class Merit:
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
-        self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last of each bundle: a chief ray
+        self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last of each bundle: the chief ray
         self.middle = len(view.wavelengths) // 2
-        field = corner_weight**heights  # geometrically from 1 on the axis to `corner_weight`
+        field = corner_weight**heights
         self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
-        self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # residuals of rays; then of limits
+        self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # number of ray residuals, then limits
         self.per_mm = per_mm
 
     def residuals(self, lens: Lens) -> Tensor:
-        """(R,) residuals [um]."""
+        """Compute the (R,) residuals [um]."""
         return self.linearise(lens)[0]
 
     def clear_semi_diameters(self, lens: Lens) -> Tensor:
-        """(S,) apertures at which limits are held [mm]: 1 % more than the rays of the merit function use."""
+        """Compute the semi-diameters (S,) at which limits are evaluated: 1 % more than the rays use [mm]."""
         _, behind = trace_fields_full(lens.detached(), self.view, self.pupil)
         return _APERTURE_RESERVE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, behind)])
 
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
-        """(R,) residuals [um], and the function from V changes of the lens (`tracing.linearise`) to (R, V) columns."""
+        """Return residuals (R,) [um], and a function from V changes of the lens (as in `tracing`) to (R, V) columns."""
         view = self.view
         start = collimated_rays(lens, view.tangents, self.pupil, view.wavelengths)
         rays, behind, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths))
@@ -100,11 +104,11 @@ class Merit:
             rows.append(_along(operands, leaves, {**changes, "chief": chief, "semi_diameter": apertures}))
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
-        # A perturbed lens can leave every range; scipy wants numbers all the same, as bad as they may be.
+        # A perturbed lens can have residuals that are not finite, which scipy does not accept.
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
-        """Errors in x, and in y about the reference, of the rays of the quadrature; or a change of them."""
+        """Compute errors in x, and in y about the reference, of the rays of the quadrature; or their change."""
         count = len(self.weight)
         match self.reference:
             case "centroid":
@@ -117,7 +121,7 @@ class Merit:
         return x[..., :count], y[..., :count] - centre[..., None, None]
 
     def _operands(self, leaves: Mapping[str, Tensor], lens: Lens) -> Tensor:
-        """One-sided residuals of limits, zero where they hold."""
+        """Compute one-sided residuals of limits, zero where a limit is kept."""
         shape = {name: leaves[name] for name in ("curvature", "alpha", "thickness")}
         lens = replace(lens, **shape)  # type: ignore[arg-type]
         x, y, m, n = leaves["chief"]
@@ -131,14 +135,14 @@ class Merit:
 
 
 def _outermost(rays: Rays) -> tuple[Tensor, Tensor, int]:
-    """Point (x, y) of the ray that is farthest from the axis and not lost [mm], and its index among all."""
+    """Return the point (x, y) [mm] and the flat index of the ray farthest from the axis that is not lost."""
     heights = torch.where(rays.lost_at < 0, torch.hypot(rays.x, rays.y), 0.0).flatten()
     i = int(heights.argmax())
     return rays.x.flatten()[i], rays.y.flatten()[i], i
 
 
 def _along(operands: Tensor, leaves: Mapping[str, Tensor], changes: Mapping[str, Tensor]) -> Tensor:
-    """(V, K) changes of K operands along V changes of the leaves; zero for the many operands that are zero."""
+    """Compute (V, K) changes of K operands for V changes of the leaves; zero for operands that are zero."""
     result = operands.new_zeros(len(changes["chief"]), len(operands))
     positive = operands.detach().nonzero()[:, 0]
     if len(positive):

@@ -1,4 +1,4 @@
-"""From the settings of a lens to the finished lens: its method, then repair, figures and margins."""
+"""Design of a lens from its settings: method, then repair, figures and margins."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -29,11 +29,11 @@ from tasklens.study.design_settings import (
     TaskDrivenSettings,
 )
 
-_POLISH_SEED = 10007  # added to the seed, so that the polish does not see the design's first images again
-_APERTURE = 1.02  # clear aperture of a lens from a file that gives none, over what light uses of it
+_POLISH_SEED = 10007  # added to the seed, so that the polish does not begin with the first images of the design
+_APERTURE = 1.02  # clear aperture of an imported lens without one, over the radius that light uses
 
-Baselines = Mapping[str, tuple[Lens, float]]  # imaging lenses by name, with their minival accuracy
-Notes = dict[str, Any]  # of a lens file: spec, origin, figures, margins
+Baselines = Mapping[str, tuple[Lens, float]]  # imaging lenses and their minival accuracies [%], by name
+Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
 
 
 def design(
@@ -43,13 +43,13 @@ def design(
     baselines: Baselines,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, Notes, History]:
-    """Design a lens by its method, or take it from its file.
+    """Design a lens by its method, or import it from its file.
 
     Args:
-        wanted: what to design and how.
-        classifier, dataset: the well-trained classifier and the training images, for designs that a task supervises.
-        baselines: for a design that starts from the best of them.
-        checkpoint: of the wanted.
+        wanted: specification and method of the lens.
+        classifier, dataset: trained classifier and training images, for supervised designs.
+        baselines: lenses of which the best one is the start, if any.
+        checkpoint: checkpoint of the job.
 
     Returns:
         The lens with its clear apertures, the notes for its file, and a row per logged step.
@@ -74,11 +74,11 @@ def design(
         "seed": wanted.seed,
         "start": start_name,
     }
-    # A restart that diverged is not the lens; what came after the selection is.
+    # Only divergence after the selection concerns the lens: a diverged restart may not have been selected.
     wrong = [row for row in history if "cause" in row and not row["phase"].startswith("restart")]
     if wrong:
         origin["diverged"] = f"step {wrong[-1]['step']}: {wrong[-1]['cause']}"
-    # Limits were soft until here; small violations are repaired.
+    # Limits were soft constraints until here.
     return *finished(*repair(lens, view, wanted.constraints), wanted, origin), history
 
 
@@ -89,7 +89,7 @@ def _descend(
     classifier: nn.Module | None,
     checkpoint: Checkpoint,
 ) -> tuple[Lens, History]:
-    """The lens that the method of `settings` makes of `start`, and its history."""
+    """Run the method of `settings` from `start`; return the lens and its history."""
     if isinstance(settings, SpotSettings):
         return spot.design(start, problem, settings, checkpoint)
     if isinstance(settings, LeastSquaresSettings):
@@ -106,16 +106,16 @@ def _descend(
 
 
 def open_apertures(lens: Lens) -> Lens:
-    """The lens with no clear aperture but its stop, as designs take it."""
+    """Return the lens without clear apertures except the stop."""
     semi_diameter = torch.full_like(lens.semi_diameter, torch.inf)
     semi_diameter[lens.stop] = lens.semi_diameter[lens.stop]
     return replace(lens, semi_diameter=semi_diameter)
 
 
 def finished(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
-    """The lens with clear apertures (S,) [mm], where it has none yet, and the notes for its file.
+    """Add clear apertures (S,) [mm] to surfaces without one; return the lens and the notes for its file.
 
-    A ray beyond them is lost: classifiers bend the rims of lenses, and a few rays of the pupil's outline go far astray.
+    They vignette stray rays: task-driven lenses have strongly curved rims, where a few marginal rays have large errors.
     """
     view = view_of_spec(wanted.spec)
     margins = manufacturing_margins(lens, wanted.constraints, torch.minimum(clear, lens.semi_diameter))

@@ -1,4 +1,4 @@
-"""What a design is about, apart from its start, its method and its networks."""
+"""The design problem, independent of start, method and networks."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,14 @@ from tasklens.study.settings import CaptureSettings, Constraints
 
 @dataclass(frozen=True)
 class Problem:
-    """What every method designs for.
+    """A design problem.
 
     Attributes:
-        view: fields, colours and pixels.
-        limits: that every design keeps.
-        seed: of everything random.
-        capture: how images become captures; for a design that a classifier supervises.
-        dataset: sharp training images; likewise.
+        view: fields, wavelengths and pixels.
+        limits: limits of the design.
+        seed: seed of all random numbers.
+        capture: capture settings, for supervised designs.
+        dataset: sharp training images, for supervised designs.
     """
 
     view: View

@@ -1,12 +1,12 @@
-"""Steps of a design that are measured by how far they move rays on the sensor.
+"""Ray-space descent: steps of a design measured by the displacement of rays on the sensor.
 
-The parameters of a lens act on its rays in nearly the same few ways, so that equal steps in each are very unequal on
-the sensor. With a gradient g, a step d of the variables solves
+The variables of a lens have nearly collinear effects on its rays, so that equal steps in each variable cause very
+different displacements on the sensor. With a gradient g, a step d of the variables solves
 
     minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
 
-where d.M d is the mean squared displacement of rays, s the step size, `scale` a change that is small for a variable,
-and c + C d the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
+where d.M d is the mean squared displacement of rays, s the step size, `scale` a small change of a variable, and c + C d
+the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
 Levenberg-Marquardt.
 """
 
@@ -24,22 +24,22 @@ from tasklens.study.settings import Constraints
 
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
-_DISPLACEMENT_UM = 3.0  # ray displacement that costs as much as a small change, or the step size where that is longer
+_DISPLACEMENT_UM = 3.0  # ray displacement equivalent to a small change, or the step size if that is larger
 _LIMIT_WEIGHT = 1000.0  # w [1/mm^2]
-_MARGINAL_RAYS = 17  # a classifier bends the rim, and with 3 lost limits where none of them went
-_REPAIR_STEP_UM = 2.0  # step size of the steps that bring a lens back within its limits
-_REPAIR_STEPS = 20  # of them at most
+_MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
+_REPAIR_STEP_UM = 2.0  # step size of the repair
+_REPAIR_STEPS = 20  # maximum number of steps of the repair
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Rays and limits about a lens, to first order in V variables.
+    """First-order model of rays and limits about a lens, in V variables.
 
     Attributes:
-        metric: M, (V, V), mean squared displacement of the rays [um^2].
-        scale: (V,) small changes.
-        violation: c, (K,), of the violated limits [mm; fractions without unit].
-        limits: C, (K, V), their derivatives.
+        metric: M, (V, V), quadratic form of the mean squared displacement of rays [um^2].
+        scale: (V,) small changes of the variables.
+        violation: c, (K,), violations of the violated limits [mm; fractions without unit].
+        limits: C, (K, V), derivatives of the violations.
     """
 
     metric: Tensor
@@ -49,14 +49,13 @@ class LinearModel:
 
     @property
     def violation_norm(self) -> float:
-        """Length of the violation."""
+        """Norm of the violation [mm; fractions without unit]."""
         return float(self.violation.norm())
 
     def step(self, gradient: Tensor, step_size: float, damping: float) -> Tensor:
-        """The change (V,) of the variables that moves rays by `step_size` [um] RMS.
+        """Compute the change (V,) of the variables with an RMS ray displacement of `step_size` [um].
 
-        Repairing violated limits is part of the step, never on top of it. Where it needs less than the whole of it, the
-        gradient has the rest.
+        The repair of violated limits is included in the displacement: the gradient uses what the repair leaves.
         """
         floor = (max(step_size, _DISPLACEMENT_UM) / self.scale).square()
         regular = self.metric + damping * torch.diag(self.metric.diagonal() + floor)
@@ -71,7 +70,7 @@ class LinearModel:
 
 
 class RaySpace:
-    """The variables of a lens as one vector, with what they do to its rays and limits."""
+    """Variables of a lens as one vector (V,), and their linear model."""
 
     def __init__(self, lens: Lens, view: View, limits: Constraints):
         self.variables = Variables.normalised(lens, view)
@@ -83,11 +82,11 @@ class RaySpace:
         self.scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
 
     def lens(self, vector: Tensor) -> Lens:
-        """The lens with these values (V,), differentiable in them."""
+        """Return the lens with these values (V,), differentiable in them."""
         return self.variables.assemble_vector(self.names, vector)
 
     def linearise(self, vector: Tensor) -> LinearModel:
-        """Rays and limits about the lens with these values."""
+        """Linearise rays and limits about the lens with these values (V,)."""
         residuals, columns = self.merit.linearise(self.lens(vector))
         jacobian = columns(self.directions)
         rays, limits = jacobian.split([self.merit.rays, len(jacobian) - self.merit.rays])
@@ -98,12 +97,11 @@ class RaySpace:
 
 
 def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
-    """Bring a lens back within its limits by steps that move its rays as little as that takes.
-
-    If they end before it is, the one of least violation.
+    """Repair violated limits of a lens by steps of small ray displacement.
 
     Returns:
-        The lens, and the apertures (S,) within which it keeps its limits [mm].
+        The lens, or that of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
+        its limits were evaluated [mm].
     """
     space = RaySpace(lens, view, limits)
     vector = space.start
@@ -119,7 +117,7 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
 
 
 def _bisect(holds: Callable[[float], bool], low: float = -12.0, high: float = 8.0) -> float:
-    """The least value within 1e-3, to the right of which `holds` is true."""
+    """Find by bisection, within 1e-3, the value above which `holds` is true."""
     while high - low > 1e-3:
         middle = (low + high) / 2
         low, high = (low, middle) if holds(middle) else (middle, high)

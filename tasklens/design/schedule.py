@@ -1,13 +1,13 @@
-"""How step sizes, pixels and stops change over a design."""
+"""Schedules of step sizes, learning rates, pixels and stops."""
 
 import math
 
 
 def cosine(fraction: float, final: float) -> float:
-    """Factor on a rate after `fraction` of the steps: from 1 to `final` on half a cosine."""
+    """Compute the factor on a rate after `fraction` of the steps: half a cosine from 1 to `final`."""
     return final + (1 - final) * 0.5 * (1 + math.cos(math.pi * min(fraction, 1.0)))
 
 
 def geometric(start: float, fraction: float) -> float:
-    """A scale that goes from `start` to 1 in equal ratios while `fraction` goes from 0 to 1, and stays there."""
+    """Compute a scale that changes geometrically from `start` at fraction 0 to 1 at fraction 1, and is 1 after that."""
     return start ** max(0.0, 1 - fraction)

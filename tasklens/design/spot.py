@@ -1,4 +1,4 @@
-"""Imaging design by descent: the RMS spot radius, from flat plates, with an opening stop."""
+"""Imaging design by gradient descent on the RMS spot radius, with an opening stop."""
 
 import math
 from collections.abc import Mapping
@@ -18,10 +18,10 @@ from tasklens.study.design_settings import SpotSettings
 
 
 class SpotDescent(GradientDescent):
-    """Descent of the mean over fields of sqrt(mean(r^2)) about the polychromatic centroid.
+    """Gradient descent on the mean over fields of sqrt(mean(r^2)) about the polychromatic centroid.
 
-    Its result is the lens with the least loss of all steps with the full stop: descents from plates jump into bad
-    lenses now and then, and do not always come back. The last finite one if there is none.
+    The result is the lens of the smallest loss among steps with the full stop, since the loss sometimes rises abruptly
+    and does not always recover; without such a step, the last finite lens.
     """
 
     def __init__(self, start: Lens, problem: Problem, settings: SpotSettings):
@@ -29,7 +29,7 @@ class SpotDescent(GradientDescent):
         self.settings, self.least = settings, math.inf
 
     def step(self, step: int) -> Step:
-        """A step of AdamW on the mean spot and the penalty, with the stop of this step."""
+        """Take a step of AdamW on the mean spot and the penalty, with the stop of this step."""
         settings, view = self.settings, self.problem.view
         lens = self.assemble()
         scale = geometric(settings.stop_scale, (step - 1) / (settings.stop_duration * self.steps))
@@ -52,15 +52,15 @@ class SpotDescent(GradientDescent):
         return Step(rays, spots, numbers | {"learning_rate": self.learning_rate})
 
     def lens(self) -> Lens:
-        """The lens of the least loss so far."""
+        """Return the lens of the smallest loss so far, detached from autograd."""
         return self.variables.assemble(self.remembered).detached()
 
     def state(self) -> dict[str, Any]:
-        """As of every gradient descent, and the least loss."""
+        """Return the state of the gradient descent, and the smallest loss."""
         return super().state() | {"least": self.least}
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Take them from a state."""
+        """Resume from `state`."""
         super().resume(state)
         self.least = state["least"]
 
@@ -68,5 +68,5 @@ class SpotDescent(GradientDescent):
 def design(
     start: Lens, problem: Problem, settings: SpotSettings, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> tuple[Lens, History]:
-    """The lens of the least RMS spot that a descent from `start` finds, and its history."""
+    """Run a descent on the RMS spot from `start`; return the lens and its history."""
     return run(SpotDescent(start, problem, settings), "spot", checkpoint)

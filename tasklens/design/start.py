@@ -1,4 +1,4 @@
-"""Where designs start: flat plates."""
+"""Flat plates as the starting lens of designs."""
 
 import torch
 
@@ -7,12 +7,12 @@ from tasklens.materials.material import AIR, Material
 from tasklens.optics.lens import Lens
 from tasklens.study.settings import Constraints, Spec
 
-_BACK = 0.35  # its last space, in focal lengths: plates far from the stop can act on the fields one by one
-_AIR = 0.5  # its air spaces, in plate thicknesses
+_BACK = 0.35  # last space [focal lengths]; small, since fields are separated on plates far from the stop
+_AIR = 0.5  # air spaces [plate thicknesses]
 
 
 def flat(plastics: tuple[Material, ...], spec: Spec, constraints: Constraints) -> Lens:
-    """Plane-parallel plates behind a stop: a lens without power."""
+    """Return plane-parallel plates behind a stop, a lens without power."""
     elements = len(plastics)
     back = max(_BACK * spec.efl_mm, constraints.min_back_focus)
     room = constraints.flat_track * spec.efl_mm - constraints.stop_distance - back

@@ -1,9 +1,8 @@
-"""A classifier's loss as a supervisor: from a lens through rays, PSFs and captures to a loss, and back to the PSFs.
+"""Supervision of a lens by a classifier's loss, through rays, PSFs and captures, and its gradient at the PSFs.
 
-The gradient is taken in stages. The network runs in micro-batches of captures, each of which leaves dL/dcapture; then
-one backward pass carries that through the convolutions to dL/dPSF, and one through the rays: captures are rendered and
-rays traced once. This is exact while the network is in `eval()`; while it is trained with batch statistics, one
-micro-batch per step makes it exact as well.
+The gradient is computed in stages. The network runs in micro-batches of captures, each of which gives dL/dcapture; then
+one backward pass through the convolutions gives dL/dPSF, and one passes through the rays: captures are rendered and
+rays traced once. This is exact for a network in `eval()`, and with batch statistics for one micro-batch per step.
 """
 
 import math
@@ -28,17 +27,18 @@ from tasklens.study.settings import CaptureSettings
 def loss_at_psf(
     classifier: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: CaptureSettings, micro_batch: int
 ) -> tuple[Tensor, Tensor]:
-    """Mean cross-entropy over all captures, and its gradient at the PSFs.
+    """Compute the mean cross-entropy over all captures, and its gradient at the PSFs.
 
     Network parameters that require a gradient accumulate theirs.
 
     Args:
-        images: (B, 3, H, W) in [0, 1]; labels: (B,).
+        images: (B, 3, H, W) sharp images in [0, 1].
+        labels: (B,) labels.
         grid: (F, 3, K, K) PSFs.
-        micro_batch: the most of the F B captures that pass through the network at once.
+        micro_batch: maximum number of the F B captures per forward pass.
 
     Returns:
-        loss of each field (F,), whose mean is the loss, and its gradient dL/dPSF, on the device of `grid` and like it.
+        Loss of each field (F,), whose mean is the loss L, and dL/dPSF like `grid`; on its device and of its dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
     captures = Camera(leaf, capture.outside_window, capture.colour).grid(images)
@@ -56,21 +56,21 @@ def loss_at_psf(
 
 
 def _gradient(leaf: Tensor) -> Tensor:
-    """That of a leaf after a backward pass."""
+    """Return the gradient of a leaf after a backward pass."""
     assert leaf.grad is not None
     return leaf.grad
 
 
 @dataclass(frozen=True)
 class Supervisor:
-    """A classifier that judges captures through a lens.
+    """A classifier whose loss on captures supervises a lens.
 
     Attributes:
-        classifier: takes images (B, 3, H, W) in [0, 1].
-        problem: with capture and dataset.
-        size: side to which images are reduced [pixels]; None leaves them.
-        augment: whether TrivialAugment acts on the sharp images.
-        micro_batch: the most captures that pass through the network at once.
+        classifier: network for images (B, 3, H, W) in [0, 1].
+        problem: design problem with capture and dataset.
+        size: side of the resized images [pixels]; None: not resized.
+        augment: whether TrivialAugment is applied to the sharp images.
+        micro_batch: maximum number of captures per forward pass.
     """
 
     classifier: nn.Module
@@ -81,18 +81,18 @@ class Supervisor:
 
     @property
     def dataset(self) -> ImageDataset:
-        """The sharp training images."""
+        """Sharp training images."""
         assert self.problem.dataset is not None  # a supervised problem has one
         return self.problem.dataset
 
     @property
     def capture(self) -> CaptureSettings:
-        """How images become captures."""
+        """Capture settings."""
         assert self.problem.capture is not None
         return self.problem.capture
 
     def images(self, indices: Tensor, augment: bool) -> tuple[Tensor, Tensor]:
-        """Sharp images (B, 3, H, W) in [0, 1] and their labels, as the design sees them."""
+        """Return sharp images (B, 3, H, W) in [0, 1], resized and optionally augmented, and their labels (B,)."""
         dataset = self.dataset
         images = dataset.images[indices].to(dataset.device)
         if self.size is not None:
@@ -103,26 +103,26 @@ class Supervisor:
         return images.float() / 255, dataset.labels[indices].to(dataset.device)
 
     def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
-        """Rays through a lens, and its PSFs (F, 3, K, K) at a pixel pitch that is `pixels` times the true one.
+        """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels.
 
-        PSFs are centred on the pinhole points, which holds the lens to its focal length and distortion.
+        PSFs are centred on the pinhole points, so that errors of focal length and distortion increase the loss.
         """
         view = self.problem.view
         rays = trace_fields(lens, view, pupil)
         return rays, psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel_size)
 
     def loss(self, indices: Tensor, grid: Tensor) -> tuple[Tensor, Tensor]:
-        """Loss of each field (F,) on these images through these PSFs, and the gradient of its mean at the PSFs."""
+        """Compute the loss (F,) of each field on these images through PSFs, and the gradient of its mean at these."""
         images, labels = self.images(indices, self.augment)
         return loss_at_psf(self.classifier, images, labels, grid, self.capture, self.micro_batch)
 
     @torch.no_grad()
     def validation_loss(self, lens: Lens, indices: Tensor, pupil: Tensor, pixels: float) -> float:
-        """Mean loss of a lens on images without augmentation; infinite if it is not finite."""
+        """Compute the mean loss of a lens on images without augmentation; infinite if it is not finite."""
         _, grid = self.trace(lens, pupil, pixels)
         images, labels = self.images(indices, augment=False)
         captures = Camera(grid.to(images), self.capture.outside_window, self.capture.colour).grid(images)
-        # Every batch holds all fields, as those of a descent do: it matters to batch norms by the batch.
+        # Captures are ordered by image, since batch norms in batch mode need all fields in every batch.
         inputs, targets = captures.transpose(0, 1).flatten(0, 1), labels.repeat_interleave(len(grid))
         parts = zip(inputs.split(self.micro_batch), targets.split(self.micro_batch), strict=True)
         loss = sum(float(F.cross_entropy(self.classifier(part), target, reduction="sum")) for part, target in parts)
@@ -130,5 +130,5 @@ class Supervisor:
 
 
 def energy_in_window(grid: Tensor) -> float:
-    """Mean energy of PSFs (F, W, K, K) inside their window."""
+    """Compute the mean energy of PSFs (F, W, K, K) inside their window."""
     return float(grid.detach().sum((-2, -1)).mean())

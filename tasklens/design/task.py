@@ -1,9 +1,9 @@
-"""Task-driven design: the loss of a frozen classifier moves rays, and the rays move the lens.
+"""Task-driven design: ray-space descent on the loss of a frozen classifier, with restarts.
 
-Plain descent from flat plates ends in poor lenses, for two reasons. The parameters of a lens act on its rays in nearly
-the same few ways, so that equal steps in each are very unequal on the sensor; and descents from the same plates end far
-apart. So each step is measured in ray displacement (see `ray_space`), and several restarts descend from the plates; the
-one with the least validation loss is refined.
+Gradient descent from flat plates ends in poor lenses, for two reasons: equal steps of the variables cause very
+different ray displacements, and results depend strongly on the image order. So each step is measured in ray
+displacement (see `ray_space`), and of several restarts from the plates the one with the smallest validation loss is
+refined.
 """
 
 from collections.abc import Mapping
@@ -24,20 +24,20 @@ from tasklens.recognition.training import Shuffled
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
 
-_LEEWAY_MM = 0.05  # by which a step may lengthen the violation of the limits; a longer one is halved
-_HALVINGS = 5  # at most
-_SELECTION_IMAGES = 64  # that compare the restarts
+_LEEWAY_MM = 0.05  # increase of the violation norm above which a step is halved
+_HALVINGS = 5  # maximum number of halvings of a step
+_SELECTION_IMAGES = 64  # images for the selection among restarts
 
 
 class RaySpaceDescent(Descent):
-    """Descent of a frozen classifier's loss with steps of given ray displacement.
+    """Descent on a frozen classifier's loss with steps of given ray displacement.
 
     Args:
-        start: the lens to begin with.
-        supervisor: the frozen classifier.
-        task: rays and images per step.
-        settings: of the steps.
-        seed: of the rays and of the order of the images.
+        start: starting lens.
+        supervisor: supervisor with the frozen classifier.
+        task: numbers of rays and images per step.
+        settings: settings of the descent.
+        seed: seed of the rays and of the image order.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class RaySpaceDescent(Descent):
         self.holders = {"order": self.order}
 
     def step(self, step: int) -> Step:
-        """Move rays along the mean gradient of the loss, by the step size and at the pixels of this step."""
+        """Take a step along the mean gradient, with the step size and pixel pitch of this step."""
         settings, view = self.settings, self.supervisor.problem.view
         indices = self.order.next()
         pixels, step_um = self._schedule((step - 1) / self.steps)
@@ -82,7 +82,7 @@ class RaySpaceDescent(Descent):
         return Step(rays, losses, numbers)
 
     def _schedule(self, done: float) -> tuple[float, float]:
-        """Pixel pitch in sensor pixels, and step size [um], after a part `done` of the steps."""
+        """Return pixel pitch [sensor pixels] and step size [um] after a fraction `done` of the steps."""
         settings = self.settings
         first, last = settings.pixels
         pixels = last * geometric(first / last, done / settings.duration)
@@ -92,7 +92,7 @@ class RaySpaceDescent(Descent):
         return pixels, step_um
 
     def _advance(self, change: Tensor) -> tuple[Tensor, LinearModel]:
-        """The variables after `change`, and their model; after a part of it where it violates limits far more."""
+        """Return the variables after `change`, and their model; the change is halved while it adds much violation."""
         for halvings in range(_HALVINGS + 1):
             moved = self.vector + change / 2**halvings
             model = self.space.linearise(moved)
@@ -101,16 +101,16 @@ class RaySpaceDescent(Descent):
         return moved, model
 
     def state(self) -> dict[str, Any]:
-        """Variables, mean gradient, and the last variables with a finite loss."""
+        """Return the variables, the mean gradient, and the last variables with a finite loss."""
         return {"vector": self.vector, "mean": self.mean, "finite": self.finite}
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Take them from a state, and linearise again."""
+        """Resume from `state`, and linearise again."""
         self.vector, self.mean, self.finite = (state[name] for name in ("vector", "mean", "finite"))
         self.model = self.space.linearise(self.vector)
 
     def lens(self) -> Lens:
-        """The present lens."""
+        """Return the present lens."""
         return self.space.lens(self.vector)
 
 
@@ -121,10 +121,10 @@ def design(
     settings: TaskDrivenSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, History]:
-    """The refined best restart from `start`, and the history of all; the classifier is frozen and not changed."""
+    """Return the refined best restart from `start`, and the history of all; the classifier is not changed."""
     classifier = frozen(classifier, settings.batch_norm)
     supervisor = Supervisor(classifier, problem, settings.size, settings.augment, settings.micro_batch)
-    torch.manual_seed(problem.seed)  # TrivialAugment draws from torch's own generator
+    torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     generator = torch.Generator().manual_seed(problem.seed)
     selection = torch.randperm(len(supervisor.dataset), generator=generator)[:_SELECTION_IMAGES]
     seeds = [int(torch.randint(2**31, (), generator=generator)) for _ in range(settings.restarts + 1)]

@@ -1,4 +1,4 @@
-"""Which numbers of a lens a design may change."""
+"""Variables of a lens in a design."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,16 +12,17 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.design_settings import LearningRates
 
-ORDERS = (4, 6, 8, 10)  # of the asphere coefficients that designs use; an r^2 term would duplicate the curvature
+ORDERS = (4, 6, 8, 10)  # orders of asphere coefficients in designs; alpha_2 would duplicate the curvature
 
 
 @dataclass(frozen=True)
 class Variables:
-    """The numbers of `lens` that a design may change: those of refracting surfaces and the spaces behind them.
+    """Variables of a design: curvatures and asphere coefficients of refracting surfaces, and the spaces behind them.
 
     Attributes:
-        radius: (S,) R of each surface [mm]. A design sees alpha_2j R^(2j - 1), up to a factor the slope at R, so that
-            one step size suits small and large surfaces; files see alpha_2j.
+        lens: lens with the other values.
+        radius: (S,) normalisation radius R of each surface [mm]. A variable is alpha_2j R^(2j - 1), the slope at R up
+            to a factor, so that one step size suits small and large surfaces.
     """
 
     lens: Lens
@@ -29,24 +30,24 @@ class Variables:
 
     @classmethod
     def plain(cls, lens: Lens) -> "Variables":
-        """The coefficients as they are: R = 1 mm."""
+        """Return variables without normalisation, R = 1 mm."""
         return cls(lens, torch.ones_like(lens.curvature))
 
     @classmethod
     def stepped(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
-        """As `rates` are meant: R = the radius that light uses on each surface of `lens` if they are normalised."""
+        """Return variables normalised if `rates` are."""
         return cls.normalised(lens, view) if rates.normalised else cls.plain(lens)
 
     @classmethod
     def normalised(cls, lens: Lens, view: View) -> "Variables":
-        """R = the radius that light uses on each surface of `lens`."""
+        """Return variables with R = the radius that light uses on each surface of `lens`, at least that of the stop."""
         return cls(lens, clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop])))
 
     def _scale(self, order: int) -> Tensor:
         return self.radius[list(self.lens.refracting_surfaces)] ** (order - 1)
 
     def values(self) -> dict[str, Tensor]:
-        """Present values by name, `curvature`, `thickness`, `alpha_4` .., each (G,) for G refracting surfaces."""
+        """Return values by name, `curvature`, `thickness`, `alpha_4` .., each (G,) for G refracting surfaces."""
         refracting = list(self.lens.refracting_surfaces)
         values = {"curvature": self.lens.curvature[refracting], "thickness": self.lens.thickness[refracting]}
         values |= {
@@ -55,7 +56,7 @@ class Variables:
         return {name: value.detach().clone() for name, value in values.items()}
 
     def directions(self, names: Iterable[str]) -> dict[str, Tensor]:
-        """V unit changes of the variables `names` in the order of `values`: `curvature` (V, S), `alpha` (V, S, M)."""
+        """Return V unit changes of the variables `names`: `curvature`, `thickness` (V, S) and `alpha` (V, S, M)."""
         refracting, names = list(self.lens.refracting_surfaces), list(names)
         changes = {
             name: torch.zeros(len(names), len(refracting), *getattr(self.lens, name).shape, dtype=self.lens.dtype)
@@ -71,11 +72,11 @@ class Variables:
         return {name: change.flatten(0, 1) for name, change in changes.items()}
 
     def assemble_vector(self, names: Sequence[str], vector: Tensor) -> Lens:
-        """As `assemble`, from the values of `names` one after the other."""
+        """Return the lens with the concatenated values (V,) of `names`, as `assemble` does."""
         return self.assemble(dict(zip(names, vector.reshape(len(names), -1), strict=True)))
 
     def assemble(self, values: Mapping[str, Tensor]) -> Lens:
-        """The lens with these values in it, differentiable in them; what is not named keeps its value."""
+        """Return the lens with these values, differentiable in them; variables not named are unchanged."""
         refracting = torch.tensor(self.lens.refracting_surfaces)
 
         def put(name: str, old: Tensor, scale: Tensor | float = 1.0) -> Tensor:
@@ -93,7 +94,7 @@ class Variables:
 
 
 def parameter_groups(values: Mapping[str, Tensor], rates: LearningRates) -> list[dict[str, Any]]:
-    """AdamW's groups: one per kind of variable, each asphere order at `rates.decay` times the one before."""
+    """Return AdamW's groups, one per kind of variable; learning rates of asphere orders decrease by `rates.decay`."""
     rate = {"curvature": rates.curvature, "thickness": rates.thickness}
     rate |= {f"alpha_{order}": rates.alpha_4 * rates.decay**k for k, order in enumerate(ORDERS)}
     return [{"params": [value], "lr": rate[name], "weight_decay": 0.0} for name, value in values.items()]

@@ -1,1 +1,1 @@
-"""Dispersion of optical materials, and files of them."""
+"""Dispersion of optical materials, and their files."""

@@ -1,4 +1,4 @@
-"""Files of materials: our own YAML, and Zemax's glass catalogues (.AGF)."""
+"""Reading of material files: our YAML, and Zemax's glass catalogues (.AGF)."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -10,14 +10,14 @@ from tasklens.materials.material import FORMULAS, Material, from_definitions
 from tasklens.materials.zemax_text import Line, read_lines
 from tasklens.runtime.files import FileError
 
-PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in ones
+PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in plastics
 
 
 def read(path: Path) -> dict[str, Material]:
-    """Materials by name in a file.
+    """Read the materials of a file, by name.
 
     Raises:
-        FileError: naming the file and what is wrong in it.
+        FileError: an invalid file; the message names it and the error.
     """
     if path.suffix.lower() == ".agf":
         return _read_agf(path)
@@ -31,7 +31,7 @@ def read(path: Path) -> dict[str, Material]:
 
 
 def collect(paths: Iterable[Path]) -> dict[str, Material]:
-    """Materials by name in several files and the built-in plastics: the first file that knows a name defines it."""
+    """Read the materials of several files and the built-in plastics, by name; the first file with a name defines it."""
     found: dict[str, Material] = {}
     for path in paths:
         found = read(path) | found
@@ -39,7 +39,7 @@ def collect(paths: Iterable[Path]) -> dict[str, Material]:
 
 
 def builtin(name: str) -> Material:
-    """A built-in plastic by its name; raises ValueError with the known ones."""
+    """Return a built-in plastic by name; raises ValueError with the known names."""
     if name not in _builtin():
         raise ValueError(f"unknown plastic {name!r}; expected one of {', '.join(_builtin())}")
     return _builtin()[name]
@@ -51,7 +51,7 @@ def _builtin() -> dict[str, Material]:
 
 
 def _read_agf(path: Path) -> dict[str, Material]:
-    """Glasses of a Zemax catalogue: NM opens a glass, CD holds its coefficients, LD the wavelengths."""
+    """Read a Zemax catalogue: NM begins a glass, CD holds its coefficients, LD its wavelength range."""
     glasses: list[dict[str, Line]] = []
     for line in read_lines(path):
         if line.keyword == "NM":
@@ -79,7 +79,7 @@ def _glass(lines: dict[str, Line], source: str) -> Material:
     if not 1 <= which <= len(formulas):
         raise head.error(f"expected a dispersion formula 1 .. {len(formulas)}, found {which}")
     formula = formulas[which - 1]
-    # Catalogues fill up with zeros, or leave zeros out.
+    # Catalogues append or omit zero coefficients.
     given = [lines["CD"].number(i) for i in range(len(lines["CD"].words))]
     count = FORMULAS[formula][0]
     coefficients = tuple([*given, *[0.0] * count][:count])

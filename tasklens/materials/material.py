@@ -1,7 +1,7 @@
-"""Optical materials: a dispersion formula, its coefficients, and the wavelengths that they were fitted to.
+"""Optical materials: dispersion formulas, their coefficients, and the wavelength range of the fit.
 
 The formulas are those of Zemax's glass catalogues (OpticStudio user's guide, "The Glass Dispersion Formulas"), in the
-order of their numbers there, and `model` for a glass of which only nd, Vd and dPgF are known.
+order of their numbers there, and `model` for a glass with only nd, Vd and dPgF.
 """
 
 import math
@@ -16,31 +16,31 @@ Index = Callable[[tuple[float, ...], float], float]
 
 
 def _powers(*powers: int) -> Index:
-    """n^2 = sum_i c_i w^p_i."""
+    """Return the formula n^2 = sum_i c_i w^p_i of some powers p_i."""
     return lambda c, w: math.sqrt(sum(a * w**p for a, p in zip(c, powers, strict=True)))
 
 
 def _sellmeier(c: tuple[float, ...], w: float) -> float:
-    """n^2 = 1 + sum_i K_i w^2 / (w^2 - L_i); c = K_1, L_1, K_2, L_2 .."""
+    """Compute n from n^2 = 1 + sum_i K_i w^2 / (w^2 - L_i); c = K_1, L_1, K_2, L_2 .."""
     return math.sqrt(1 + sum(k * w * w / (w * w - l) for k, l in zip(c[::2], c[1::2], strict=True)))
 
 
 def _herzberger(c: tuple[float, ...], w: float) -> float:
-    """n = c0 + c1 L + c2 L^2 + c3 w^2 + c4 w^4 + c5 w^6, L = 1 / (w^2 - 0.028)."""
+    """Compute n = c0 + c1 L + c2 L^2 + c3 w^2 + c4 w^4 + c5 w^6, L = 1 / (w^2 - 0.028)."""
     l = 1 / (w * w - 0.028)
     return c[0] + c[1] * l + c[2] * l**2 + c[3] * w**2 + c[4] * w**4 + c[5] * w**6
 
 
 def _model(c: tuple[float, ...], w: float) -> float:
-    """Conrady's n = a + b / w + e / w^3.5 through three numbers: nd, Vd and dPgF.
+    """Compute Conrady's n = a + b / w + e / w^3.5 with a, b and e from nd, Vd and dPgF.
 
     nF - nC = (nd - 1) / Vd and ng - nF = (nF - nC) (0.6438 - 0.001682 Vd + dPgF), the normal line through K7 and F2
-    (Schott TIE-29). OpticStudio's own formula for its model glass is not published; it claims 1e-4 in the visible,
-    and this one keeps that on Schott's catalogue (90 % of the glasses, with their own dPgF).
+    (Schott TIE-29). OpticStudio's formula for its model glass is not published; its stated accuracy is 1e-4 in the
+    visible, which this formula reaches for 90 % of Schott's catalogue with the dPgF of each glass.
     """
     nd, vd, dpgf = c
     if not vd:
-        return nd  # as Zemax means it: no dispersion
+        return nd  # Zemax's convention for no dispersion
     dispersion = (nd - 1) / vd
     partial = 0.6438 - 0.001682 * vd + dpgf
     u = {line: 1 / line for line in (G_LINE, F_LINE, D_LINE, C_LINE)}
@@ -76,14 +76,14 @@ FORMULAS: dict[str, tuple[int, Index]] = {
 
 @dataclass(frozen=True)
 class Material:
-    """A medium of a lens.
+    """An optical material.
 
     Attributes:
-        name: by which elements and lens files call it.
+        name: name in elements and lens files.
         formula: one of `FORMULAS`.
-        coefficients: of that formula, for wavelengths in um.
-        range_um: shortest and longest wavelength of the fit.
-        source: where the coefficients are from.
+        coefficients: coefficients of the formula, for wavelengths in um.
+        range_um: shortest and longest wavelength of the fit [um].
+        source: source of the coefficients.
     """
 
     name: str
@@ -102,14 +102,14 @@ class Material:
             raise ValueError(f"{self.name}: expected a range of rising wavelengths, got {self.range_um}")
 
     def covers(self, wavelength: float) -> bool:
-        """Whether the coefficients were fitted at `wavelength` [um]."""
+        """Return whether `wavelength` [um] is in the range of the fit."""
         return self.range_um[0] <= wavelength <= self.range_um[1]
 
     def refractive_index(self, wavelength: float) -> float:
-        """Index at `wavelength` [um].
+        """Compute the refractive index at `wavelength` [um].
 
         Raises:
-            ValueError: a wavelength outside the fitted range, or coefficients that give no index there.
+            ValueError: the wavelength is outside the fitted range, or the coefficients give no index there.
         """
         if not self.covers(wavelength):
             low, high = self.range_um
@@ -120,7 +120,7 @@ class Material:
             raise ValueError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
 
     def definition(self) -> dict:
-        """The material as it stands in a YAML file below its name."""
+        """Return the entry of the material in a YAML file, without its name."""
         return {
             "formula": self.formula,
             "coefficients": list(self.coefficients),
@@ -133,16 +133,16 @@ AIR = Material("air", "schott", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, math.inf))
 
 
 def model_glass(nd: float, vd: float, dpgf: float, label: str = "") -> Material:
-    """The glass of which only nd, Vd and dPgF are known, for the visible; `label` begins its name, without spaces."""
+    """Return a glass of given nd, Vd and dPgF, valid in the visible; `label`, without spaces, begins its name."""
     numbers = "/".join(repr(value) for value in (nd, vd, dpgf)[: 3 if dpgf else 2])
     return Material(f"{label} {numbers}".strip(), "model", (nd, vd, dpgf), (0.38, 0.78), "nd, Vd and dPgF")
 
 
 def from_definitions(content: object, where: str) -> dict[str, Material]:
-    """Materials by name, as a YAML file defines them.
+    """Read materials by name from the content of a YAML file.
 
     Raises:
-        FileError: anything but complete definitions; `where` and the material's name begin its message.
+        FileError: incomplete or invalid definitions; the message begins with `where` and the material's name.
     """
     if not isinstance(content, Mapping):
         raise FileError(f"{where}: expected materials by name, found {type(content).__name__}")

@@ -1,4 +1,4 @@
-"""Lines of Zemax's text files, lens files (.zmx) and glass catalogues (.AGF), in whichever encoding they come."""
+"""Lines of Zemax's text files, lens files (.zmx) and glass catalogues (.AGF), in any of their encodings."""
 
 import codecs
 import re
@@ -10,13 +10,13 @@ from tasklens.runtime.files import FileError, number
 
 @dataclass(frozen=True)
 class Line:
-    """One line: a keyword and what follows.
+    """A line: a keyword and its values.
 
     Attributes:
-        where: file and line, as messages begin.
+        where: file and line number, for error messages.
         keyword: the first word.
         text: the rest, without surrounding spaces.
-        indented: whether the line began with a space: in a lens file it belongs to a surface.
+        indented: whether the line begins with a space; in a lens file it then belongs to a surface.
     """
 
     where: str
@@ -26,21 +26,21 @@ class Line:
 
     @property
     def words(self) -> list[str]:
-        """What follows the keyword, at its spaces."""
+        """The words behind the keyword."""
         return self.text.split()
 
     def error(self, message: str) -> FileError:
-        """The error that names this line and says what is wrong with it."""
+        """Return an error that names this line and its keyword."""
         return FileError(f"{self.where}: {self.keyword}: {message}")
 
     def number(self, index: int) -> float:
-        """Word `index` behind the keyword as a finite number; raises FileError."""
+        """Return word `index` behind the keyword as a finite number; raises FileError."""
         if index >= len(self.words):
             raise self.error(f"expected at least {index + 1} values, found {self.text!r}")
         return number(self.words[index], f"{self.where}: {self.keyword}")
 
     def integer(self, index: int) -> int:
-        """Word `index` behind the keyword as an integer; raises FileError."""
+        """Return word `index` behind the keyword as an integer; raises FileError."""
         value = self.number(index)
         if value != int(value):
             raise self.error(f"expected an integer, found {self.words[index]!r}")
@@ -48,9 +48,9 @@ class Line:
 
 
 def read_lines(path: Path) -> list[Line]:
-    """The lines of a file that are not empty.
+    """Read the lines of a file that are not empty.
 
-    Zemax writes UTF-16 with a byte order mark or ASCII; others write UTF-8, old files an 8-bit code page.
+    Zemax writes UTF-16 with a byte order mark or ASCII, other programs UTF-8, old files have an 8-bit code page.
 
     Raises:
         FileError: the file is no text.
@@ -74,5 +74,5 @@ def read_lines(path: Path) -> list[Line]:
 
 
 def decimal(value: float) -> str:
-    """A number in 17 significant digits, which give its every bit back."""
+    """Format a number with 17 significant digits, which restore a float64 exactly."""
     return f"{value:.17g}"

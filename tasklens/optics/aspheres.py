@@ -7,7 +7,7 @@ EDGE = 1e-6  # smallest argument of the square root that still counts as inside 
 
 
 def sag(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Sag of an even asphere, its derivative, and where it is defined.
+    """Compute the sag of an even asphere, its derivative, and where it is defined.
 
     s(u) = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum_j alpha_2j u^j,  u = r^2
 
@@ -41,5 +41,5 @@ def sag(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tens
 
 
 def radial_slope(radius: Tensor, curvature: Tensor, conic: Tensor, alpha: Tensor) -> Tensor:
-    """Slope d sag / d r = 2 r d sag / d u at `radius` [mm]; shapes as in `sag`."""
+    """Compute the slope d sag / d r = 2 r d sag / d u at `radius` [mm]; shapes as in `sag`."""
     return 2 * radius * sag(radius**2, curvature, conic, alpha)[1]

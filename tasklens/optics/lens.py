@@ -1,4 +1,4 @@
-"""A lens: what its surfaces are, where they stand and what fills the space between them."""
+"""A lens: surfaces, distances and media."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,8 +15,8 @@ class Lens:
     """A rotationally symmetric sequential lens of S surfaces with even aspheres; the stop is one of them.
 
     Attributes:
-        curvature: (S,) [1/mm].
-        conic: (S,).
+        curvature: (S,) curvatures [1/mm].
+        conic: (S,) conic constants.
         alpha: (S, M) asphere coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)].
         thickness: (S,) axial distance to the next surface, the last to the image plane [mm].
         semi_diameter: (S,) radius of the clear aperture [mm]; infinite where nothing clips.
@@ -44,7 +44,7 @@ class Lens:
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of all its numbers."""
+        """Data type of all tensors."""
         return self.curvature.dtype
 
     @property
@@ -55,7 +55,7 @@ class Lens:
 
     @property
     def surfaces(self) -> list[Surface]:
-        """The S surfaces, each by itself; gradients flow from them to the lens."""
+        """The S surfaces as `Surface`, differentiable in the lens."""
         numbers = (self.curvature, self.conic, self.alpha, self.semi_diameter)
         return [Surface(*surface) for surface in zip(*(v.unbind() for v in numbers), strict=True)]
 
@@ -65,18 +65,22 @@ class Lens:
         return torch.cumsum(self.thickness, 0) - self.thickness
 
     def refractive_indices(self, wavelengths: tuple[float, ...]) -> Tensor:
-        """(S + 1, W) indices before the lens and behind each surface, at W wavelengths [um]."""
+        """Return (S + 1, W) refractive indices before the lens and behind each surface, at W wavelengths [um].
+
+        Raises:
+            ValueError: a medium has no index at a wavelength.
+        """
         rows = [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *self.media)]
         return torch.tensor(rows, dtype=self.dtype)
 
     def with_stop_scaled(self, scale: float) -> "Lens":
-        """The same lens with the radius of its stop multiplied by `scale`."""
+        """Return the lens with the radius of its stop multiplied by `scale`."""
         factor = torch.ones_like(self.semi_diameter)
         factor[self.stop] = scale
         return replace(self, semi_diameter=self.semi_diameter * factor)
 
     def scaled(self, factor: float) -> "Lens":
-        """The same lens in another size: lengths times s, curvatures over s, alpha_2j over s^(2j - 1)."""
+        """Return the lens scaled by s: lengths times s, curvatures over s, alpha_2j over s^(2j - 1)."""
         power = 2 * torch.arange(self.alpha.shape[1], dtype=self.dtype) + 1
         return replace(
             self,
@@ -87,6 +91,6 @@ class Lens:
         )
 
     def detached(self) -> "Lens":
-        """The same lens, out of every graph."""
+        """Return the lens detached from autograd."""
         tensors: dict[str, Any] = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
         return replace(self, **tensors)

@@ -7,26 +7,26 @@ from tasklens.optics.rays import Rays
 
 
 def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Tensor:
-    """PSF of every field and wavelength on a window of pixels.
+    """Compute the PSF of every field and wavelength on a window of pixels.
 
     PSF(p) = (1 / N) sum_i tri((p_x - x_i) / L) tri((p_y - y_i) / L),  tri(x) = max(0, 1 - |x|)
 
-    Each of the N launched rays shares its energy 1 / N among its four nearest pixels. A lost ray, and a ray beside
-    the window, give nothing: sum(PSF) is the energy inside, 1 - sum(PSF) what falls elsewhere.
+    Each of the N launched rays distributes its energy 1 / N over its four nearest pixels. Lost rays and rays outside
+    the window contribute nothing: sum(PSF) is the energy inside the window, 1 - sum(PSF) the energy elsewhere.
 
     Args:
-        rays: traced to the image plane, (F, W, N).
-        centre: (F, 2) point [mm] on the image plane at the middle of the window.
+        rays: rays on the image plane, (F, W, N).
+        centre: (F, 2) centre of the window on the image plane [mm].
         pixel_pitch: L [um].
         kernel_size: K, odd.
 
     Returns:
-        (F, W, K, K); rows along y, columns along x.
+        (F, W, K, K) PSFs; rows along y, columns along x.
     """
     fields, channels, count = rays.x.shape
     column = (rays.x - centre[:, 0, None, None]) * (1e3 / pixel_pitch) + kernel_size // 2
     row = (rays.y - centre[:, 1, None, None]) * (1e3 / pixel_pitch) + kernel_size // 2
-    # Far rays are moved beside the window first: their index would not fit an integer.
+    # The indices of far rays would not fit an integer, so they are clamped to just outside the window.
     column, row = column.clamp(-2.0, kernel_size + 1.0), row.clamp(-2.0, kernel_size + 1.0)
     column0, row0 = column.detach().floor(), row.detach().floor()
     right, down = column - column0, row - row0

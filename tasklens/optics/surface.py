@@ -1,4 +1,4 @@
-"""One refracting surface in plain autograd: its sag and normal, where rays meet it and how it bends them."""
+"""A refracting surface in plain autograd: sag, normal, intersection and refraction."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from tasklens.optics import aspheres
 from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
 
 _NEWTON_STEPS = 30  # from each start
-_STRIDE = 2.0  # longest Newton step [mm]: without a limit a ray may leave for good
+_STRIDE = 2.0  # longest Newton step [mm], since unlimited steps can diverge
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,14 @@ class Surface:
     semi_diameter: Tensor | float = torch.inf
 
     def sag(self, x: Tensor, y: Tensor) -> Tensor:
-        """Height z = s(r^2) of the surface over (x, y) [mm].
+        """Compute the sag z = s(r^2) of the surface at (x, y) [mm].
 
         s = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + sum_j alpha_2j r^(2j),  r^2 = x^2 + y^2
         """
         return self._profile(x * x + y * y)[0]
 
     def normal(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Unit normal over (x, y) [mm], with its z component positive.
+        """Compute the unit normal at (x, y) [mm], with positive z component.
 
         N = (-ds/dx, -ds/dy, 1) / sqrt(1 + (ds/dx)^2 + (ds/dy)^2),  ds/dx = 2 x ds/d(r^2)
         """
@@ -46,19 +46,19 @@ class Surface:
         return -slope * x * n, -slope * y * n, n
 
     def intersect(self, rays: Rays, index: Tensor | float = 1.0) -> Rays:
-        """Move rays along P + t D to where they meet the surface, z = s(x^2 + y^2).
+        """Move rays along P + t D to their intersection with the surface, z = s(x^2 + y^2).
 
-        t comes from Newton's iteration without a graph; one more step, with it, makes the derivatives of t exact by
+        t is found by Newton's iteration without a graph; one more step with a graph makes the derivatives of t exact by
         the implicit function theorem: F(t, p) = 0 has dt/dp = -(dF/dp) / (dF/dt). Second derivatives are not exact.
 
         Args:
-            rays: of any shape, z from the vertex [mm].
-            index: refractive index of the space they cross, which their optical path needs; broadcasts with the rays.
+            rays: rays of any shape, z from the vertex [mm].
+            index: refractive index in front of the surface, for the optical path; broadcasts with the rays.
 
         Returns:
-            Rays on the surface. One that does not meet it from the front has the status MISSED and stays where it was;
-            one beyond the clear aperture is VIGNETTED and stays on the surface. Rays lost before are left as they are.
-            `lost_at` is left to the caller, who counts the surfaces.
+            Rays on the surface. A ray that does not meet it from the front has the status MISSED and stays in place;
+            one beyond the clear aperture is VIGNETTED and stays on the surface. Rays lost before are not changed. The
+            caller sets `lost_at`.
         """
         with torch.no_grad():
             t, met = self._distance(rays)
@@ -70,17 +70,17 @@ class Surface:
         return _lose(_lose(rays, ~met, RayStatus.MISSED), outside, RayStatus.VIGNETTED)
 
     def refract(self, rays: Rays, index_before: Tensor | float, index_behind: Tensor | float) -> Rays:
-        """Bend rays that lie on the surface by Snell's law, n sin i = n' sin i'.
+        """Refract rays on the surface by Snell's law, n sin i = n' sin i'.
 
         D' = mu D + (cos i' - mu cos i) N,  mu = n / n',  cos i = D.N,  cos^2 i' = 1 - mu^2 (1 - cos^2 i)
 
         Args:
-            rays: of any shape, as from `intersect`.
+            rays: rays of any shape, as from `intersect`.
             index_before, index_behind: refractive indices n and n'; they broadcast with the rays.
 
         Returns:
-            The rays behind the surface. Where cos^2 i' is not positive, or the ray would run back, the status is
-            TOTAL_INTERNAL_REFLECTION and the direction stays.
+            The rays behind the surface. Where cos^2 i' or the z component of D' is not positive, the status is
+            TOTAL_INTERNAL_REFLECTION and the direction is not changed.
         """
         nx, ny, nz = self.normal(rays.x, rays.y)
         mu = index_before / index_behind
@@ -95,13 +95,13 @@ class Surface:
         return _lose(replace(rays, l=l, m=m, n=n), ~passes, RayStatus.TOTAL_INTERNAL_REFLECTION)
 
     def _profile(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Sag, its derivative by u = r^2, and whether u is inside the conic."""
+        """Compute the sag, its derivative by u = r^2, and whether u is inside the conic."""
         return aspheres.sag(u, self.curvature, self.conic, torch.as_tensor(self.alpha, dtype=u.dtype))
 
     def _newton_step(self, rays: Rays, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Newton's step from t towards F(t) = z + t n - s(r^2) = 0, and whether the point is on the front of the conic.
+        """Compute Newton's step from t for F(t) = z + t n - s(r^2) = 0, and whether the point is on the conic's front.
 
-        dF/dt = n - 2 ds/d(r^2) (x l + y m), which is the cosine of incidence times the length of the normal.
+        dF/dt = n - 2 ds/d(r^2) (x l + y m) is the cosine of incidence times the length of the normal.
         """
         x, y = rays.x + t * rays.l, rays.y + t * rays.m
         sag, slope, inside = self._profile(x * x + y * y)
@@ -110,9 +110,9 @@ class Surface:
         return (sag - rays.z - t * rays.n) / safe, inside & (derivative > GRAZING)
 
     def _distance(self, rays: Rays) -> tuple[Tensor, Tensor]:
-        """Distance t [mm] along each ray to the surface, zero if it does not meet it, and which rays do.
+        """Compute the distance t [mm] along each ray to the surface, zero where there is none, and which rays meet it.
 
-        Newton's iteration starts at the vertex plane; a ray that it loses starts again where it meets the base conic.
+        Newton's iteration starts at the vertex plane; rays that do not converge start again at the base conic.
         """
         tolerance = torch.finfo(rays.n.dtype).eps ** 0.5  # the error behind a Newton step is of the order of its square
         able = rays.valid & (rays.n > GRAZING)
@@ -129,7 +129,7 @@ class Surface:
         return distance, able & ~pending
 
     def _starts(self, rays: Rays) -> tuple[Tensor, Tensor]:
-        """Distances t [mm] to the vertex plane, and to the base conic c (r^2 + (1 + k) z^2) = 2 z where that is met."""
+        """Compute the distances t [mm] to the vertex plane, and to the base conic c (r^2 + (1 + k) z^2) = 2 z."""
         plane = -rays.z / rays.n.clamp(min=GRAZING)
         x, y, c = rays.x + plane * rays.l, rays.y + plane * rays.m, self.curvature
         along = rays.n - c * (x * rays.l + y * rays.m)
@@ -140,5 +140,5 @@ class Surface:
 
 
 def _lose(rays: Rays, lost: Tensor, status: RayStatus) -> Rays:
-    """The same rays, with that status where they are `lost` and were not before."""
+    """Set the status of valid rays that are `lost`."""
     return replace(rays, status=torch.where(rays.valid & lost, torch.tensor(status, dtype=torch.int8), rays.status))

@@ -1,4 +1,4 @@
-"""How a lens is used: its fields, colours and pixels."""
+"""Fields, wavelengths and pixels at which a lens is evaluated."""
 
 from dataclasses import dataclass, replace
 
@@ -10,14 +10,14 @@ from tasklens.study.settings import Spec
 
 @dataclass(frozen=True)
 class View:
-    """How a lens is looked at: where the fields are, in which colours, on which pixels.
+    """Fields, wavelengths and pixels at which a lens is evaluated.
 
     Attributes:
-        fields: (F, 2) pinhole image points [mm].
-        efl: focal length of that pinhole [mm].
-        wavelengths: W of them [um]; the middle one is the reference.
-        pixel_pitch: [um].
-        kernel_size: width of the PSF window in pixels, odd.
+        fields: (F, 2) image points of the pinhole camera [mm].
+        efl: focal length of the pinhole camera [mm].
+        wavelengths: W wavelengths [um]; the middle one is the reference.
+        pixel_pitch: pixel pitch [um].
+        kernel_size: width of the PSF window [pixels], odd.
     """
 
     fields: Tensor
@@ -38,26 +38,26 @@ class View:
 
     @property
     def directions(self) -> Tensor:
-        """(F, 2) unit vectors from the axis towards the fields, the tangential direction of each; +y on the axis."""
+        """(F, 2) tangential unit vectors, from the axis towards the fields; +y on the axis."""
         radius = self.radii[:, None]
         along_y = torch.tensor([0.0, 1.0], dtype=self.fields.dtype)
         return torch.where(radius > 0, self.fields / torch.where(radius > 0, radius, 1.0), along_y)
 
     @property
     def reference(self) -> float:
-        """The middle wavelength [um]."""
+        """Reference (middle) wavelength [um]."""
         return self.wavelengths[len(self.wavelengths) // 2]
 
     def in_reference(self) -> "View":
-        """The same view in the middle wavelength alone."""
+        """Return the view at the reference wavelength only."""
         return replace(self, wavelengths=(self.reference,))
 
     def in_meridian(self) -> "View":
-        """The same view with every field turned about the axis onto +y; to a lens of rotation that is the same."""
+        """Return the view with every field rotated onto +y, equivalent for a rotationally symmetric lens."""
         return replace(self, fields=torch.stack([torch.zeros_like(self.radii), self.radii], -1))
 
 
 def view_of_spec(spec: Spec) -> View:
-    """The nine fields, three colours and the pixels of a specification."""
+    """Return the nine fields, three wavelengths and the pixels of a specification."""
     fields = torch.tensor(spec.fields_mm, dtype=torch.float64)
     return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel_size)

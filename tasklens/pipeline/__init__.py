@@ -1,1 +1,1 @@
-"""Every job declared once, and how it is run."""
+"""Declaration and execution of jobs."""

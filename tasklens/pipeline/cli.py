@@ -1,8 +1,8 @@
-"""The command line: what a rule of the workflow calls is what a person can type.
+"""Command line of TaskLens; the rules of the workflow call the same commands.
 
     tasklens design config/config.yaml doublet-tasklens --seed 0
 
-Files are read and written below results/<study name>/. torch is imported by the commands that need it.
+Files are read and written below results/<study name>/. Only commands that need torch import it.
 """
 
 import argparse
@@ -30,7 +30,7 @@ _HELP: dict[str, dict[str, Any]] = {
 
 
 def check(args: argparse.Namespace) -> None:
-    """Say what a study file describes, or what is wrong with it and with its imported lenses."""
+    """Check a study file and its imported lenses, and print a summary."""
     study = load(args.study)
     if study.imported:
         from tasklens.design import imported
@@ -51,7 +51,7 @@ def check(args: argparse.Namespace) -> None:
 
 
 def analyse(args: argparse.Namespace) -> None:
-    """Print the table of a lens: its figures by field and its aberrations by surface, newly computed from its file."""
+    """Compute and print the table of a lens from its file: figures by field and aberrations by surface."""
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, view_of
     from tasklens.optics.io import prescription
     from tasklens.report import certificate
@@ -69,14 +69,14 @@ def _run_stage(stage: Stage, args: argparse.Namespace) -> int:
 
 
 def _count(text: str) -> int:
-    """A whole number above zero."""
+    """Parse a positive integer; raises ArgumentTypeError."""
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number above zero, got {text!r}")
     return int(text)
 
 
 def _parser() -> argparse.ArgumentParser:
-    """A subcommand for every stage, with its wildcards as arguments; and those that are no stage."""
+    """Build the parser: a subcommand for every stage, with its wildcards as arguments, and two that are no stage."""
     top = argparse.ArgumentParser(prog="tasklens", description=(__doc__ or "").splitlines()[0])
     commands = top.add_subparsers(required=True, metavar="command")
 
@@ -103,9 +103,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; a mistake in the study or its data ends in exit status 2, a failed `verify` in 1."""
+    """Run one command; return exit status 2 for a user error, 1 for a failed `verify`, else 0."""
     args = _parser().parse_args(argv)
-    # torch's word to itself, at the first forward-mode derivative of a process
+    # torch causes this warning itself, at the first forward-mode derivative of a process.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
         return args.run(args) or 0

@@ -1,11 +1,11 @@
-"""Digests of what a job depends on beside its files: the code of its stage, and a folder of photographs.
+"""Digests of dependencies of a job that are no input files: the code of its stage, and a folder of photographs.
 
-Snakemake reruns the jobs whose digest changed, and no others. That of the code covers the module of the stage's
-function and every module of ours that it imports, directly or through others, as syntax trees without docstrings: an
-edited comment or docstring changes nothing.
+Snakemake reruns the jobs whose digest changed. The code digest covers the module of the stage's function and all our
+modules that it imports, directly or indirectly, as syntax trees without docstrings, so that editing comments or
+docstrings does not change it.
 
-Modules that hold data alone are left out, since what a stage reads of them is in the settings of its jobs. Nothing that
-is computed with may stand in them, nor be imported from them, but classes of settings and errors.
+Modules of data only are left out, since their values are in the settings of the jobs: only classes of settings and
+errors, and no constants or functions used in computations, may be imported from them.
 """
 
 import ast
@@ -23,13 +23,13 @@ DATA_ONLY = tuple(
 
 
 def module_path(module: str) -> Path | None:
-    """File of one of our modules; None if there is none of this name."""
+    """Return the file of one of our modules; None if it does not exist."""
     path = ROOT.joinpath(*module.split("."))
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
 
 
 def imports(tree: ast.AST) -> set[str]:
-    """Our own modules that a syntax tree imports, wherever the import stands."""
+    """Return our modules that a syntax tree imports, at any depth."""
     names = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -41,7 +41,7 @@ def imports(tree: ast.AST) -> set[str]:
 
 @cache
 def parse(module: str) -> ast.Module:
-    """Syntax tree of one of our modules, without docstrings."""
+    """Parse one of our modules to a syntax tree without docstrings; raises ValueError for an unknown one."""
     path = module_path(module)
     if path is None:
         raise ValueError(f"unknown module {module!r}")
@@ -56,7 +56,7 @@ def parse(module: str) -> ast.Module:
 
 
 def reached_modules(module: str) -> set[str]:
-    """A module and all that it reaches through imports, those of data alone excluded."""
+    """Return a module and all modules it imports, directly or indirectly, except those of data only."""
     reached: set[str] = set()
     waiting = {module}
     while waiting:
@@ -69,18 +69,18 @@ def reached_modules(module: str) -> set[str]:
 
 @cache
 def code_digest(function: str) -> str:
-    """Digest of the code that a function of a module, `package.module.function`, may run."""
+    """Compute the digest of the code that the function `package.module.function` may run."""
     trees = (ast.dump(parse(module)) for module in sorted(reached_modules(function.rpartition(".")[0])))
     return hashlib.sha256("\n".join([function, *trees]).encode()).hexdigest()[:16]
 
 
 def folder_digest(folder: Path) -> str:
-    """Digest of the names, sizes and times of change of all files below a folder; of an absent one, too."""
+    """Compute the digest of names, sizes and modification times of all files below a folder, which may be absent."""
     entries = []
     for root, folders, files in os.walk(folder, followlinks=True):
         folders.sort()
         for name in sorted(files):
             path = os.path.join(root, name)
-            status = os.stat(path) if os.path.exists(path) else os.lstat(path)  # a link to nowhere
+            status = os.stat(path) if os.path.exists(path) else os.lstat(path)  # a broken link
             entries.append(f"{os.path.relpath(path, folder)} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(entries).encode()).hexdigest()[:16]

@@ -1,7 +1,7 @@
-"""How long jobs take and how much memory: from the benchmarks that Snakemake keeps of finished jobs.
+"""Forecasts of duration and memory of jobs, from Snakemake's benchmarks of finished jobs.
 
-Those of this study on this machine come first. For the studies of `config/`, `durations.csv` there has what was
-measured elsewhere; its durations are scaled by how much slower or faster this machine has been so far.
+Benchmarks of this study on this machine take precedence. For the studies in `config/`, `config/durations.csv` has
+values from another machine; these durations are scaled by the ratio of durations so far.
 """
 
 import csv
@@ -13,15 +13,15 @@ from pathlib import Path
 from statistics import mean
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
-_LIMIT = 4.0  # times the longest job of a stage: a job that takes longer hangs
+_LIMIT = 4.0  # time limit of a job over the longest job of its stage
 _LEAST_LIMIT_MIN = 10.0
-_UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage that nobody has measured
-_MARGIN = 1.5  # of memory, over the largest job of a stage
+_UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage without benchmarks
+_MARGIN = 1.5  # memory of a job over the largest job of its stage
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Jobs of one stage: mean and longest duration [s], largest memory [MB]."""
+    """Benchmarks of one stage: mean and longest duration [s], largest memory [MB]."""
 
     seconds: float
     longest_s: float
@@ -29,7 +29,7 @@ class Measured:
 
 
 def benchmarks(folder: Path) -> dict[str, Measured]:
-    """What Snakemake's benchmark files below a folder of results say, by stage."""
+    """Read Snakemake's benchmark files below a folder, by stage."""
     found: dict[str, list[tuple[float, float]]] = {}
     for path in sorted(folder.rglob("*.tsv")):
         with open(path, newline="") as file:
@@ -44,7 +44,7 @@ def benchmarks(folder: Path) -> dict[str, Measured]:
 
 
 def _number(text: str) -> float:
-    """A number of a file; 0 where there is none, as for the memory of a very short job."""
+    """Parse a number of a file; 0 where there is none, as for the memory of a very short job."""
     try:
         return float(text)
     except ValueError:
@@ -52,7 +52,7 @@ def _number(text: str) -> float:
 
 
 def elsewhere(study: str) -> dict[str, Measured]:
-    """What was measured for a study of `config/`, by stage; nothing for other studies. Gaps of the file are zeros."""
+    """Read what was measured of a study in `config/`, by stage; empty for other studies. Gaps of the file are 0."""
     with open(MEASURED, newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["study"] == study]
     return {row["stage"]: Measured(*(_number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
@@ -62,7 +62,7 @@ class Durations:
     """Durations and memory of the jobs of a study.
 
     Args:
-        study: its name.
+        study: name of the study.
         results: folder of its results.
     """
 
@@ -71,40 +71,40 @@ class Durations:
 
     @cached_property
     def here(self) -> dict[str, Measured]:
-        """Measured on this machine, in this study."""
+        """Benchmarks of this study on this machine, by stage."""
         return benchmarks(self.folder)
 
     @cached_property
     def elsewhere(self) -> dict[str, Measured]:
-        """Measured elsewhere."""
+        """Benchmarks of this study on another machine, by stage."""
         return elsewhere(self.study)
 
     @property
     def scale(self) -> float:
-        """How many times as long jobs take here as elsewhere; 1 until a job has finished here."""
+        """Ratio of durations on this machine to those on the other one; 1 until a job has finished here."""
         both = [stage for stage in self.here if stage in self.elsewhere]
         there = sum(self.elsewhere[stage].seconds for stage in both)
         return sum(self.here[stage].seconds for stage in both) / there if there else 1.0
 
     def seconds(self, stage: str) -> float | None:
-        """Expected duration of a job of a stage [s]; None if nobody has measured one."""
+        """Return the expected duration of a job of a stage [s]; None without benchmarks."""
         if stage in self.here:
             return self.here[stage].seconds
         return self.elsewhere[stage].seconds * self.scale if stage in self.elsewhere else None
 
     def limit_minutes(self, stage: str) -> int:
-        """Time after which a scheduler may end a job of a stage [min]."""
+        """Return the time limit of a job of a stage [min]."""
         found = (measured[stage] for measured in (self.here, self.elsewhere) if stage in measured)
         known = [max(each.seconds, each.longest_s) for each in found]
         return round(max(_LEAST_LIMIT_MIN, _LIMIT * max(known) / 60) if known else _UNKNOWN_MIN)
 
     def memory_mb(self, stage: str) -> int:
-        """Memory that a job of a stage is given [MB]."""
+        """Return the memory requested for a job of a stage [MB]."""
         known = [measured[stage].memory_mb for measured in (self.here, self.elsewhere) if stage in measured]
         return round(_MARGIN * max(known) if any(known) else _UNKNOWN_MB)
 
     def forecast(self, stages: Iterable[str], cores: int) -> str:
-        """A line that says how long jobs of these stages take together on so many cores."""
+        """Describe in one line the number of jobs of these stages and their total duration on `cores` cores."""
         counts = Counter(stages)
         seconds = {stage: self.seconds(stage) for stage in counts}
         total = sum(count * (seconds[stage] or 0.0) for stage, count in counts.items())

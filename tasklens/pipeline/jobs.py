@@ -1,6 +1,6 @@
-"""Every job of a study, declared once: what does it, its settings, its inputs and its outputs.
+"""Declaration of all jobs of a study: function, settings, inputs and outputs.
 
-The order is that of the data: images, classifiers, lenses, PSFs, restorations, accuracies, then what tells of them.
+The order is that of the data: images, classifiers, lenses, PSFs, restorations, accuracies, reports.
 """
 
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ from tasklens.study.settings import Slice
 from tasklens.study.study import Study
 
 SPLITS = ("train", "minival", "test")
-PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the values that the paper prints
+PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
 STAGES = "tasklens.pipeline.stages"
 REPORT = "tasklens.report"
 
@@ -40,7 +40,7 @@ def images(study: Study) -> Plan:
 
 
 def split(study: Study, name: str) -> list[Path]:
-    """Images and labels of a split."""
+    """Return the files of the images and the labels of a split."""
     return [images.output(study, name), images.output(study, f"{name}_labels")]
 
 
@@ -67,7 +67,7 @@ def design(study: Study, lens: str, seed: int) -> Plan:
     entry = study.lens(lens)
     supervised = isinstance(entry.design, TaskDrivenSettings | EndToEndSettings)
     settings = LensDesign(
-        entry=entry.model_copy(update={"capture": None}),  # what a design reads of it is in `capture`
+        entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
         spec=study.spec_of(entry.elements),
         constraints=study.constraints,
         capture=study.capture_of(lens) if supervised else None,
@@ -89,14 +89,14 @@ def design(study: Study, lens: str, seed: int) -> Plan:
 
 @stage(f"{STAGES}.psf.run", {"psf": f"{_LENS}/psf.safetensors"})
 def psf(study: Study, lens: str, seed: int) -> Plan:
-    """Trace the PSF grid of a lens once, for everything after it."""
+    """Compute the PSFs of a lens at all fields, cached for later jobs."""
     spec = study.spec_of(study.lens(lens).elements)
     return Plan(Slice(spec=spec, rays=study.evaluation_rays), {"lens": _lens(study, lens, seed)})
 
 
 @stage(f"{STAGES}.tail.run", {name: f"{_LENS}/{name}.csv" for name in ("psf_tail", "encircled_energy")})
 def tail(study: Study, lens: str, seed: int) -> Plan:
-    """Trace how the light of a lens spreads: core, tail, and encircled energy."""
+    """Compute core, tail and encircled energy of the PSFs of a lens."""
     return psf.plan(study, lens, seed)
 
 
@@ -118,7 +118,7 @@ def _psf(study: Study, lens: str, seed: int) -> Path | None:
         "history": "restoration/{lens}/seed{seed}/history.csv",
     },
     resumable=True,
-    priority=1,  # of the jobs that can run, the one that another, as long, waits for
+    priority=1,  # fine-tuning on restored captures, as long a job, waits for it
 )
 def restore(study: Study, lens: str, seed: int) -> Plan:
     """Train the restoration network on the captures of a lens."""
@@ -128,7 +128,7 @@ def restore(study: Study, lens: str, seed: int) -> Plan:
 
 
 def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Settings and inputs of the captures, restored or not, on which a classifier is measured under a name."""
+    """Return settings and inputs of the captures, restored or not, for a measured name."""
     classifier, restored = names.split(measured_name)
     settings = {
         "classifier": study.classifier(classifier),
@@ -184,14 +184,14 @@ def _measured(study: Study, lens: str, measured_name: str, seed: int, output: st
 
 
 def _measurements(study: Study, lenses: Iterable[str], measured: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    """Files of lenses by (lens, seed), and metrics and predictions by (lens, measured name, seed)."""
+    """Return files of lenses by (lens, seed), and of metrics and predictions by (lens, measured name, seed)."""
     keys = [(*pair, seed) for pair in measured for seed in study.seeds]
     files = {name: {key: _measured(study, *key, name) for key in keys} for name in ("metrics", "predictions")}
     return files | {"lenses": {(lens, seed): _lens(study, lens, seed) for lens in lenses for seed in study.seeds}}
 
 
 def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
-    """What claims are judged by."""
+    """Return the files of measurements that claims need."""
     lenses = dict.fromkeys(lens for claim in claims.claims for lens in claim.lenses)
     measured = dict.fromkeys((lens, claim.classifier) for claim in claims.claims for lens in claim.lenses)
     sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if claim.about_convergence)
@@ -199,7 +199,7 @@ def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
 
 
 def _published(name: str, *suffixes: str) -> dict[str, str]:
-    """Files of a table, by their suffix."""
+    """Return path patterns of the files of a table by suffix."""
     return {suffix.replace(".", "_"): f"tables/{name}.{suffix}" for suffix in (*suffixes, "csv", "md")}
 
 
@@ -213,7 +213,7 @@ def table(study: Study, table: str) -> Plan:
 
 @stage(f"{REPORT}.tails.make", _published("psf_tail") | {"encircled_energy": "tables/encircled_energy.csv"})
 def psf_tail(study: Study) -> Plan:
-    """Make the table of the tails of all PSFs, and their curves of encircled energy."""
+    """Make the tables of the tails and the encircled energy of all PSFs."""
     lenses = paper_tables.table_lenses(study)
     keys = [(lens, seed) for lens in lenses for seed in study.seeds]
     inputs = {name: {(x, s): tail.output(study, name, lens=x, seed=s) for x, s in keys} for name in tail.patterns}
@@ -222,21 +222,21 @@ def psf_tail(study: Study) -> Plan:
 
 @stage(f"{REPORT}.verdicts.make", _published("verdicts"))
 def verdicts(study: Study) -> Plan:
-    """Judge the paper's claims by the measured accuracies."""
+    """Make the table of verdicts on the paper's claims from the measured accuracies."""
     claims = paper_claims.claims(study)
     return Plan(claims, _claimed(study, claims))
 
 
 @stage(f"{REPORT}.regimes.make", _published("regimes"))
 def regimes(study: Study) -> Plan:
-    """Map what task-driven design gains over element counts and specifications."""
+    """Make the table of the gain of task-driven design by element counts and specifications."""
     claims = paper_claims.regime_claims(study)
     return Plan(claims, _claimed(study, claims))
 
 
 @stage(f"{REPORT}.ablations.make", _published("ablation_{ablation}"))
 def ablation(study: Study, ablation: str) -> Plan:
-    """Make the table of one ablation: a design beside its variants."""
+    """Make the table of one ablation: a design and its variants."""
     compared = paper_claims.ablation_claims(study, ablation)
     return Plan(compared, _claimed(study, compared.claims))
 
@@ -255,7 +255,7 @@ def figure(study: Study, lens: str, seed: int) -> Plan:
 
 @stage(f"{STAGES}.figures.comparison", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
 def comparison(study: Study, elements: str, seed: int) -> Plan:
-    """Draw the task-driven lens of some elements beside the best imaging one (figure 3)."""
+    """Draw the task-driven lens of some elements and the best imaging lens (figure 3)."""
     claim = paper_claims.regime_claim(study, elements)
     keys = [(lens, claim.classifier, seed) for lens in claim.baselines]
     inputs = {
@@ -266,7 +266,7 @@ def comparison(study: Study, elements: str, seed: int) -> Plan:
     return Plan(Slice(claim=claim, seed=seed), inputs)
 
 
-@stage(f"{REPORT}.verification.run", {})  # no output: asked for again, it verifies again
+@stage(f"{REPORT}.verification.run", {})  # without output, it runs on every request
 def verify(study: Study) -> Plan:
     """Verify limits and accuracies of a finished study; print failures and verdicts."""
     contents = paper_tables.verification(study)

@@ -1,4 +1,4 @@
-"""Running one job: the function of its stage, with a checkpoint made of the same settings and inputs."""
+"""Execution of one job: the function of its stage, with its checkpoint."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -12,14 +12,14 @@ from tasklens.study.study import Study
 
 
 def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial: bool = False) -> Any:
-    """Do the work of a job; its checkpoint is removed when its outputs are complete.
+    """Run a job; its checkpoint is removed when its outputs are complete.
 
     Args:
-        partial: leave out what is missing of mappings of inputs, and mark the names of the outputs.
+        partial: leave missing files out of mappings of inputs, and add "-partial" to the names of the outputs.
 
     Raises:
         FileError: an input is missing.
-        StudyError: a wildcard is no name of the study.
+        StudyError: a wildcard is no name in the study.
     """
     plan, outputs = stage.plan(study, **wildcards), stage.outputs(study, **wildcards)
     inputs, label = dict(plan.inputs), stage.label.format(**wildcards)
@@ -41,12 +41,12 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
 
 
 def _checkpoint(stage: Stage, plan: Plan, name: Path) -> Any:
-    """That of the job; what a job of its name has left that computed something else, is removed."""
+    """Return the checkpoint of a job; outdated checkpoints of the same job are removed."""
     from tasklens.runtime.checkpoints import Checkpoint, key
 
     digest = key(plan.settings.model_dump_json(), code_digest(stage.function), inputs=list(flatten(plan.inputs)))
     path = name.with_name(f"{name.name}-{digest}.pt")
     for other in name.parent.glob(f"{name.name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:
-            other.unlink(missing_ok=True)  # several processes that train together look here
+            other.unlink(missing_ok=True)  # other processes of the group may remove it first
     return Checkpoint(path)

@@ -1,8 +1,8 @@
-"""What a stage and its jobs are.
+"""Stages and the plans of their jobs.
 
-A stage is one kind of work, such as the design of a lens. It is declared once, in `pipeline.jobs`: what does the work,
-the paths of its outputs, and a function that gives the settings and inputs of each of its jobs. Snakemake's rules, the
-command line and the keys of checkpoints are all made from that declaration.
+A stage is one kind of job, such as the design of a lens. It is declared once, in `pipeline.jobs`, by the function that
+does the work, the paths of its outputs, and a function that returns the settings and inputs of each job. Snakemake's
+rules, the command line and the keys of checkpoints are made from that declaration.
 """
 
 import inspect
@@ -18,12 +18,12 @@ SEED = "seed"  # the wildcard that is a number, and an option of the command lin
 
 
 def results(study: Study) -> str:
-    """Folder of everything that a study writes."""
+    """Return the folder of all files that a study writes."""
     return f"results/{study.name}"
 
 
 def flatten(files: Any) -> Iterator[Path]:
-    """All paths in nested mappings and sequences; None stands for no file."""
+    """Yield all paths in nested mappings and sequences; None means no file."""
     if isinstance(files, Path):
         yield files
     elif files is not None:
@@ -33,14 +33,14 @@ def flatten(files: Any) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a stage declares for one job.
+    """Declaration of one job.
 
     Attributes:
-        settings: the slice of the study that the job may read; Snakemake compares it, so that by construction a changed
-            value reruns the jobs that read it and no others.
+        settings: slice of the study that the job may read; Snakemake compares it, so that a changed value reruns only
+            the jobs that read it.
         inputs: files by name: a path, a mapping or sequence of paths, or None.
-        processes: that compute together.
-        gpus: that the job takes, where there are any.
+        processes: size of the process group.
+        gpus: number of GPUs that the job uses, if there are any.
     """
 
     settings: Frozen
@@ -54,12 +54,12 @@ class Stage:
     """A kind of job.
 
     Attributes:
-        plan: (study, wildcards ..) to the plan of a job; its name and parameters are those of the stage.
-        function: module and name of the function of settings, inputs and outputs that does the work.
+        plan: function from study and wildcards to the plan of a job; it gives the stage its name and wildcards.
+        function: `package.module.function` with settings, inputs and outputs as arguments, which does the work.
         patterns: path of each output below the results folder, with wildcards in braces.
-        resumable: whether the function takes a checkpoint, so that a killed job resumes.
-        threads: that Snakemake counts for a job, times its processes.
-        priority: of its jobs among those that can run.
+        resumable: whether the function takes a checkpoint, so that a killed job is resumed.
+        threads: number of threads per process for Snakemake.
+        priority: Snakemake's priority of its jobs.
     """
 
     plan: Callable[..., Plan]
@@ -71,7 +71,7 @@ class Stage:
 
     @property
     def name(self) -> str:
-        """Of the stage, its rule and its command."""
+        """Name of the stage, its rule and its command."""
         return self.plan.__name__
 
     @property
@@ -81,7 +81,7 @@ class Stage:
 
     @property
     def label(self) -> str:
-        """Pattern of the name of a job, such as `design/{lens}-seed{seed}`; without wildcards that of the stage."""
+        """Pattern of a job's name, such as `design/{lens}-seed{seed}`; without wildcards the name of the stage."""
         parts = (f"seed{{{name}}}" if name == SEED else f"{{{name}}}" for name in self.wildcards)
         return f"{self.name}/{'-'.join(parts)}" if self.wildcards else self.name
 
@@ -98,11 +98,11 @@ class Stage:
         return " ".join(["tasklens" if processes == 1 else together, self.name.replace("_", "-"), file, *words])
 
     def outputs(self, study: Study, **wildcards: str | int) -> dict[str, Path]:
-        """Paths of the outputs of a job by name; without wildcards their patterns, as Snakemake wants them."""
+        """Return the paths of a job's outputs by name; without wildcards their patterns, for Snakemake."""
         return {name: self.output(study, name, **wildcards) for name in self.patterns}
 
     def output(self, study: Study, name: str, **wildcards: str | int) -> Path:
-        """Path of the output `name` of a job."""
+        """Return the path of the output `name` of a job; without wildcards its pattern."""
         pattern = self.patterns[name]
         return Path(results(study), pattern.format(**wildcards) if wildcards else pattern)
 

@@ -1,1 +1,1 @@
-"""Images and classifiers; knows PSFs only as tensors."""
+"""Images and classifiers, independent of optics: PSFs are tensors."""

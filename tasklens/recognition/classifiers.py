@@ -1,4 +1,4 @@
-"""timm networks that take images or captures in [0, 1]."""
+"""Classifiers: timm networks for images or captures in [0, 1]."""
 
 import copy
 from collections.abc import Sequence
@@ -20,10 +20,10 @@ from tasklens.study.settings import ClassifierSettings
 
 
 class Classifier(nn.Module):
-    """A timm network behind its own normalisation, which belongs to the network and comes after the optics.
+    """A timm network with its normalisation of the input, which is applied after the optics.
 
     Args:
-        outputs: (C,) which of its outputs the classes of the images are; None where they are all.
+        outputs: (C,) indices of the outputs of the images' classes; None: all outputs.
     """
 
     mean: Tensor
@@ -33,33 +33,33 @@ class Classifier(nn.Module):
     def __init__(self, network: nn.Module, outputs: Tensor | None = None):
         super().__init__()
         config = timm.data.resolve_model_data_config(network)
-        # Channels last: convolutions train 1.4 to 2 times faster on a CPU, transformers as before.
+        # Channels last makes convolutions train 1.4 to 2 times faster on a CPU, transformers neither faster nor slower.
         self.network = network.to(memory_format=torch.channels_last)
         self.register_buffer("mean", torch.tensor(config["mean"])[:, None, None], persistent=False)
         self.register_buffer("std", torch.tensor(config["std"])[:, None, None], persistent=False)
         self.register_buffer("outputs", outputs, persistent=False)
 
     def all_outputs(self, images: Tensor) -> Tensor:
-        """Logits (B, outputs) of images (B, 3, H, W) in [0, 1], also those of classes that no image has."""
+        """Compute the logits (B, outputs) of images (B, 3, H, W) in [0, 1], of all outputs of the network."""
         normalised = (images - self.mean) / self.std
         with half_precision(images.device):
             return self.network(normalised.contiguous(memory_format=torch.channels_last)).float()
 
     def forward(self, images: Tensor) -> Tensor:
-        """Logits (B, classes) of images (B, 3, H, W) in [0, 1]."""
+        """Compute the logits (B, classes) of images (B, 3, H, W) in [0, 1]."""
         logits = self.all_outputs(images)
         return logits if self.outputs is None else logits[:, self.outputs]
 
 
 def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | None = None) -> Classifier:
-    """The network that `settings` name, for images of these classes.
+    """Build the network of `settings` for images of these classes.
 
-    Weights come from the file `weights` where it is given, else from where the settings say; a head whose number
-    of classes differs is initialised anew by timm (`pretrained`) or refused (a file).
+    Weights are loaded from the file `weights` if it is given, else from the source in the settings. A head with another
+    number of classes is initialised anew by timm (`pretrained`) or refused (a file).
 
     Raises:
-        FileError: weights that are not the network's, or classes that ImageNet does not have.
-        InputError: a published head for other classes that nothing is to train.
+        FileError: weights that do not fit the network, or classes that ImageNet does not have.
+        InputError: a published head with another number of classes, and no training.
     """
     outputs = imagenet_outputs(classes) if settings.outputs == "imagenet" else None
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
@@ -74,23 +74,23 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
     network = timm.create_model(settings.model, pretrained=pretrained, num_classes=count, **settings.arguments)
     path = weights or settings.weights
     if path is not None:
-        path.stat()  # timm does not say which file is missing
+        path.stat()  # timm's error does not name a missing file
         head = next(iter(network.get_classifier().parameters()))  # type: ignore[operator]
         before = head.detach().clone()
         try:
             load_checkpoint(network, str(path), weights_only=True)
-        except Exception as error:  # of torch, safetensors, pickle or numpy, whichever reads the file
+        except Exception as error:  # of torch, safetensors, pickle or numpy, depending on the format
             raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {error}") from error
-        if path.suffix == ".npz" and torch.equal(head, before):  # its readers leave out a head of another size
+        if path.suffix == ".npz" and torch.equal(head, before):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
     return Classifier(network, outputs)
 
 
 def imagenet_outputs(classes: Sequence[str]) -> Tensor:
-    """(C,) indices among ImageNet's 1000 classes of those with these WordNet ids, such as n01440764.
+    """Return the indices (C,) of ImageNet's 1000 classes with these WordNet ids, such as n01440764.
 
     Raises:
-        FileError: an id that is none of them.
+        FileError: an unknown id.
     """
     indices = {name: index for index, name in enumerate(ImageNetInfo().label_names())}
     unknown = [name for name in classes if name not in indices]
@@ -102,12 +102,12 @@ def imagenet_outputs(classes: Sequence[str]) -> Tensor:
 
 
 def frozen(classifier: nn.Module, batch_norm: Literal["stored", "batch"] = "stored") -> nn.Module:
-    """A copy in `eval()` that takes no gradient itself, but passes one on to its images.
+    """Return a copy in `eval()` without parameter gradients, differentiable in its images.
 
     Args:
-        batch_norm: by the stored statistics, batch norms are constant affine maps, which need not keep their inputs:
-            almost half of the memory of a ResNet. By those of the batch, they are in `train()`, but keep what they have
-            stored, too.
+        batch_norm: "stored" statistics make batch norms constant affine maps, which need no memory for their inputs:
+            almost half of the memory of a ResNet. "batch" uses the statistics of the batch, and leaves the stored ones
+            unchanged.
     """
     copied = copy.deepcopy(classifier).eval().requires_grad_(False)
     if batch_norm == "stored":
@@ -120,19 +120,20 @@ def frozen(classifier: nn.Module, batch_norm: Literal["stored", "batch"] = "stor
 
 
 def check(name: str, settings: ClassifierSettings, size: int) -> None:
-    """Build a network without memory for its weights, and pass an image of `size` pixels through it.
+    """Check the model, arguments and image size [pixels] of a classifier, without memory for its weights.
 
     Raises:
-        InputError: naming the classifier, where timm does not know the model or the arguments or size do not fit it.
+        InputError: timm does not know the model, or the arguments or size do not fit it; the message names the
+            classifier.
     """
     try:
         with torch.device("meta"):
             network = timm.create_model(settings.model, num_classes=10, **settings.arguments).eval()
             network(torch.zeros(1, 3, size, size))
-    except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., whichever layer notices
+    except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
         raise InputError(f"classifiers.{name}: {settings.model} with {settings.arguments}: {error}") from error
 
 
 def parameters_m(classifier: Classifier) -> float:
-    """Number of parameters, in millions."""
+    """Count the parameters, in millions."""
     return sum(p.numel() for p in classifier.parameters()) / 1e6

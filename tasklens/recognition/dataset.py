@@ -1,4 +1,4 @@
-"""Labelled images as uint8 tensors: rendered, or converted from folders of photographs, and read back."""
+"""Data sets of labelled uint8 images, rendered or converted from folders of photographs."""
 
 import json
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ SPLITS = ("train", "minival", "test")
 
 @dataclass(frozen=True)
 class ImageDataset:
-    """Images (N, 3, H, W) uint8, their labels (N,) int64, the names of the classes, and where batches are wanted."""
+    """Images (N, 3, H, W) uint8, labels (N,) int64, names of the classes, and the device of batches."""
 
     images: Tensor
     labels: Tensor
@@ -30,25 +30,25 @@ class ImageDataset:
         return len(self.labels)
 
     def batch(self, indices: Tensor) -> tuple[Tensor, Tensor]:
-        """Images in [0, 1], float32, and their labels."""
+        """Return images (B, 3, H, W) in [0, 1], float32, and their labels (B,), on the device."""
         return send(self.images[indices], self.device).float() / 255, send(self.labels[indices], self.device)
 
     def take(self, indices: Tensor) -> "ImageDataset":
-        """The images with these indices."""
+        """Return the data set of the images with these indices."""
         return replace(self, images=self.images[indices], labels=self.labels[indices])
 
 
-Paths = tuple[Path, Path]  # of the images and of the labels of a split
+Paths = tuple[Path, Path]  # files of the images and of the labels of a split
 
 
 def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoint = NO_CHECKPOINT) -> None:
-    """Write the three splits that `images` describes; the minival is cut out of the training images.
+    """Write the splits train, minival and test; the minival is taken from the training images.
 
     Photographs are decoded by as many threads as torch may use.
 
     Args:
-        paths: of the files of the splits.
-        checkpoint: of the job.
+        paths: files by split.
+        checkpoint: checkpoint of the job.
 
     Raises:
         FileError: a missing folder, an empty class, an unreadable image, or too few images.
@@ -63,7 +63,7 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
 
 
 def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]:
-    """Train, minival and test: rendered, or the photographs to read."""
+    """Return train, minival and test, as rendered images or as listings of photographs."""
     pool: ImageDataset | folders.Listing
     test: ImageDataset | folders.Listing
     if images.folder is None:
@@ -92,7 +92,7 @@ def _rendered(count: int, size: int, seed: int) -> ImageDataset:
 
 
 def write(dataset: ImageDataset, images: Path, labels: Path) -> None:
-    """Write a split: its images as .npy (N, 3, H, W) uint8, its labels and the names of the classes as JSON."""
+    """Write a split: images as .npy (N, 3, H, W) uint8, labels and names of the classes as JSON."""
     with writing_array(images, tuple(dataset.images.shape), "uint8") as array:
         array[:] = dataset.images.numpy()
     _write_labels(dataset, labels)
@@ -103,10 +103,10 @@ def _write_labels(split: ImageDataset | folders.Listing, path: Path) -> None:
 
 
 def read(images: Path, labels: Path, *, device: torch.device = CPU) -> ImageDataset:
-    """Read a split written by `make`; its images are mapped from the file, not copied.
+    """Read a split written by `make`; images are mapped from the file, not copied.
 
     Raises:
-        FileError: a file is not complete, or the two are not of the same images.
+        FileError: a file is not complete, or the numbers of images and labels differ.
     """
     array = map_array(images)
     try:

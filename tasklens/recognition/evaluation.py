@@ -1,4 +1,4 @@
-"""Captures of images through a lens, and the accuracy of a classifier on them, field by field."""
+"""Capture pipeline, and accuracy of a classifier on captures by field."""
 
 import math
 from collections.abc import Callable
@@ -14,26 +14,26 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
 from tasklens.runtime.progress import Progress
 
-_WORST = 0.01  # share of the images, those with the lowest PSNR, that `worst_psnr_db` is about
-_BATCH = 64  # images rendered at once, and captures per forward pass of a network
+_WORST = 0.01  # fraction of the images, those with the lowest PSNR, in `worst_psnr_db`
+_BATCH = 64  # images per rendering, and captures per forward pass
 
 
 @dataclass(frozen=True)
 class CapturePipeline:
-    """From an image to what a classifier takes: a capture through a camera (or none), then restored (or not)."""
+    """Optional camera, then optional restoration, applied to images before a classifier."""
 
     camera: Camera | None = None
     restoration: nn.Module | None = None
 
     def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
-        """A share of images (B, 3, H, W) in [0, 1], each captured at a random field, for training."""
+        """Return captures of a share of images (B, 3, H, W) in [0, 1], each at a random field, for training."""
         if self.camera is None:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
         return self._restored(self.camera.single(images[share], send(fields[share], images.device)))
 
     def all_fields(self, images: Tensor) -> Tensor:
-        """Images (B, 3, H, W) in [0, 1] at every field, (F, B, 3, H, W); without a camera there is one field."""
+        """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera."""
         captures = images[None] if self.camera is None else self.camera.grid(images)
         return torch.stack([self._restored(field) for field in captures])
 
@@ -55,12 +55,12 @@ def evaluate(
     """Classify N images at F fields.
 
     Args:
-        classifier: logits (B, C) of images (B, 3, H, W).
-        label: for progress lines.
-        checkpoint: of the job, for its part `label`.
+        classifier: function from images (B, 3, H, W) to logits (B, C).
+        label: label of progress lines, and name of the part of the checkpoint.
+        checkpoint: checkpoint of the job.
 
     Returns:
-        Whether each image is classified correctly at each field, (F, N) bool, and the PSNR of it there [dB], (F, N).
+        Whether each image is classified correctly at each field, (F, N) bool, and the PSNR of its capture [dB], (F, N).
     """
     part = checkpoint.part(label)
     if part.result is not None:
@@ -83,7 +83,7 @@ def evaluate(
 
 
 def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
-    """What was found batch by batch, of all images."""
+    """Concatenate the results of batches."""
     correct, quality = zip(*found, strict=True)
     return torch.cat(correct, -1), torch.cat(quality, -1)
 
@@ -91,7 +91,7 @@ def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
 def zero_shot(
     classifier: Classifier, dataset: ImageDataset, pipeline: CapturePipeline, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> list[dict]:
-    """Accuracy among all outputs of a network that has more of them than the images have classes.
+    """Measure the accuracy among all outputs of a network with more outputs than the images have classes.
 
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
@@ -105,7 +105,7 @@ def zero_shot(
 
 
 def predictions_by_image(correct: Tensor, dataset: ImageDataset) -> list[dict]:
-    """A row per image: its place in the split, its label, and at each field 1 where it is classified correctly, else 0.
+    """Return a row per image: its index in the split, its label, and for each field 1 if classified correctly, else 0.
 
     Args:
         correct: (F, N) bool, from `evaluate`.
@@ -124,16 +124,15 @@ def measure(
     pipeline: CapturePipeline,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[list[dict], list[dict]]:
-    """Accuracy and PSNR of a classifier on captures, as means and image by image.
+    """Measure accuracy and PSNR of a classifier on captures, as means and by image.
 
     Args:
-        splits: `test` and `minival`.
-        checkpoint: of the job.
+        splits: data sets `test` and `minival`.
+        checkpoint: checkpoint of the job.
 
     Returns:
         Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of the worst 1 %,
-        per field; parameters [millions], and `chance`, the accuracy of guessing [%]. The PSNR is left out where the
-        images themselves are classified.
+        per field; parameters [millions], and `chance`, the accuracy of guessing [%]. There is no PSNR without a camera.
         And the rows of `predictions_by_image` for the test images.
     """
     correct, quality = evaluate(classifier, splits["test"], pipeline, "test", checkpoint)

@@ -1,4 +1,4 @@
-"""Photographs in folders: which ones a split takes, decoded once and written as uint8 without being held in memory."""
+"""Selection of photographs in folders, and their conversion to uint8 arrays on disk."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,14 +14,14 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.files import FileError, temporary_of, writing_array
 from tasklens.runtime.progress import Progress
 
-Image.MAX_IMAGE_PIXELS = None  # Pillow's guard against strangers' files; these are the user's own, of any size
+Image.MAX_IMAGE_PIXELS = None  # no limit of Pillow's: the files are trusted, and may be of any size
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-_BLOCK = 64  # photographs that a thread reads at once
+_BLOCK = 64  # photographs per task of a thread
 
 
 @dataclass(frozen=True)
 class Listing:
-    """Files, the labels (N,) int64 of what they show, and the names of the classes."""
+    """Files of photographs, their labels (N,) int64, and the names of the classes."""
 
     files: tuple[Path, ...]
     labels: Tensor
@@ -31,18 +31,18 @@ class Listing:
         return len(self.files)
 
     def take(self, indices: Tensor) -> "Listing":
-        """The files with these indices."""
+        """Return the listing of the files with these indices."""
         return Listing(tuple(self.files[i] for i in indices.tolist()), self.labels[indices], self.classes)
 
 
 def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Listing:
-    """At most `limit` photographs of folder/<name>/<class>/*, evenly over the classes and drawn by `seed`.
+    """Select at most `limit` photographs of folder/<name>/<class>/*, evenly over the classes and at random by `seed`.
 
     Args:
-        names: of the folder of the split; the first that exists is taken.
+        names: possible names of the split's folder; the first that exists is taken.
 
     Raises:
-        FileError: no such folder, or no photograph of a class in it.
+        FileError: no such folder, no class in it, or a class without photographs.
     """
     split = next((folder / name for name in names if (folder / name).is_dir()), None)
     if split is None:
@@ -63,14 +63,14 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
 
 
 def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: Checkpoint = NO_CHECKPOINT) -> None:
-    """Decode the photographs and write them as .npy, (N, 3, size, size) uint8, straight into the file.
+    """Decode photographs into a mapped .npy file, (N, 3, size, size) uint8.
 
     Args:
-        threads: that decode at once.
-        checkpoint: of the job, for its part that is called like the file.
+        threads: number of decoding threads.
+        checkpoint: checkpoint of the job; the part is named after the file.
 
     Raises:
-        FileError: a file that is no image, or a full disk, before anything is decoded.
+        FileError: a file that is no image; or too little disk space, before anything is decoded.
     """
     progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
     part = checkpoint.part(path.stem)
@@ -100,7 +100,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
 
 
 def read(path: Path, size: int) -> Tensor:
-    """The central square of an image as RGB, resized to (3, size, size) uint8."""
+    """Read the central square of an image as RGB, resized to (3, size, size) uint8; raises FileError."""
     try:
         with Image.open(path) as file:
             image = ImageOps.exif_transpose(file)

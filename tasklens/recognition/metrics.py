@@ -6,6 +6,6 @@ import pandas
 
 
 def mean_metrics(path: Path) -> dict[str, float]:
-    """Mean over fields of every metric in a metrics file, by its name."""
+    """Read a metrics file, and return the mean over fields of every metric by name."""
     means = pandas.read_csv(path).groupby("metric")["value"].mean()
     return {str(metric): float(value) for metric, value in means.items()}

@@ -1,10 +1,9 @@
 """The built-in labelled data set: textured objects, rendered procedurally.
 
-A lens design supervised by a classifier needs images whose label depends on what a lens can lose. Here the
-class is the fine texture of an object and nothing else: pose, colours, shape, contrast and background are
-drawn alike for all classes, and every texture covers half of its surface and repeats with the same range of
-periods, so that blurring the period away leaves only chance. Rendering needs torch alone: no download, no
-licence, any amount of data.
+A lens design supervised by a classifier needs images whose label depends on detail that a lens can blur. Here the class
+is the fine texture of an object only: pose, colours, shape, contrast and background have the same distributions for all
+classes, and every texture covers half of its surface and has the same range of periods, so that without resolution of
+the period the accuracy is that of chance. Rendering needs only torch: no download, no licence, any number of images.
 """
 
 import math
@@ -13,24 +12,24 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-PERIOD = (5.0, 16.0)  # Range of texture periods in pixels, drawn log-uniformly.
-EDGE = 0.7  # Scale of the smooth step across a texture's edges in pixels: keeps them free of aliasing.
-NOISE = 0.015  # Standard deviation of the sensor noise, full scale being 1.
-CHUNK = 200  # Images rendered at a time.
+PERIOD = (5.0, 16.0)  # range of texture periods, sampled log-uniformly [pixels]
+EDGE = 0.7  # scale of the smooth step across a texture's edges, which avoids aliasing [pixels]
+NOISE = 0.015  # standard deviation of the sensor noise, full scale 1
+CHUNK = 200  # images rendered at a time
 
 
 def _line(u: Tensor) -> Tensor:
-    """Distance from `u` to the nearest integer."""
+    """Compute the distance from `u` to the nearest integer."""
     return (u - u.round()).abs()
 
 
 def _both(a: Tensor, b: Tensor) -> Tensor:
-    """Signed distance to the edges of both `a` and `b`, its sign the product of theirs."""
+    """Combine signed distances: the smaller distance, with the product of the signs."""
     return a.sign() * b.sign() * torch.minimum(a.abs(), b.abs())
 
 
-# Each texture maps coordinates (u, v) in periods to the signed distance in periods from the edge between its
-# light and its dark colour, positive in the light. The offsets give each colour half of the area.
+# Each texture maps coordinates (u, v) [periods] to the signed distance [periods] from the edge between its light and
+# its dark colour, positive in the light colour. The offsets give each colour half of the area.
 
 
 def _stripes(u: Tensor, v: Tensor) -> Tensor:
@@ -38,12 +37,12 @@ def _stripes(u: Tensor, v: Tensor) -> Tensor:
 
 
 def _checkerboard(u: Tensor, v: Tensor) -> Tensor:
-    # The coarsest waves of a checkerboard are diagonal: sqrt(0.5) makes their period 1.
+    # The longest period of a checkerboard is diagonal: sqrt(0.5) makes it 1.
     return _both(_stripes(u * math.sqrt(0.5), v), _stripes(v * math.sqrt(0.5), u)) * math.sqrt(2)
 
 
 def _dots(u: Tensor, v: Tensor) -> Tensor:
-    pitch = 2 / math.sqrt(3)  # Puts the rows of the hexagonal lattice 1 apart.
+    pitch = 2 / math.sqrt(3)  # for a distance of 1 between rows of the hexagonal lattice
     even = torch.hypot(_line(u / pitch) * pitch, _line(v / 2) * 2)
     odd = torch.hypot(_line(u / pitch + 0.5) * pitch, _line(v / 2 + 0.5) * 2)
     return torch.minimum(even, odd) - math.sqrt(pitch / 2 / math.pi)
@@ -68,14 +67,14 @@ def _grid(u: Tensor, v: Tensor) -> Tensor:
 
 
 def _weave(u: Tensor, v: Tensor) -> Tensor:
-    # Cells of side 2 holding two parallel bars each, which end 0.1 short of the cell's border.
+    # Cells of side 2 with two parallel bars each, which end 0.1 before the cell's border.
     upright = _both(_line(u / 4) - 0.25, _line(v / 4) - 0.25) > 0
     across, along = torch.where(upright, u, v), torch.where(upright, v, u)
     return torch.maximum(_line(across + 0.5) - 0.278, 0.1 - 2 * _line(along / 2 + 0.5))
 
 
 def _waves(u: Tensor, v: Tensor) -> Tensor:
-    # Slopes of up to 1.4 and one and a half times the zigzag's repeat length.
+    # Slopes of up to 1.4, and 1.5 times the zigzag's repeat length.
     return _stripes(v * 0.7 + 0.5 * torch.sin(u * 2), u)
 
 
@@ -89,7 +88,7 @@ _TEXTURES: dict[str, Callable[[Tensor, Tensor], Tensor] | None] = {
     "grid": _grid,
     "weave": _weave,
     "waves": _waves,
-    "labyrinth": None,  # Band-passed noise: the one texture that is no function of the coordinates.
+    "labyrinth": None,  # band-passed noise, not a function of the coordinates
 }
 CLASSES: tuple[str, ...] = tuple(_TEXTURES)
 
@@ -98,15 +97,15 @@ def _filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
     """Filter white noise and scale every plane to mean 0 and standard deviation 1.
 
     Args:
-        noise: White noise, (..., size, size).
-        gain: Maps the frequency in cycles per pixel, (size, size // 2 + 1), to the filter's gain.
+        noise: white noise, (..., size, size).
+        gain: function from the frequency [cycles/pixel], (size, size // 2 + 1), to the filter's gain.
 
     Returns:
         The filtered noise, (..., size, size).
     """
     size = noise.shape[-1]
     frequency = torch.hypot(torch.fft.fftfreq(size)[:, None], torch.fft.rfftfreq(size))
-    frequency[0, 0] = 1e-3  # Of no consequence, as the mean is removed, but finite.
+    frequency[0, 0] = 1e-3  # any finite value, since the mean is removed
     field = torch.fft.irfft2(torch.fft.rfft2(noise) * gain(frequency), s=(size, size))
     field = field - field.mean((-2, -1), keepdim=True)
     return field / field.std((-2, -1), keepdim=True)
@@ -116,10 +115,10 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
     """Render scenes of one class.
 
     Args:
-        name: The class, one of `CLASSES`.
-        count: Number of images.
-        size: Height and width in pixels.
-        generator: Source of all randomness.
+        name: class, one of `CLASSES`.
+        count: number of images.
+        size: height and width [pixels].
+        generator: generator of all random numbers.
 
     Returns:
         Images, (count, 3, size, size), uint8.
@@ -136,7 +135,7 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
     angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
     pixels = torch.arange(size) - half + 0.5
     x, y = pixels - uniform(-half / 2, half / 2), pixels[:, None] - uniform(-half / 2, half / 2)
-    depth = 1 + (uniform(-0.05, 0.05) * x + uniform(-0.05, 0.05) * y) / half  # Keeps periods above 3 pixels.
+    depth = 1 + (uniform(-0.05, 0.05) * x + uniform(-0.05, 0.05) * y) / half  # keeps periods above 3 pixels
     u = (angle.cos() * x + angle.sin() * y) * stretch / (period * depth)
     v = (angle.cos() * y - angle.sin() * x) / (stretch * period * depth)
     texture = _TEXTURES[name]
@@ -146,13 +145,13 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
         distance = texture(u, v)
     pattern = torch.tanh(distance * period / EDGE)
 
-    # A light and a dark colour, equally far from a medium one: all classes have the same mean and contrast.
+    # Light and dark colours are symmetric about a medium one, so that all classes have the same mean and contrast.
     swing = uniform(0.1, 0.35, 3)
     surface = uniform(0.35, 0.65, 3) + swing * (pattern - pattern.mean((-2, -1), keepdim=True))
 
     ground = uniform(0.2, 0.8, 3) + uniform(0.05, 0.15) * _filtered(white(3), lambda f: 1 / f)
 
-    # A smooth random shape around the centre, of which a quantile fixes the share of the frame.
+    # A smooth random shape around the centre; a quantile sets its fraction of the image.
     reach = torch.hypot(pixels, pixels[:, None]) / half
     shape = _filtered(white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
     rank = (uniform(0.1, 0.5) * (size * size - 1)).round().long()
@@ -167,9 +166,9 @@ def render(count: int, size: int, seed: int) -> tuple[Tensor, Tensor]:
     """Render a balanced, shuffled set of labelled images on the CPU.
 
     Args:
-        count: Number of images, at least one per class.
-        size: Height and width in pixels, at least 16.
-        seed: Seed that determines the set.
+        count: number of images, at least one per class.
+        size: height and width [pixels], at least 16.
+        seed: seed of all random numbers.
 
     Returns:
         Images, (count, 3, size, size), uint8, and their indices into `CLASSES`, (count,), int64.

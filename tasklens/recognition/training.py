@@ -1,4 +1,4 @@
-"""The one training loop for classifiers: sharp images, captures or restored captures."""
+"""Training loop for classifiers on sharp images, captures or restored captures."""
 
 import math
 from collections.abc import Callable
@@ -17,14 +17,14 @@ from tasklens.study.settings import TrainingSettings
 
 
 def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict]:
-    """Two groups for AdamW: biases, norms and other vectors are not decayed."""
+    """Return two parameter groups for AdamW: biases, norms and other vectors have no weight decay."""
     matrices = [p for p in network.parameters() if p.requires_grad and p.ndim > 1]
     vectors = [p for p in network.parameters() if p.requires_grad and p.ndim <= 1]
     return [{"params": matrices, "weight_decay": weight_decay}, {"params": vectors, "weight_decay": 0.0}]
 
 
 def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -> LRScheduler:
-    """Linear warm-up over the fraction `warmup` of the steps, then a cosine to zero."""
+    """Return a schedule with linear warm-up over the fraction `warmup` of the steps, then a cosine to zero."""
     rising = max(1, round(warmup * steps))
     up = LinearLR(optimizer, 1 / (rising + 1), total_iters=rising)
     down = CosineAnnealingLR(optimizer, max(1, steps - rising))
@@ -32,31 +32,31 @@ def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -
 
 
 class Shuffled:
-    """Indices of batches without end: permutations of all `count` images, one after the other, none left out."""
+    """Endless batches of indices from successive random permutations of all `count` images."""
 
     def __init__(self, count: int, batch: int, generator: torch.Generator):
         self.count, self.batch_size, self.generator = count, batch, generator
         self.queue = torch.empty(0, dtype=torch.long)
 
     def next(self) -> Tensor:
-        """(batch,) indices."""
+        """Return the next (batch,) indices."""
         while len(self.queue) < self.batch_size:
             self.queue = torch.cat([self.queue, torch.randperm(self.count, generator=self.generator)])
         indices, self.queue = self.queue[: self.batch_size], self.queue[self.batch_size :]
         return indices
 
     def state_dict(self) -> dict:
-        """Where the order stands, and with it the generator."""
+        """Return the remaining indices and the state of the generator."""
         return {"queue": self.queue.clone(), "generator": self.generator.get_state()}
 
     def load_state_dict(self, state: dict) -> None:
-        """Go on from `state`."""
+        """Resume from `state`."""
         self.queue = state["queue"]
         self.generator.set_state(state["generator"])
 
 
 def reseed(seed: int) -> None:
-    """Seed torch's own generator, from which new networks and augmentations draw."""
+    """Seed torch's global generator, used by new networks and augmentations."""
     torch.manual_seed(seed)
 
 
@@ -70,21 +70,21 @@ def fit(
     checkpoint: Checkpoint = NO_CHECKPOINT,
     group: ProcessGroup = SINGLE_PROCESS,
 ) -> None:
-    """Train a classifier in place with cross-entropy; it is left in `eval()`.
+    """Train a classifier in place with cross-entropy, and leave it in `eval()`.
 
     Args:
-        classifier: takes images (B, 3, H, W) in [0, 1].
-        dataset: the sharp training images.
-        training: budget and rates.
-        seed: of the order of the images, the flips and the network's own randomness.
-        label: for the progress lines.
-        see: captures of a share of the sharp images (B, 3, H, W), given a random generator, from which it draws the
-            same numbers whatever the share.
-        checkpoint: of the job, for its part `label`; the first process writes it.
-        group: the processes that train together; all end with the same network.
+        classifier: network for images (B, 3, H, W) in [0, 1].
+        dataset: sharp training images.
+        training: settings of the training.
+        seed: seed of the image order, the flips and the network's random numbers.
+        label: label of progress lines, and name of the part of the checkpoint.
+        see: function that captures a share of the sharp images (B, 3, H, W); it draws the same random numbers from the
+            generator for every share.
+        checkpoint: checkpoint of the job; the first process saves it.
+        group: process group; all processes end with the same network.
 
     Raises:
-        FloatingPointError: the loss stopped being finite, or the weights did at the last step.
+        FloatingPointError: the loss, or a weight after the last step, is not finite.
     """
     share, together = group.share(training.batch_size), group.wrap(classifier)
     torch.manual_seed(seed)
@@ -109,7 +109,7 @@ def fit(
     for step in range(part.step + 1, steps + 1):
         images, labels = dataset.batch(order.next())
         flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
-        if before is not None:  # only now, so that a GPU has the step before to compute while images are fetched
+        if before is not None:  # after fetching images, which overlaps with the previous step on a GPU
             check(step - 1, before.item())
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         loss = F.cross_entropy(together(see(images, generator, share)), labels[share])

@@ -1,1 +1,1 @@
-"""Tables, verdicts, figures and pages from what was measured."""
+"""Tables, verdicts, figures and pages from measurements."""

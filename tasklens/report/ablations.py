@@ -1,4 +1,4 @@
-"""The table of one ablation: a design and its variants, with what each changes in accuracy."""
+"""The table of one ablation: accuracies of a design and its variants."""
 
 import pandas
 
@@ -15,7 +15,7 @@ its capture."""
 
 
 def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.DataFrame:
-    """A row for the base, then one per variant: accuracy, difference with interval, the figures of the lens."""
+    """Return a row for the base lens, then one per variant: accuracy, difference with interval, figures of the lens."""
     claims = ablation.claims
     differences = verdicts.collect(claims, measurements).set_index("lens")
     classifier = claims.claims[0].classifier

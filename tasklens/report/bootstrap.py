@@ -1,6 +1,6 @@
 """Confidence intervals by resampling test images and seeds (Efron and Tibshirani 1993, chapters 6 and 13).
 
-A row stands for one image: the mean over its nine captures, which stay together since they are not independent.
+A row is one image, the mean over its nine captures: these are not independent, and not resampled.
 """
 
 import numpy
@@ -9,13 +9,13 @@ from scipy.special import ndtri, stdtrit
 
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
-_BLOCK = 2_000_000  # image counts held at once
+_BLOCK = 2_000_000  # image counts in memory at once
 
 
 def resampled_means(values: ndarray, seed: int = 0, resamples: int = RESAMPLES) -> ndarray:
-    """Means (R, C) of the columns of `values` (N, C) over R draws of N rows with replacement.
+    """Compute the means (R, C) of the columns of `values` (N, C) over R samples of N rows with replacement.
 
-    All columns see the same draws: what is measured on the same images stays paired.
+    All columns have the same samples, so that measurements on the same images stay paired.
     """
     count = len(values)
     generator = numpy.random.default_rng(seed)
@@ -30,11 +30,11 @@ def resampled_means(values: ndarray, seed: int = 0, resamples: int = RESAMPLES) 
 
 
 def interval(by_seed: ndarray, seed: int = 1) -> tuple[float, float]:
-    """Percentile interval of the mean over seeds, from resampled values (R, S) of S seeds.
+    """Compute the percentile interval of the mean over seeds, from resampled values (R, S) of S seeds.
 
-    With several seeds, each row draws S of its S values with replacement. Since seeds are few, the deviation that their
-    draw adds is stretched by sqrt(S / (S - 1)) t / z, with the quantiles t of Student's distribution for S - 1 degrees
-    of freedom and z of the normal one: five seeds would otherwise cover the truth in 86 % of cases, not 95 %.
+    With several seeds, S of the S values of each row are sampled with replacement. Since seeds are few, the deviation
+    caused by this is multiplied by sqrt(S / (S - 1)) t / z, with the quantiles t of Student's distribution for S - 1
+    degrees of freedom and z of the normal one: otherwise the coverage with five seeds is 86 %, not 95 %.
     """
     resamples, seeds = by_seed.shape
     means = by_seed.mean(1)

@@ -1,10 +1,10 @@
-"""The table of one lens: its first-order data, its figures field by field, its aberrations surface by surface."""
+"""The table of one lens: first-order data, figures by field, aberrations by surface."""
 
 from collections.abc import Mapping, Sequence
 
 import pandas
 
-# Column of a field: key of the lens file's figures, heading, digits behind the point.
+# Columns of the table of fields: key in the figures of the lens file, heading, number of decimals.
 _FIELDS = (
     ("angle_deg", "angle [deg]", 1),
     ("valid_fraction", "valid", 3),
@@ -42,12 +42,12 @@ Distortion and relative illumination are at the middle wavelength too."""
 
 
 def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:
-    """The table of a lens as Markdown.
+    """Return the table of a lens as Markdown.
 
     Args:
         fields_mm: (X, Y) of each field [mm].
-        content: `figures` of the lens, and its `worst_margin` if it is known, as in its file.
-        by_surface: contributions of the surfaces to each Seidel sum [um].
+        content: `figures` of the lens, and its `worst_margin` if known, as in its file.
+        by_surface: contributions of the surfaces to each Seidel sum [um], by name.
     """
     figures = content["figures"]
     lens = pandas.DataFrame(_lens(content).items(), columns=["figure", "value"])

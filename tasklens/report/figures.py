@@ -1,4 +1,4 @@
-"""Images of lenses: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
+"""Figures of lenses: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,14 +29,14 @@ _BY_WAVELENGTH = ("tab:red", "tab:green", "tab:blue")  # as in a specification: 
 
 @dataclass(frozen=True)
 class Panel:
-    """What is shown of one lens.
+    """Contents of the figure of one lens.
 
     Attributes:
-        title: above all else.
-        lens: with finite clear apertures.
-        view: fields, colours and pixels.
+        title: title of the figure.
+        lens: lens with finite clear apertures.
+        view: fields, wavelengths and pixels.
         psf: (F, 3, K, K) cached PSFs.
-        figures: what the lens file says of it, for the captions.
+        figures: optical figures in the lens file, for captions.
     """
 
     title: str
@@ -47,7 +47,7 @@ class Panel:
 
 
 def draw(path: Path, panels: Sequence[Panel]) -> None:
-    """Write the image of one lens, or of several, one above the other."""
+    """Draw one lens, or several one above the other, and write a PNG file."""
     whole = plt.figure(figsize=(13, 6 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
@@ -73,7 +73,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
         axes.set_title(f"{name}: RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9, color=_COLOURS[k])
         axes = part.add_subplot(grid[1, column : column + 2])
         shown = panel.psf[field].permute(1, 2, 0)
-        axes.imshow((shown / shown.max()).sqrt().numpy())  # the square root shows the tail
+        axes.imshow((shown / shown.max()).sqrt().numpy())  # square root, to make the tail visible
         axes.set_title(f"inside {figures['energy_in_window'][field]:.2f}", fontsize=9)
         axes.set(xticks=[], yticks=[])
         for i, (errors, label) in enumerate(((fans.tangential[..., 1], "py"), (fans.sagittal[..., 0], "px"))):
@@ -87,7 +87,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 
 def _cross_section(axes: Axes, lens: Lens, view: View) -> None:
-    """The lens in the plane of the diagonal, with a fan of rays for axis, middle and corner."""
+    """Draw a lens in the plane of the diagonal, with a fan of rays for axis, middle and corner."""
     vertices = lens.vertices
     edges = []
     for i in range(len(lens.media)):
@@ -104,14 +104,14 @@ def _cross_section(axes: Axes, lens: Lens, view: View) -> None:
         if medium != AIR:
             for end in (0, -1):
                 (z0, h0), (z1, h1) = edges[i], edges[i + 1]
-                flange = max(h0[end], h1[end], key=abs)  # beyond its own light a surface is a flat flange
+                flange = max(h0[end], h1[end], key=abs)  # beyond its clear aperture a surface is a flat flange
                 axes.plot([z0[end], z0[end], z1[end], z1[end]], [h0[end], flange, flange, h1[end]], color="black", lw=1)
     radius = view.fields.norm(dim=-1)[list(_SHOWN)]
     along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, view.wavelengths[1:2], 1.0, 1)
     fan = torch.stack([torch.zeros(9), torch.linspace(-0.98, 0.98, 9)], -1).double()
     image, behind = trace_fields_full(lens, along_y, fan)
     image_z = float(vertices[-1] + lens.thickness[-1])
-    # Not to a stop behind the first vertex and back: straight to the glass, and from the foremost plane of the lens.
+    # Rays are drawn from the foremost plane straight to the first refracting surface, since a stop may be behind it.
     z_each = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
     y_each = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
     front = torch.full_like(z_each[0], float(vertices.min()))

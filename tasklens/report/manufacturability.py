@@ -1,4 +1,4 @@
-"""Manufacturability of a lens: its limits, its surfaces, and what moulding errors do to its spots."""
+"""Manufacturability of a lens: limits, surfaces, and sensitivity of spots to moulding errors."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,21 +8,21 @@ import pandas
 from tasklens.optics.analysis.shapes import Shape
 from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS
 
-ROBUST = 2.0  # a lens is robust whose spot grows to no more than this many times its design value
-_SHOWN = 3  # of the most sensitive parts
+ROBUST = 2.0  # largest ratio of the spot with moulding errors to the nominal spot of a robust lens
+_SHOWN = 3  # number of most sensitive parts in the page
 _UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "")
 
 
 def markdown(
     margins: Mapping[str, float], shapes: Sequence[Shape], nominal_um: float, errors_um: Mapping[str, float]
 ) -> str:
-    """A section for the page of a lens: a verdict in words, and the tables that it rests on.
+    """Return the section of a lens' page: a verdict in words, and its tables.
 
     Args:
-        margins: distance from each limit [mm, slopes and fractions without unit], negative where it is violated.
-        shapes: of the surfaces.
-        nominal_um: RMS spot as designed and focused, root mean square over fields [um].
-        errors_um: by how much each moulding error enlarges it, to be added as squares [um].
+        margins: margin of each limit [mm, slopes and fractions without unit], negative where it is violated.
+        shapes: shapes of the surfaces.
+        nominal_um: nominal refocused RMS spot, root mean square over fields [um].
+        errors_um: increase of the spot by each moulding error, to be added as squares [um].
     """
     built_um = math.hypot(nominal_um, *errors_um.values())
     worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SHOWN]
@@ -61,7 +61,7 @@ def markdown(
 
 
 def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) -> str:
-    """Manufacturability in a sentence or two."""
+    """Describe the manufacturability in one or two sentences."""
     violated = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
     if violated:
         return f"Not as it stands: it violates {', '.join(violated)}."

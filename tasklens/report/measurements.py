@@ -1,4 +1,4 @@
-"""What was measured in a study, from its files: lenses, metrics and predictions; no torch here."""
+"""Measurements of a study, from its files of lenses, metrics and predictions; no torch here."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,9 +14,9 @@ from tasklens.study.claims import Claim
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
-    """Means over the nine fields of what a lens file says: RMS and 50 % radius [um], energy inside the window.
+    """Compute means over fields from a lens file: RMS and 50 % radius [um], energy inside the window; and worst margin.
 
-    And its worst margin, negative where the lens violates a limit of manufacturing [mm], focal length or distortion.
+    The worst margin is negative where the lens violates a limit of manufacturing [mm], focal length or distortion.
     """
     figures = content["figures"]
 
@@ -40,25 +40,25 @@ class Measurements:
     predictions: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
-        """What a lens file says, unchecked and without torch."""
+        """Read the content of a lens file, without validation."""
         return yaml.load(self.lenses[lens, seed].read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
-        """As the function `lens_values`, of a lens of the study."""
+        """Compute the function `lens_values` of a lens of the study."""
         return lens_values(self.lens_file(lens, seed))
 
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
-        """Mean over fields of every metric."""
+        """Return the mean over fields of every metric."""
         return mean_metrics(self.metrics[lens, classifier, seed])
 
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
-        """1 where an image is classified correctly, else 0: a row per image, a column per field."""
+        """Read predictions: 1 where an image is classified correctly, else 0; a row per image, a column per field."""
         return predictions.read(self.predictions[lens, classifier, seed])
 
     def strongest_baseline(self, claim: Claim, seed: int) -> str:
-        """The baseline of a claim with the best minival accuracy with this seed; "" without baselines.
+        """Return the baseline of a claim with the best minival accuracy for this seed; "" without baselines.
 
-        Of each seed anew: whoever has two designs at hand keeps the better one.
+        It is selected for each seed, as a designer with several designs would select the best one.
         """
         accuracy = {name: self.values(name, claim.classifier, seed)["minival_accuracy"] for name in claim.baselines}
         return max(accuracy, key=lambda name: accuracy[name], default="")

@@ -1,4 +1,4 @@
-"""Which test images were classified correctly, from the files that fine-tuning and reproduction leave."""
+"""Reading of predictions: which test images were classified correctly at each field."""
 
 from pathlib import Path
 
@@ -10,10 +10,10 @@ Labelled = pandas.DataFrame | pandas.Series  # with a row per image
 
 
 def read(path: str | Path) -> pandas.DataFrame:
-    """1 where an image is classified correctly at a field, else 0: a row per (image, label), a column per field.
+    """Read predictions: 1 where an image is classified correctly, else 0; a row per (image, label), a column per field.
 
     Raises:
-        FileError: the file holds anything else.
+        FileError: the file has other contents.
     """
     try:
         frame = pandas.read_csv(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])
@@ -25,11 +25,11 @@ def read(path: str | Path) -> pandas.DataFrame:
 
 
 def accuracy_by_field(correct: pandas.DataFrame) -> list[float]:
-    """Accuracy [%] at each field."""
+    """Compute the accuracy [%] at each field."""
     return (100 * correct.mean()).tolist()
 
 
 def same_images(first: Labelled, second: Labelled, where: str) -> None:
-    """Raise FileError unless two files are about the same images in the same order."""
+    """Check that two tables have the same images in the same order; raises FileError."""
     if not first.index.equals(second.index):
         raise FileError(f"{where}: not about the same test images")

@@ -1,4 +1,4 @@
-"""A table as people and programs read it: CSV with every digit, Markdown rounded, with a title and a note."""
+"""Writing of tables: CSV with all digits, and rounded Markdown with a title and a note."""
 
 from collections.abc import Callable, Mapping
 
@@ -10,10 +10,10 @@ GAP = "–"
 
 
 def rounded(table: pandas.DataFrame, digits: Mapping[str, str]) -> pandas.DataFrame:
-    """The table as text: each column by the format of the longest beginning of its name in `digits`, gaps as dashes.
+    """Format a table as text: columns by the longest matching prefix in `digits`, missing values as dashes.
 
     Args:
-        digits: by column, or the beginning of its name, a format such as "+.2f"; "" is for all other numbers.
+        digits: format such as "+.2f" by prefix of column names; "" for all other numbers.
     """
     shown = table.astype(object)
     for column in table.columns:
@@ -32,7 +32,7 @@ def publish(outputs: Files, title: str, table: pandas.DataFrame, shown: pandas.D
 
     Args:
         shown: the table as text, from `rounded`.
-        note: below the Markdown table, which is left out where it has no rows.
+        note: text below the Markdown table, which is left out if it has no rows.
     """
     write_text(outputs.csv, table.to_csv(index=False))
     body = f"{shown.to_markdown(index=False, disable_numparse=True)}\n\n" if len(table) else ""

@@ -1,4 +1,4 @@
-"""Where task-driven design pays: its difference to the best imaging lens over element counts and specifications."""
+"""Gain of task-driven design over the best imaging lens, by element counts and specifications."""
 
 from statistics import mean
 
@@ -17,7 +17,7 @@ five seeds, is undecided."""
 
 
 def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
-    """A row per task-driven lens: specification, difference [points] with interval, RMS spots [um]."""
+    """Return a row per task-driven lens: specification, difference [points] with interval, RMS spots [um]."""
     rows = verdicts.collect(claims, measurements)
 
     def rms_um(lens: str, seed: int) -> float:
@@ -45,7 +45,7 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
 
 
 def make(claims: Claims, inputs: Files, outputs: Files) -> None:
-    """Write the map as CSV and Markdown."""
+    """Write the table as CSV and Markdown."""
     rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
     publish(outputs, "Where it pays", rows, shown, _NOTE.format(study=claims.study))

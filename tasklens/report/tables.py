@@ -1,6 +1,6 @@
-"""The paper's four tables from measured rows, with the paper's values beside them.
+"""The paper's four tables from measurements, with the paper's values.
 
-A value of the paper is of another data set (ImageNet) and other networks: its columns end in `_paper`.
+Columns of the paper's values end in `_paper`: they are for another data set (ImageNet) and other networks.
 """
 
 import importlib.metadata
@@ -25,7 +25,7 @@ _COLUMNS = {
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
 _DIGITS = {"": ".2f", "energy": ".3f", "worst": ".3f"}
-_ZERO_SHOT = "zero_shot_accuracy"  # follows the accuracy in tables 1 and 2, if a network has more outputs than classes
+_ZERO_SHOT = "zero_shot_accuracy"  # in tables 1 and 2, if a network has more outputs than classes
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",
     "table2": "Accuracy with other classifiers",
@@ -35,16 +35,16 @@ _TITLES = {
 
 
 def converged(accuracy: float, reference_accuracy: float, chance: float, energy_in_window: float) -> bool:
-    """Whether a design converged: it forms an image, and the image serves.
+    """Return whether a design converged, by energy inside the PSF window and accuracy [%].
 
-    At least half of the light of the average field falls inside the PSF window, and the fine-tuned classifier recovers
-    at least half of what the sharp images give above chance.
+    On average over fields at least half of the light is inside the PSF window, and the fine-tuned classifier's accuracy
+    is at least half-way from chance to that on sharp images.
     """
     return energy_in_window >= 0.5 and accuracy >= (reference_accuracy + chance) / 2
 
 
 def collect(contents: TableContents, measurements: Measurements) -> pandas.DataFrame:
-    """One row per lens (or `reference`), classifier and seed; of those that have been measured."""
+    """Return a row per lens (or `reference`), classifier and seed that has been measured."""
     rows = []
     for seed, classifier in product(contents.seeds, contents.classifiers):
         if (SHARP, classifier, seed) not in measurements.metrics:
@@ -63,7 +63,7 @@ def collect(contents: TableContents, measurements: Measurements) -> pandas.DataF
 def _row(
     lens: str, classifier: str, seed: int, sharp: dict[str, float], metrics: dict[str, float], measured: Measurements
 ) -> dict[str, object]:
-    """The row of a lens, from its metrics and those of the sharp images."""
+    """Return the row of a lens, from its metrics and those of the sharp images."""
     elements, _, design = lens.partition("-")
     values = metrics | measured.lens_values(lens, seed) | {"reference_accuracy": sharp["accuracy"]}
     reached = converged(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
@@ -72,7 +72,7 @@ def _row(
 
 
 def _columns(contents: TableContents, rows: pandas.DataFrame) -> list[str]:
-    """What a table shows of its rows."""
+    """Return the columns of values in a table."""
     columns = list(_COLUMNS[contents.name])
     if contents.name in ("table1", "table2") and _ZERO_SHOT in rows:
         columns.insert(columns.index("accuracy") + 1, _ZERO_SHOT)
@@ -80,9 +80,9 @@ def _columns(contents: TableContents, rows: pandas.DataFrame) -> list[str]:
 
 
 def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
-    """Means over seeds, with `_std` where several ran, beside the paper's values.
+    """Compute means over seeds, with `_std` for several seeds, and add the paper's values.
 
-    Of margins the worst counts, and a design converged where it did with every seed.
+    Margins are the worst of all seeds, and a design converged if it did for every seed.
     """
     columns = _columns(contents, rows)
     keys = ["elements", "design", *(["classifier"] if contents.name == "table2" else [])]
@@ -99,7 +99,7 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
 
 
 def printed(table: pandas.DataFrame) -> pandas.DataFrame:
-    """The table as people read it: rounded, gaps as dashes, a cross where a design did not converge."""
+    """Format the table: rounded, missing values as dashes, a cross where a design did not converge."""
     shown = rounded(table, _DIGITS)
     for column in [column for column in table.columns if str(column).startswith("converged")]:
         shown[column] = table[column].map(lambda v: GAP if pandas.isna(v) else "yes" if v else "×")
@@ -107,10 +107,10 @@ def printed(table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
-    """Write a table as CSV, Markdown and LaTeX, its rows seed by seed, and a sidecar that says what made it.
+    """Write a table as CSV, Markdown and LaTeX, its rows by seed as CSV, and its provenance as JSON.
 
     Raises:
-        FileError: nothing has been measured.
+        FileError: there are no measurements.
     """
     published = pandas.read_csv(inputs.paper, keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
@@ -132,12 +132,12 @@ def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
 
 
 def _latex(text: str) -> str:
-    """Our own plain sentences as LaTeX."""
+    """Convert our plain text to LaTeX."""
     return text.replace("`", "").replace("_", r"\_")
 
 
 def provenance(contents: TableContents) -> dict[str, object]:
-    """What made a table: study, seeds, commit and versions."""
+    """Return the provenance of a table: study, seeds, commit and versions."""
     try:
         command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
         commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -1,4 +1,4 @@
-"""The tails of all PSFs of a study as one table, and their curves of encircled energy as another."""
+"""Table of the tails of all PSFs of a study, and of their encircled energy."""
 
 from collections.abc import Mapping
 from itertools import product
@@ -21,7 +21,7 @@ ByLens = Mapping[tuple[str, int], Path]  # by (lens, seed)
 
 
 def collect(contents: Slice, by_field: ByLens) -> pandas.DataFrame:
-    """One row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
+    """Return a row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
     rows = []
     for lens, seed in product(contents.lenses, contents.seeds):
         fields = pandas.read_csv(by_field[lens, seed]).drop(columns="field")
@@ -32,7 +32,7 @@ def collect(contents: Slice, by_field: ByLens) -> pandas.DataFrame:
 
 
 def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
-    """One row per lens: means over seeds, with `_std` where several ran."""
+    """Compute a row per lens: means over seeds, with `_std` for several seeds."""
     groups = rows.drop(columns="seed").groupby("lens", sort=False)
     table = groups.mean(skipna=False)
     if rows["seed"].nunique() > 1:
@@ -41,7 +41,7 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def curves(contents: Slice, encircled_energy: ByLens) -> pandas.DataFrame:
-    """Encircled energy of every lens: lens, seed, field, radius_um, fraction."""
+    """Return the encircled energy of every lens: lens, seed, field, radius_um, fraction."""
     pairs = product(contents.lenses, contents.seeds)
     each = [pandas.read_csv(encircled_energy[lens, seed]).assign(lens=lens, seed=seed) for lens, seed in pairs]
     return pandas.concat(each)[["lens", "seed", "field", "radius_um", "fraction"]]

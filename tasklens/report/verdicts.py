@@ -1,11 +1,11 @@
-"""Whether the claims of the paper hold for the lenses of a study: differences, their intervals, and verdicts by rule.
+"""Verdicts on the claims of the paper for the lenses of a study, from differences and their intervals.
 
 The difference is in points of accuracy, mean over fields, images and seeds, paired by seed and by image. Its 95 %
-interval comes from 10 000 resamples of the test images, and of the seeds where several ran. A claim
+interval is from 10 000 resamples of the test images, and of the seeds if there are several. A claim
 
-    holds           where the whole interval is above zero,
-    does not hold   where the whole interval is below zero,
-    undecided       else; and, whatever the interval, where fewer than five seeds ran.
+    holds           if the whole interval is above zero,
+    does not hold   if the whole interval is below zero,
+    is undecided    otherwise, and always with fewer than five seeds.
 """
 
 from collections import Counter
@@ -21,7 +21,7 @@ from tasklens.runtime.files import Files
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.names import SHARP
 
-LEAST_SEEDS = 5  # three decide nothing: t(2) = 4.30
+LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 COLUMNS = [
     *("table", "claim", "lens", "baseline", "classifier"),
@@ -37,7 +37,7 @@ window, half of the accuracy above chance."""
 
 
 def verdict(low: float, high: float, seeds: int) -> tuple[str, str]:
-    """Verdict on a difference with the interval `low` to `high` over `seeds` seeds, and its reason."""
+    """Return the verdict on a difference with the interval `low` to `high` over `seeds` seeds, and its reason."""
     if seeds < LEAST_SEEDS:
         return UNDECIDED, "fewer than five seeds"
     if low > 0:
@@ -48,10 +48,10 @@ def verdict(low: float, high: float, seeds: int) -> tuple[str, str]:
 
 
 def accuracy_by_image(lenses: Mapping[int, str], classifier: str, measurements: Measurements) -> pandas.DataFrame:
-    """Accuracy [%] of each test image, mean over fields: a row per image, a column per seed.
+    """Compute the accuracy [%] of each test image, mean over fields: a row per image, a column per seed.
 
     Args:
-        lenses: by seed.
+        lenses: names of lenses by seed.
 
     Raises:
         FileError: the seeds have different images.
@@ -67,17 +67,20 @@ def accuracy_by_image(lenses: Mapping[int, str], classifier: str, measurements: 
 def advantage(
     claim: Claim, baselines: Mapping[int, str], measurements: Measurements
 ) -> tuple[pandas.DataFrame, numpy.ndarray]:
-    """What speaks for a claim [points], and the least that its mean over images counts for.
+    """Compute the advantage of a claim [points], and the lower bounds of its means over images.
 
-    For a claim about two lenses, the difference of their accuracies; it counts as it is. For convergence, what the
-    accuracy lacks of half-way from chance to that of sharp images; and where the PSF window lacks more of half of the
-    light, that counts instead.
+    For a claim about two lenses it is the difference of their accuracies, without bound. For a claim that a design does
+    not converge, it is what the accuracy is below half-way from chance to that of sharp images; its bound is what the
+    energy in the PSF window is below 50 %.
 
     Args:
-        baselines: the strongest baseline of each seed.
+        baselines: strongest baseline by seed.
 
     Returns:
-        A row per image and a column per seed; and (S,) least values of the means.
+        A row per image and a column per seed; and (S,) lower bounds of the means over images.
+
+    Raises:
+        FileError: the files have different images.
     """
     seeds = list(baselines)
     own = accuracy_by_image(dict.fromkeys(seeds, claim.lens), claim.classifier, measurements)
@@ -94,7 +97,7 @@ def advantage(
 
 
 def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
-    """A row per claim, with the columns `COLUMNS`."""
+    """Return a row per claim, with the columns `COLUMNS`."""
     baselines = [
         {seed: measurements.strongest_baseline(claim, seed) for seed in claims.seeds} for claim in claims.claims
     ]
@@ -117,7 +120,7 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
 
 
 def _named(baselines: Iterable[str]) -> str:
-    """The baseline of all seeds; or each, the most frequent first, with the number of its seeds."""
+    """Name the baseline of all seeds; or each one, the most frequent first, with its number of seeds."""
     counts = Counter(baselines)
     if len(counts) == 1:
         return next(iter(counts))
@@ -125,7 +128,7 @@ def _named(baselines: Iterable[str]) -> str:
 
 
 def over(claims: Claims) -> str:
-    """What the intervals of some claims are taken over beside test images, in words."""
+    """Return " and seeds" if the intervals include the resampling of seeds."""
     return " and seeds" if len(claims.seeds) > 1 else ""
 
 

@@ -1,7 +1,7 @@
-"""Verification of a finished study: limits of the lenses, and accuracies that come out again.
+"""Verification of a finished study: limits of the lenses, and reproduced accuracies.
 
-Stored weights classify all test images anew, through the cached PSFs (stage `reproduce`, a job per measurement).
-What comes out is compared with the images and metrics that fine-tuning left, and with the tables.
+All test images are classified again with the stored weights and the cached PSFs (stage `reproduce`, a job per
+measurement). The predictions are compared with those and with the metrics of fine-tuning, and with the tables.
 """
 
 from collections.abc import Mapping
@@ -20,14 +20,14 @@ from tasklens.study.tables import TableContents, VerificationContents
 
 Reproduced = Mapping[tuple[str, str, int], Path]  # predictions by (lens, measured name, seed)
 
-ROUNDING = 1e-6  # [mm or a fraction] by which a margin may be negative
+ROUNDING = 1e-6  # tolerance on margins [mm or a fraction]
 EFL_TOLERANCE = 0.02
-DIFFERENT = 1e-3  # share of captures that may be classified differently; on the machine that wrote them none is
+DIFFERENT = 1e-3  # largest fraction of captures classified differently; on the same machine it is zero
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One thing that fails: of which lens, which limit, and the value found."""
+    """A failed check: the lens, the limit, and the value found."""
 
     lens: str
     seed: str
@@ -40,7 +40,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found: failures; limits violated by lenses that are not required to keep them; how much was checked."""
+    """Results: failures; violated limits of lenses that are not constrained; numbers of lenses and measurements."""
 
     failures: list[Failure]
     unconstrained: list[Failure]
@@ -51,11 +51,11 @@ class Findings:
 def verify(
     contents: VerificationContents, measurements: Measurements, reproduced: Reproduced, tables: Mapping[str, Path]
 ) -> Findings:
-    """Check every lens, measurement and table of a study; all checks are done, whatever fails.
+    """Check every lens, measurement and table of a study; a failure does not stop the checks.
 
     Args:
-        reproduced: what the stored weights predict now.
-        tables: CSV files by name.
+        reproduced: files of the predictions reproduced with the stored weights.
+        tables: CSV files by name of the table.
     """
     failures: list[Failure] = []
     unconstrained: list[Failure] = []
@@ -85,9 +85,9 @@ def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], efl_mm: flo
 
 
 def violated_limits(content: Mapping[str, Any], efl_mm: float) -> dict[str, float]:
-    """Margins below zero [mm, or a fraction] by limit: those in a lens file, and that of the specified focal length."""
+    """Return negative margins [mm, or a fraction] by limit: those in a lens file, and that of the specified EFL."""
     worst = content["worst_margin"]
-    missed = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # of the power, as designs are held to it
+    missed = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # relative error of the power, as in designs
     margins = [*content["margins"].items(), (worst["limit"], worst["value"]), ("efl_tolerance", EFL_TOLERANCE - missed)]
     return {limit: value for limit, value in margins if not value >= -ROUNDING}
 
@@ -95,9 +95,9 @@ def violated_limits(content: Mapping[str, Any], efl_mm: float) -> dict[str, floa
 def differences(
     anew: pandas.DataFrame, lens: str, classifier: str, seed: int, measurements: Measurements
 ) -> dict[str, float]:
-    """Share of captures in which stored files differ from the reproduction `anew`.
+    """Compute the fractions of captures in which stored files differ from the reproduced predictions `anew`.
 
-    By image from the stored predictions; from the metrics file by the mean over fields of the difference in accuracy.
+    Stored predictions are compared by capture, metrics by the mean over fields of the difference in accuracy.
     """
     stored = measurements.correct(lens, classifier, seed)
     alike = stored.index.equals(anew.index) and stored.columns.equals(anew.columns)
@@ -111,7 +111,7 @@ def differences(
 
 
 def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], path: Path) -> list[Failure]:
-    """Rows of a table whose accuracy is not that of the stored weights."""
+    """Return failures for the rows of a table whose accuracy is not reproduced."""
     failures = []
     for row in pandas.read_csv(path, keep_default_na=False).to_dict("records"):
         sharp = row["design"] == "reference"
@@ -126,7 +126,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
 
 
 def run(contents: VerificationContents, inputs: Files, outputs: Files) -> int:
-    """Print the verdicts, and all that was found; 1 where something fails."""
+    """Print the verdicts and the results; return 1 if there are failures, else 0."""
     measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
     findings = verify(contents, measurements, inputs.reproduced, inputs.tables)
     print(inputs.verdicts.read_text())
@@ -135,7 +135,7 @@ def run(contents: VerificationContents, inputs: Files, outputs: Files) -> int:
 
 
 def summary(findings: Findings) -> str:
-    """A line for everything that was found, `failed` or `unconstrained`, and one for what was checked."""
+    """Return a line per failure, `failed` or `unconstrained`, and one with the numbers of checks."""
     lines = [f"unconstrained: {failure}" for failure in findings.unconstrained]
     lines += [f"failed: {failure}" for failure in findings.failures]
     count = f"{findings.lenses} lenses and {findings.measurements} measurements: {len(findings.failures)} failures"

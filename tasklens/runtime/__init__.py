@@ -1,1 +1,1 @@
-"""How any job runs: files, checkpoints, devices, process groups, progress."""
+"""Infrastructure of jobs: files, checkpoints, devices, process groups, progress."""

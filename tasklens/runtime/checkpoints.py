@@ -1,9 +1,9 @@
 """Checkpoints of long jobs: a resumed job gives the same numbers.
 
-A job has parts with names, one after the other: a descent, a training. A part that has ended is known by its result,
-the one under way by its state; either is saved with torch's random state and the part's history. The file is named
-after what the job computes (`key`), so that a changed job never resumes from it, and lies outside the job's outputs,
-which Snakemake deletes when a job fails.
+A job has named parts in sequence, such as a descent or a training. A finished part is saved by its result, an
+unfinished one by its state; both with torch's random state and the part's history. The name of the file contains the
+digest of what the job computes (`key`), so that a changed job does not resume from it. The file is not among the job's
+outputs, which Snakemake deletes when a job fails.
 """
 
 import hashlib
@@ -16,13 +16,13 @@ import torch
 
 from tasklens.runtime.files import FileError, replacing
 
-INTERVAL = 60.0  # seconds from one writing of a file to the next, at least
+INTERVAL = 60.0  # least time between writing files [s]
 
 
 def key(*parts: str, inputs: Sequence[Path] = ()) -> str:
-    """Digest of what a job computes: texts such as its slice of the study and its code, and its input files.
+    """Compute the digest of what a job computes: texts such as its settings and its code digest, and input files.
 
-    Input files count by size and time of change, since images can be hundreds of gigabytes.
+    Input files are identified by size and modification time, since images can be hundreds of gigabytes.
     """
     texts = list(parts)
     for path in inputs:
@@ -32,13 +32,13 @@ def key(*parts: str, inputs: Sequence[Path] = ()) -> str:
 
 
 class Checkpoint:
-    """The parts of one job.
+    """Checkpoint of one job, with its parts.
 
     Args:
-        path: of the file; without one nothing is saved.
+        path: path of the file; None: nothing is saved.
 
     Raises:
-        FileError: the file is not one of ours.
+        FileError: the file is no checkpoint.
     """
 
     def __init__(self, path: Path | None = None):
@@ -52,10 +52,10 @@ class Checkpoint:
                 raise FileError(f"{path}: no checkpoint of this program; remove it ({error})") from error
 
     def part(self, name: str, **holders: Any) -> "Part":
-        """The part of this name; where it is known, everything becomes what it was when that was written.
+        """Return the part of this name; if it was saved, load the states of `holders` and torch's random state.
 
         Args:
-            holders: what has `state_dict` and `load_state_dict`, saved while the part is under way.
+            holders: objects with `state_dict` and `load_state_dict`, saved with an unfinished part.
         """
         record = self.records.get(name, {})
         if record:
@@ -67,18 +67,18 @@ class Checkpoint:
         return Part(self, name, record, holders)
 
     def due(self) -> bool:
-        """Whether it is time to write."""
+        """Return whether it is time to write the file."""
         return self.path is not None and time.monotonic() - self.written >= INTERVAL
 
     def write(self) -> None:
-        """Write all parts that are known."""
-        assert self.path is not None  # only a checkpoint with a file is ever due
+        """Write all parts to the file."""
+        assert self.path is not None  # only a checkpoint with a path is due
         with replacing(self.path) as temporary:
             torch.save(self.records, temporary)
         self.written = time.monotonic()
 
     def remove(self) -> None:
-        """Delete the file: the outputs of the job are complete."""
+        """Delete the file, after the outputs of the job are complete."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
@@ -87,7 +87,7 @@ NO_CHECKPOINT = Checkpoint()
 
 
 def _finite(state: object) -> bool:
-    """Whether all tensors in nested mappings and sequences are: a state that is not is none to go on from."""
+    """Return whether all tensors in nested mappings and sequences are finite, since others must not be resumed."""
     if isinstance(state, torch.Tensor):
         return bool(torch.isfinite(state).all())
     if isinstance(state, Mapping):
@@ -99,10 +99,10 @@ class Part:
     """One part of a job.
 
     Attributes:
-        result: what it ended with; None if it has not ended.
-        step: how far it came; 0 if it has not begun.
-        state: what its loop gave to `save` there.
-        history: rows of what happened, which the loop appends; saved with the part.
+        result: values passed to `finish`; None for an unfinished part.
+        step: last saved step of an unfinished part, else 0.
+        state: values passed to `save` at that step, else None.
+        history: rows appended by the loop, saved with the part.
     """
 
     def __init__(self, checkpoint: Checkpoint, name: str, record: Mapping[str, Any], holders: Mapping[str, Any]):
@@ -111,7 +111,7 @@ class Part:
         self.history: list[dict[str, Any]] = [dict(row) for row in record.get("history", ())]
 
     def save(self, step: int, **state: Any) -> None:
-        """Say what the state is after a step: written if it is time, and if every number of it is finite."""
+        """Save the state after a step, if it is time and all tensors are finite."""
         if self.checkpoint.due():
             held = {name: holder.state_dict() for name, holder in self.holders.items()}
             if _finite(held) and _finite(state):
@@ -119,7 +119,7 @@ class Part:
                 self.checkpoint.write()
 
     def finish(self, **result: Any) -> None:
-        """Say what the part ended with."""
+        """Save the result of the finished part; the file is written if it is time."""
         if self.checkpoint.path is not None:
             self._remember({"result": result})
             if self.checkpoint.due():
@@ -127,7 +127,7 @@ class Part:
 
     def _remember(self, record: dict[str, Any]) -> None:
         random = {"cpu": torch.get_rng_state()}
-        if torch.cuda.is_initialized():  # dropout draws there
+        if torch.cuda.is_initialized():  # dropout uses the GPU's generator
             random["gpu"] = torch.cuda.get_rng_state()
         rows = [dict(row) for row in self.history]
         self.checkpoint.records[self.name] = record | {"random": random, "history": rows}

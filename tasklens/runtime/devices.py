@@ -1,4 +1,4 @@
-"""Which device a job computes on: a GPU that no other job of ours has on this machine, or the CPU."""
+"""Devices of jobs: a GPU that no other job of ours on this machine uses, or the CPU."""
 
 import fcntl
 import tempfile
@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 CPU = torch.device("cpu")
-_locked: dict[str, TextIO] = {}  # by GPU, open files: a lock ends with its process, however that ends
+_locked: dict[str, TextIO] = {}  # open lock files by GPU; a lock is released when its process ends
 
 
 def claim() -> torch.device:
-    """Claim a GPU for this process, as soon as one is free; the same when asked again, the CPU where there is none.
+    """Claim a GPU for this process, waiting until one is free; repeated calls return the same; without GPUs the CPU.
 
-    Jobs that Snakemake runs side by side spread over the visible GPUs, and wait where there are more jobs than those.
+    Parallel jobs of Snakemake are distributed over the visible GPUs, and wait if there are more jobs than GPUs.
     """
     (device,) = claim_several(1)
     if device != CPU:
@@ -25,11 +25,11 @@ def claim() -> torch.device:
 
 
 def claim_several(wanted: int) -> list[torch.device]:
-    """Claim `wanted` GPUs, of which the machine has that many, for this process group; the CPU where there is none."""
+    """Claim `wanted` GPUs, at most as many as visible, for a process group; without GPUs the CPU."""
     count = torch.cuda.device_count()
     if count == 0:
         return wanted * [CPU]
-    while wanted > 1 and not _lock("several"):  # two that collect at once could wait for each other without end
+    while wanted > 1 and not _lock("several"):  # two groups that claim GPUs at once could deadlock
         time.sleep(1.0)
     while True:
         found: list[torch.device] = []
@@ -44,23 +44,23 @@ def claim_several(wanted: int) -> list[torch.device]:
 
 
 def send(tensor: Tensor, device: torch.device) -> Tensor:
-    """A tensor of the CPU on `device`; to a GPU it goes without waiting for what that still has to do."""
+    """Copy a CPU tensor to `device`, asynchronously to a GPU."""
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
 
 
 def half_precision(device: torch.device) -> torch.autocast:
-    """Where a network computes: in bfloat16 on a GPU, whose tensor cores want that, in float32 on the CPU."""
+    """Return the autocast context of networks: bfloat16 on a GPU, for its tensor cores, float32 on the CPU."""
     return torch.autocast("cuda", torch.bfloat16, enabled=device.type == "cuda")
 
 
 def _lock(name: str) -> bool:
-    """Whether this process holds the lock of this name, from now on or already."""
+    """Try to lock a name; return whether this process now holds the lock."""
     if name in _locked:
         return True
     path = Path(tempfile.gettempdir()) / f"tasklens-{name}.lock"
     if not path.exists():
         path.touch()
-    file = path.open()  # for reading, which is enough for a lock: the file may be another user's
+    file = path.open()  # read access suffices for a lock: the file may belong to another user
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -1,4 +1,4 @@
-"""Several processes that train one network together, each on its share of every batch, as `torchrun` starts them."""
+"""Process groups started by `torchrun`, which train one network, each process on its share of every batch."""
 
 import os
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from tasklens.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """Rank of this process, number of processes and device; the first process also writes."""
+    """Rank of this process, number of processes, and device; the first process writes files."""
 
     rank: int = 0
     size: int = 1
@@ -25,14 +25,14 @@ class ProcessGroup:
 
     @property
     def is_first(self) -> bool:
-        """Whether this process writes."""
+        """Whether this is the first process, which writes files."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Which of the `batch` images of a step are this process'.
+        """Return the slice of the `batch` images of a step for this process.
 
         Raises:
-            InputError: the shares would differ in size, and the mean of their gradients would not be that of the batch.
+            InputError: shares of different size, whose mean gradient would not be that of the batch.
         """
         if batch % self.size:
             raise InputError(
@@ -41,14 +41,15 @@ class ProcessGroup:
         return slice(self.rank, None, self.size)
 
     def wrap(self, network: nn.Module) -> nn.Module:
-        """The network, so that a backward pass leaves the mean of all processes' gradients in its parameters.
+        """Wrap a network so that a backward pass averages the gradients of all processes.
 
-        Batch norms take the statistics of all shares on GPUs, and of their own on CPUs, for which torch has no other.
+        Batch norms use the statistics of all shares on GPUs, and of their own share on CPUs, where torch cannot
+        synchronise them.
         """
         if self.size == 1:
             return network
         if self.device != CPU:
-            network = convert_sync_batchnorm(network)  # torch's own loses the activation in some of timm's batch norms
+            network = convert_sync_batchnorm(network)  # torch's function drops activations of timm's batch norms
         return DistributedDataParallel(network)
 
 
@@ -57,10 +58,10 @@ SINGLE_PROCESS = ProcessGroup()
 
 @contextmanager
 def process_group() -> Iterator[ProcessGroup]:
-    """Join the process group that `torchrun` has started, each process with a GPU of its own, or be the only one.
+    """Join the process group started by `torchrun`, each process with its own GPU; without it, yield a single process.
 
     Raises:
-        InputError: the machine has GPUs, but fewer than the group has processes.
+        InputError: the machine has GPUs, but fewer than processes.
     """
     if "WORLD_SIZE" not in os.environ:
         yield ProcessGroup(device=claim())
@@ -73,7 +74,7 @@ def process_group() -> Iterator[ProcessGroup]:
     torch.distributed.init_process_group(backends, timeout=waiting)
     try:
         rank, size = torch.distributed.get_rank(), torch.distributed.get_world_size()
-        # The first process claims the GPUs of all: one by one, two teams could wait for each other.
+        # The first process claims the GPUs of all processes: otherwise two groups could deadlock.
         devices = claim_several(size) if rank == 0 else size * [CPU]
         torch.distributed.broadcast_object_list(devices, device=CPU)
         if devices[rank] != CPU:

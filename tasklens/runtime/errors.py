@@ -1,5 +1,5 @@
-"""Mistakes of a user: the command line shows their message and no traceback."""
+"""User errors, which the command line reports without traceback."""
 
 
 class InputError(ValueError):
-    """A study, a file or an argument that cannot be used; the message says where, what was expected and what to do."""
+    """An invalid study, file or argument; the message says where, what was expected and what to do."""

@@ -1,4 +1,4 @@
-"""Files that are complete or absent: everything is written under a temporary name and renamed."""
+"""Atomic writing of files, under a temporary name that is renamed; and reading."""
 
 import json
 import math
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class FileError(InputError):
-    """A file that does not hold what it should; the message names it and says what was expected."""
+    """A file with invalid content; the message names it and says what was expected."""
 
 
 class Files(SimpleNamespace):
@@ -31,10 +31,10 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def number(value: object, where: str) -> float:
-    """A finite number of a file, also where YAML has taken it for text, such as 1e-4.
+    """Convert a value of a file to a finite number, also text such as 1e-4, which YAML does not parse as a number.
 
     Raises:
-        FileError: anything else; `where` begins its message.
+        FileError: another value; the message begins with `where`.
     """
     text = value if isinstance(value, str) else repr(value)
     if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
@@ -43,15 +43,15 @@ def number(value: object, where: str) -> float:
 
 
 def temporary_of(path: Path) -> Path:
-    """Where `path` is written until it is complete."""
+    """Return the temporary path of `path` while it is written."""
     return path.with_name(f".{path.name}.part")
 
 
 @contextmanager
 def replacing(path: Path, begun: bool = False) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it when the block ends, removed when it raises.
+    """Yield a temporary path, which is renamed to `path` when the block ends, and removed when it raises.
 
-    The next writer of `path` removes what a killed one has left, unless it continues what is `begun`.
+    A temporary file left by a killed process is removed first, unless `begun` continues it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_of(path)
@@ -65,13 +65,13 @@ def replacing(path: Path, begun: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
+    """Write a text file atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: Mapping[str, Any]) -> None:
-    """Write a safetensors file; the metadata are one JSON text, since the order of several would change by chance."""
+    """Write a safetensors file; metadata are one JSON text, since the order of several entries is random."""
     from safetensors.torch import save_file
 
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
@@ -83,20 +83,20 @@ def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: M
 def writing_array(
     path: Path, shape: tuple[int, ...], dtype: str, begun: bool = False
 ) -> Iterator["numpy.memmap[Any, Any]"]:
-    """An array in a .npy file that is being written, mapped: for more than fits into memory.
+    """Yield a mapped array of a .npy file to write, for arrays larger than memory.
 
     Args:
-        begun: continue the file that a killed writer of the same array has left, whose values are kept.
+        begun: continue the temporary file of a killed process, and keep its values.
 
     Raises:
-        FileError: the disk has no room for the file; before the block.
+        FileError: too little disk space, before the block.
     """
     import numpy
 
     with replacing(path, begun) as temporary:
         if not begun:
             size = numpy.dtype(dtype).itemsize * math.prod(shape)
-            free = shutil.disk_usage(temporary.parent).free  # a mapped file without room kills the job instead
+            free = shutil.disk_usage(temporary.parent).free  # on a full disk, writing to the map kills the process
             if free < size:
                 raise FileError(f"{path}: needs {size / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
         mapped = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
@@ -105,7 +105,7 @@ def writing_array(
 
 
 def map_array(path: Path) -> "torch.Tensor":
-    """The array of a .npy file as a tensor that is mapped read-only: for more than fits into memory.
+    """Map the array of a .npy file as a read-only tensor, for arrays larger than memory.
 
     Raises:
         FileError: the file is not complete.
@@ -115,7 +115,7 @@ def map_array(path: Path) -> "torch.Tensor":
 
     try:
         array = numpy.lib.format.open_memmap(path, "r")
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # torch's, that nothing may be written
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # torch warns that the array is read-only
             return torch.from_numpy(array)
     except FileNotFoundError:
         raise
@@ -124,7 +124,7 @@ def map_array(path: Path) -> "torch.Tensor":
 
 
 def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]:
-    """Tensors and metadata of a safetensors file; the tensors are mapped from the file, not copied."""
+    """Read tensors and metadata of a safetensors file; tensors are mapped, not copied."""
     from safetensors import safe_open
 
     with safe_open(path, "pt") as file:
@@ -145,7 +145,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def write_if_changed(path: str | Path, text: str) -> None:
-    """Write a text file unless it already says so."""
+    """Write a text file unless it already has this text."""
     path = Path(path)
     if not path.exists() or path.read_text() != text:
         write_text(path, text)

@@ -5,12 +5,12 @@ import time
 
 
 class Progress:
-    """Writes a line to standard error at the first and last step, and at most every `interval` seconds between."""
+    """Progress lines on standard error, at the first and last step, and at most every `interval` seconds between."""
 
     def __init__(self, label: str, total: int, interval: float = 15.0):
         self.label, self.total, self.interval = label, total, interval
         self.start = self.written = time.monotonic()
-        self.first: int | None = None  # not 1 where a job resumes
+        self.first: int | None = None  # larger than 1 for a resumed job
 
     def __call__(self, step: int, **values: float) -> None:
         """Report that `step` of the total (counted from 1) is done."""

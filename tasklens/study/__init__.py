@@ -1,1 +1,1 @@
-"""What a study file may say, checked before the first job."""
+"""Study files: settings, checks before the first job, and the contents of tables and claims."""

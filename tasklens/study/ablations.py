@@ -1,4 +1,4 @@
-"""Ablations: a design of the study beside variants of itself, each changed in one thing; no torch here."""
+"""Ablations: a design compared with variants of itself; no torch here."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -12,11 +12,12 @@ _DESIGN = TypeAdapter(DesignSettings)
 
 
 class Ablation(Frozen):
-    """Which design of which elements is varied, and how.
+    """Variants of one design of one set of elements.
 
     Attributes:
-        variants: by name, the keys of the design that differ; `capture` holds those of the study's capture, with which
-            the variant is then designed and measured.
+        elements, design: names of the elements and of the design.
+        variants: by name, the keys of the design that differ; `capture` holds keys of the study's capture that differ
+            both in the design and in the measurement of the variant.
     """
 
     elements: Name
@@ -24,15 +25,19 @@ class Ablation(Frozen):
     variants: Annotated[dict[Name, dict[str, Any]], Field(min_length=1)]
 
     def name(self, ablation: str, variant: str) -> str:
-        """Name of the design that a variant is."""
+        """Return the design name of a variant."""
         return f"{self.design}_{ablation}_{variant}"
 
 
 def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation: Ablation, variant: str) -> LensEntry:
-    """The lens that a variant of the ablation `name` makes of the lens `base`, in a study that captures by `capture`.
+    """Return the entry of a variant of the lens `base`.
+
+    Args:
+        capture: capture settings of the study.
+        name: name of the ablation.
 
     Raises:
-        ValueError: changes that do not fit (pydantic's ValidationError), or a capture without keys.
+        ValueError: invalid changes (pydantic's ValidationError), or a `capture` that is no mapping.
     """
     changes = dict(ablation.variants[variant])
     other = changes.pop("capture", None)
@@ -50,7 +55,7 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
 
 
 def _merged(base: Any, changes: Any) -> Any:
-    """Mappings merged key by key, at any depth; what is no mapping replaces what was there."""
+    """Merge mappings key by key, at any depth; any other value of `changes` replaces that of `base`."""
     if not (isinstance(base, Mapping) and isinstance(changes, Mapping)):
         return changes
     return {**base, **{key: _merged(base.get(key), value) for key, value in changes.items()}}

@@ -1,6 +1,6 @@
-"""The claims of the paper (Yang et al. 2024, sections 4 and 5) about the lenses of a study; no torch here.
+"""Claims of the paper (Yang et al. 2024, sections 4 and 5) about the lenses of a study; no torch here.
 
-A claim belongs to one table: its classifier, and captures as they are or restored.
+A claim belongs to one table, which sets its classifier and whether captures are restored.
 """
 
 from itertools import pairwise
@@ -14,23 +14,23 @@ IMAGING1 = "imaging1"  # the paper's spot minimisation; the other imaging design
 
 OVER_IMAGING1 = "more accurate than imaging1"
 OVER_STRONG = "more accurate than the best other imaging design"
-OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only `regime_claims` asks
+OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only in `regime_claims`
 FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
-OVER_BASE = "more accurate than the design that it varies"  # only `ablation` asks
+OVER_BASE = "more accurate than the design that it varies"  # only in `ablation_claims`
 FLAT_FAILS = "end-to-end design from flat does not converge"
 
 
 class Claim(Frozen):
-    """That one lens is better than the strongest of its baselines; or, without any, that its design does not converge.
+    """A claim that a lens is better than its strongest baseline; without baselines, that its design does not converge.
 
     Attributes:
-        table: where the paper shows it, or what else of ours asks.
+        table: table of the paper, or "ablation".
         text: one of the sentences above.
-        lens: the lens that it is about.
-        baselines: the one with the best minival accuracy is the strongest, of each seed anew.
-        classifier: name under which it is measured, such as `resnet-restored` in table 4.
-        reference: name under which the same classifier is measured on the sharp images.
+        lens: name of the lens.
+        baselines: names of lenses; the strongest one of each seed has the best minival accuracy.
+        classifier: measured name of the classifier on captures, such as `resnet-restored` in table 4.
+        reference: name of the same classifier on the sharp images.
     """
 
     table: str
@@ -42,7 +42,7 @@ class Claim(Frozen):
 
     @property
     def about_convergence(self) -> bool:
-        """Whether it is about one lens alone."""
+        """Whether the claim is about the convergence of one lens, without baselines."""
         return not self.baselines
 
     @property
@@ -52,7 +52,7 @@ class Claim(Frozen):
 
 
 class Claims(Frozen):
-    """Claims about the lenses of a study, which are judged together."""
+    """Claims about the lenses of a study, tested together."""
 
     study: str
     claims: tuple[Claim, ...]
@@ -60,7 +60,7 @@ class Claims(Frozen):
 
 
 class AblationClaims(Frozen):
-    """An ablation: the lens that is varied, and a claim about each variant."""
+    """An ablation: the name of its base lens, and a claim about each variant."""
 
     name: str
     base: str
@@ -68,7 +68,7 @@ class AblationClaims(Frozen):
 
 
 def claims(study: Study) -> Claims:
-    """Every claim that the lenses of a study can decide, table by table."""
+    """Return every claim for which a study has the lenses, table by table."""
     found = []
     for table in tables(study):
         pairs = _end_to_end(study) if table.name == "table3" else _against_imaging(study)
@@ -89,7 +89,7 @@ def claims(study: Study) -> Claims:
 
 
 def regime_claims(study: Study) -> Claims:
-    """Each task-driven lens against the best imaging lens of its elements, with the supervisor (table 1)."""
+    """Compare each task-driven lens with the best imaging lens of its elements, by the supervisor (table 1)."""
     found = [
         _of_supervisor(
             study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in study.imaging_designs]
@@ -101,13 +101,13 @@ def regime_claims(study: Study) -> Claims:
 
 
 def regime_claim(study: Study, elements: str) -> Claim:
-    """The claim of `regime_claims` about the first task-driven lens of these elements."""
+    """Return the claim of `regime_claims` about the first task-driven lens of some elements; raises StudyError."""
     found = {study.lens(claim.lens).elements: claim for claim in reversed(regime_claims(study).claims)}
     return pick(found, elements, "name of elements with a task-driven and an imaging design:")
 
 
 def ablation_claims(study: Study, name: str) -> AblationClaims:
-    """Each variant of an ablation against the design that it varies, with the supervisor."""
+    """Compare each variant of an ablation with its base lens, by the supervisor; raises StudyError."""
     ablation = pick(study.ablations, name, "ablation")
     base = f"{ablation.elements}-{ablation.design}"
     variants = (f"{ablation.elements}-{ablation.name(name, variant)}" for variant in ablation.variants)
@@ -116,7 +116,7 @@ def ablation_claims(study: Study, name: str) -> AblationClaims:
 
 
 def _of_supervisor(study: Study, table: str, text: str, lens: str, baselines: list[str]) -> Claim:
-    """A claim that is measured with the supervisor on captures as they are."""
+    """Return a claim measured by the supervisor on captures without restoration."""
     return Claim(
         table=table,
         text=text,
@@ -128,7 +128,10 @@ def _of_supervisor(study: Study, table: str, text: str, lens: str, baselines: li
 
 
 def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Each task-driven lens against `imaging1`, the other imaging lenses, and those of the next number of elements."""
+    """Return (text, lens, baselines) of the claims that compare each task-driven lens with imaging lenses.
+
+    The baselines are `imaging1`, the other imaging lenses, and those with the next larger number of elements.
+    """
     found = []
     for lens in study.lenses.values():
         if isinstance(lens.design, TaskDrivenSettings):
@@ -151,7 +154,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
 
 
 def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Each task-driven lens against end-to-end design from imaging; each end-to-end design from flat alone."""
+    """Return (text, lens, baselines) of the claims about end-to-end design, from imaging and from flat."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
     for lens in study.lenses.values():
         if isinstance(lens.design, TaskDrivenSettings):

@@ -1,15 +1,18 @@
-"""Whether lenses of a specification can be made at all: what a study is asked before its first job; no torch here."""
+"""Feasibility of the lenses of a specification, checked before the first job; no torch here."""
 
 from tasklens.materials.material import Material
 from tasklens.study.settings import Constraints, Spec
 
 
 def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
-    """Raise ValueError unless the plastics cover the colours, the PSF window the images, and flat plates have room.
+    """Check the wavelengths of the plastics, the size of the PSF window, and the room for flat plates.
 
     Args:
-        name: of the elements.
+        name: name of the elements.
         size: side of the images [pixels].
+
+    Raises:
+        ValueError: one of them is not feasible.
     """
     for material in plastics:
         for wavelength in spec.wavelengths_um:

@@ -1,4 +1,4 @@
-"""Study files: YAML to a study, and back."""
+"""Reading and writing of study files (YAML)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,10 +11,10 @@ from tasklens.study.study import Study, StudyError
 
 
 def parse(config: Mapping) -> Study:
-    """The study that a mapping describes.
+    """Validate a mapping and return the study.
 
     Raises:
-        StudyError: naming every wrong key with its value and what was expected.
+        StudyError: names every wrong key, its value and what was expected.
     """
     try:
         return Study.model_validate(dict(config))
@@ -29,7 +29,7 @@ def parse(config: Mapping) -> Study:
 
 
 def load(path: str | Path) -> Study:
-    """The study in a YAML file; raises StudyError as `parse` does, and where the file is no YAML mapping."""
+    """Read a study from a YAML file; raises StudyError as `parse` does, and for a file that is no YAML mapping."""
     try:
         with open(path) as file:
             content = yaml.safe_load(file)
@@ -41,6 +41,6 @@ def load(path: str | Path) -> Study:
 
 
 def dump(study: Study) -> str:
-    """The resolved study as YAML, every default written out."""
+    """Return the resolved study as YAML, with all defaults."""
     computed = {"spec": set(Spec.model_computed_fields)}
     return yaml.safe_dump(study.model_dump(mode="json", exclude=computed), sort_keys=False)

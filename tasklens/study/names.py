@@ -1,14 +1,14 @@
-"""Names under which classifiers are measured."""
+"""Measured names: names of classifiers with or without restoration, and of the sharp images."""
 
-SHARP = "sharp"  # stands where a lens name stands, for a classifier that takes the sharp images themselves
+SHARP = "sharp"  # used in place of a lens name for measurements on the sharp images
 _RESTORED = "-restored"
 
 
 def restored(classifier: str) -> str:
-    """Name of a classifier on restored captures."""
+    """Return the measured name of a classifier on restored captures."""
     return f"{classifier}{_RESTORED}"
 
 
 def split(measured_name: str) -> tuple[str, bool]:
-    """The classifier that is measured under a name, and whether on restored captures."""
+    """Split a measured name into the classifier, and whether captures are restored."""
     return measured_name.removesuffix(_RESTORED), measured_name.endswith(_RESTORED)

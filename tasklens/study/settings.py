@@ -1,7 +1,7 @@
 """Settings of a study: frozen, typed, with units, limits and defaults; no torch here.
 
-This module holds data alone. Stages compute with the values of these classes, which are in the slice of the study that
-Snakemake compares; a constant that is computed with therefore never stands here.
+This module is left out of code digests, since Snakemake compares the values of these settings: a constant that is used
+in a computation must not be defined here.
 """
 
 import math
@@ -27,10 +27,10 @@ Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 
 
 def renamed(names: dict[str, str]) -> Any:
-    """Validator that refuses keys of format 1 with the name that replaces each, or the reason why it is gone.
+    """Return a validator that rejects keys of format 1 and names their replacement.
 
     Args:
-        names: by old key, the new one; or a sentence, where there is none.
+        names: new key by old key; a sentence with the reason where the key was removed.
     """
 
     def refuse(cls: type[BaseModel], given: Any, handler: ModelWrapValidatorHandler) -> Any:
@@ -41,7 +41,7 @@ def renamed(names: dict[str, str]) -> Any:
         for old in found:
             words = f"since format 2 `{old}` is {'gone: ' if ' ' in names[old] else 'now called '}{names[old]}"
             problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
-        try:  # with the new names, for what else is wrong
+        try:  # with the new names, to report other errors too
             handler({names.get(key, key): value for key, value in given.items() if " " not in names.get(key, "")})
         except ValidationError as error:
             problems += error.errors()
@@ -55,22 +55,22 @@ def renamed(names: dict[str, str]) -> Any:
 
 
 class Frozen(BaseModel):
-    """Base of all settings: immutable, and without unknown keys."""
+    """Base class of all settings: immutable, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Slice(Frozen):
-    """A part of a study, by names of its own: what a job may read."""
+    """The part of a study that a job may read, under names of its own."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    def __getattr__(self, name: str) -> Any:  # for type checkers: pydantic finds what there is
+    def __getattr__(self, name: str) -> Any:  # for type checkers: pydantic finds the extra fields
         return super().__getattr__(name)  # type: ignore[misc]
 
 
 class Spec(Frozen):
-    """What every lens of the study has to do; the defaults are those of Yang et al. 2024, sections 3.3 and 4."""
+    """Specification of lenses; the defaults are those of Yang et al. 2024, sections 3.3 and 4."""
 
     _renamed = renamed({"kernel": "kernel_size"})
 
@@ -108,7 +108,7 @@ class Spec(Frozen):
     @computed_field
     @property
     def stop_radius_mm(self) -> float:
-        """Radius [mm] of the stop, which stands in front of the lens: EFL / (2 F)."""
+        """Radius [mm] of the stop, which is in front of the lens: EFL / (2 F)."""
         return self.efl_mm / (2 * self.f_number)
 
     @computed_field
@@ -121,9 +121,9 @@ class Spec(Frozen):
 
 
 class Constraints(Frozen):
-    """Limits that every design keeps [mm; slope is d sag / d r]: moulded plastic elements in a phone.
+    """Limits of a design [mm; slope is d sag / d r], for moulded plastic elements in a phone.
 
-    The paper states none; these are our choice.
+    They are our choice: the paper states none.
     """
 
     min_centre_thickness: Positive = Field(0.25, description="Least centre thickness of an element [mm].")
@@ -133,24 +133,24 @@ class Constraints(Frozen):
     min_back_focus: Positive = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
     max_track: Positive = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
     max_slope: Positive = Field(0.57, description="Largest slope d sag / d r of a surface.")
-    stop_distance: Positive = Field(0.1, description="From the stop to the first surface of a flat start [mm].")
-    flat_track: Positive = Field(1.3, description="From the stop to the sensor of a flat start [focal lengths].")
+    stop_distance: Positive = Field(0.1, description="Distance from stop to first surface of a flat start [mm].")
+    flat_track: Positive = Field(1.3, description="Distance from stop to sensor of a flat start [focal lengths].")
     efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
     distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
 
 
-RENDERED_CLASSES = 10  # least number of rendered images: a check of settings alone; the classes are in scenes.CLASSES
+RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports torch
 
 
 class ImageSettings(Frozen):
-    """The labelled images: rendered by us, or read from `folder`: train/<class>/* and test/<class>/* (or val)."""
+    """Settings of labelled images: rendered, or read from `folder`: train/<class>/* and test/<class>/* (or val)."""
 
     size: int = Field(64, ge=16, description="Side of the square images [pixels].")
-    train: Count | None = Field(None, description="Training images; of a folder at most, null for all.")
-    minival: Count = Field(500, description="Images for selection, cut out of the training images.")
-    test: Count | None = Field(None, description="Test images; of a folder at most, null for all.")
-    seed: int = Field(0, description="Seed of the rendering, or of the choice and the split of a folder's images.")
-    folder: Path | None = Field(None, description="Folder of photographs; null renders textures.")
+    train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
+    minival: Count = Field(500, description="Number of images for selection, taken from the training images.")
+    test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
+    seed: int = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
+    folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")
 
     @model_validator(mode="after")
     def _rendered_need_counts(self) -> "ImageSettings":
@@ -164,19 +164,19 @@ class ImageSettings(Frozen):
 
 
 class TrainingSettings(Frozen):
-    """AdamW with linear warm-up and cosine; weight decay spares biases and norms."""
+    """Settings of AdamW with linear warm-up and cosine schedule; biases and norms have no weight decay."""
 
     _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
 
-    epochs: Positive = Field(description="Passes over the training images; need not be whole.")
+    epochs: Positive = Field(description="Passes over the training images, not necessarily whole.")
     learning_rate: Positive = Field(description="Largest learning rate, after the warm-up.")
     batch_size: Count = Field(64, description="Images per step.")
-    weight_decay: float = Field(0.05, ge=0, description="Of matrices and convolutions.")
-    warmup: Fraction = Field(0.05, description="Part of the steps in which the learning rate rises linearly.")
+    weight_decay: float = Field(0.05, ge=0, description="Weight decay of matrices and convolutions.")
+    warmup: Fraction = Field(0.05, description="Fraction of the steps in which the learning rate rises linearly.")
 
 
 class ClassifierSettings(Frozen):
-    """A timm network: its name and tag, keywords for `timm.create_model`, and where its weights come from."""
+    """Settings of a timm network: its name and tag, keywords for `timm.create_model`, and the source of its weights."""
 
     model: str = Field(description="timm's name of the network, with the tag of its weights.")
     arguments: dict[str, Any] = Field({}, description="Keywords for `timm.create_model`, such as a smaller width.")
@@ -188,16 +188,14 @@ class ClassifierSettings(Frozen):
     )
     outputs: Literal["classes", "imagenet"] = Field(
         "classes",
-        description="One output per class of the images; or ImageNet's 1000, among which folders named by WordNet ids "
-        "are found. The others then take no part but in the zero-shot accuracy.",
+        description="One output per class of the images; or ImageNet's 1000, of which those of the folders, named by "
+        "WordNet ids, are used. The others count only in the zero-shot accuracy.",
     )
-    training: TrainingSettings | None = Field(
-        None, description="Training on the sharp images; null takes the network as loaded."
-    )
+    training: TrainingSettings | None = Field(None, description="Training on the sharp images; null: none.")
     processes: Count = Field(
         1,
-        description="Processes that fine-tune it together on one machine, each on its share of every batch, and on a "
-        "GPU of its own if there is one.",
+        description="Size of the process group for fine-tuning on one machine; each process takes its share of every "
+        "batch, and its own GPU if there are GPUs.",
     )
 
     @model_validator(mode="after")
@@ -210,7 +208,7 @@ class ClassifierSettings(Frozen):
 
 
 class RestorationSettings(Frozen):
-    """NAFNet and its training; the default size is that of Yang et al. 2024, section 5.3."""
+    """Settings of NAFNet and its training; the default size is that of Yang et al. 2024, section 5.3."""
 
     _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
 
@@ -218,8 +216,8 @@ class RestorationSettings(Frozen):
     encoder: tuple[Count, ...] = Field((1, 1, 1, 8), description="Blocks of each encoder level.")
     middle: Count = Field(1, description="Blocks between encoder and decoder.")
     decoder: tuple[Count, ...] = Field((1, 1, 1, 1), description="Blocks of each decoder level.")
-    steps: Count = Field(description="Steps at most: training ends where it has converged.")
-    check: Count = Field(200, description="Steps from one validation on the minival to the next.")
+    steps: Count = Field(description="Maximum number of steps; training ends earlier when it has converged.")
+    check: Count = Field(200, description="Steps between validations on the minival.")
     batch_size: Count = Field(32, description="Captures per step.")
     learning_rate: Positive = Field(1e-3, description="Learning rate of AdamW before it drops to a tenth.")
 
@@ -231,20 +229,20 @@ class RestorationSettings(Frozen):
 
     @property
     def multiple(self) -> int:
-        """Image sides must be multiples of this: each encoder level halves them."""
+        """Number that image sides must be multiples of: each encoder level halves them."""
         return 2 ** len(self.encoder)
 
 
 class CaptureSettings(Frozen):
-    """How an image becomes a capture: what the light outside the PSF window does, and where blur is applied."""
+    """Settings of captures: light outside the PSF window, and the colour values that are convolved."""
 
     _renamed = renamed({"outside": "outside_window"})
 
     outside_window: Literal["veil", "renormalise"] = Field(
         "veil",
-        description="Light beside the PSF window: a uniform veil that conserves the mean, or renormalised away, as in "
-        "the authors' code.",
+        description="Light outside the PSF window: a uniform veil that conserves the mean; or removed by renormalising "
+        "the PSF, as in the authors' code.",
     )
     colour: Literal["srgb", "linear"] = Field(
-        "srgb", description="Light adds up in the values as they are (the paper's reading), or in linear light."
+        "srgb", description="Convolution of sRGB values (our reading of the paper) or of linear light."
     )

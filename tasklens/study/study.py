@@ -1,8 +1,4 @@
-"""The whole configuration of a study, checked before the first job; no torch here.
-
-A study file is YAML. An unknown key or an impossible value raises `StudyError` with the key, the value and what
-was expected.
-"""
+"""The configuration of a study, validated before the first job; no torch here."""
 
 import difflib
 from collections.abc import Mapping
@@ -47,11 +43,11 @@ class StudyError(InputError):
 
 
 class Study(Frozen):
-    """Everything a study is made of.
+    """The configuration of a study.
 
-    Its lenses are every entry of `elements` with every one of `designs`, and those of `imported`. `materials` is given
-    as a list of files (YAML or AGF) or as definitions; it becomes the definitions of the plastics that `elements` use,
-    so that a resolved study needs no other file.
+    Its lenses are all combinations of `elements` and `designs`, and those of `imported`. `materials` is given as a list
+    of files (YAML or AGF) or as definitions; only the definitions of the plastics in `elements` are stored, so that a
+    resolved study needs no other file.
     """
 
     _renamed = renamed(
@@ -62,35 +58,35 @@ class Study(Frozen):
     )
 
     format: Literal[2] = Field(description="Version of the keys of a study file.")
-    name: Name = Field(description="Name of the study: results are in results/<name>.")
+    name: Name = Field(description="Name of the study; results are in results/<name>.")
     seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
-        (0,), min_length=1, description="Seeds of design, fine-tuning and data order; everything runs once for each."
+        (0,), min_length=1, description="Seeds of design, fine-tuning and data order; each job runs once per seed."
     )
     images: ImageSettings = Field(description="The labelled images.")
     spec: Spec = Field(Spec(), description="Specification of all lenses.")
     specs: dict[Name, dict[str, Any]] = Field(
-        default_factory=dict, description="By elements: the keys of `spec` that differ for them."
+        default_factory=dict, description="Keys of `spec` that differ, by name of elements."
     )
-    constraints: Constraints = Field(Constraints(), description="Limits that every design keeps.")
-    capture: CaptureSettings = Field(CaptureSettings(), description="How images become captures.")
+    constraints: Constraints = Field(Constraints(), description="Limits of every design.")
+    capture: CaptureSettings = Field(CaptureSettings(), description="Settings of captures.")
     evaluation_rays: Count = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
-    elements: dict[Name, tuple[str, ...]] = Field(min_length=1, description="By name: plastics from front to back.")
+    elements: dict[Name, tuple[str, ...]] = Field(min_length=1, description="Plastics from front to back, by name.")
     materials: dict[str, Material] = Field(
         default_factory=dict, validate_default=True, description="Files of further plastics (.yaml, .agf)."
     )
-    designs: dict[Name, DesignSettings] = Field(min_length=1, description="By name: how lenses are designed.")
-    imported: dict[Name, ImportedLens] = Field(default_factory=dict, description="By name: lenses from files.")
-    ablations: dict[Name, Ablation] = Field(default_factory=dict, description="By name: a design beside variants.")
-    classifiers: dict[Name, ClassifierSettings] = Field(min_length=1, description="By name: the networks.")
+    designs: dict[Name, DesignSettings] = Field(min_length=1, description="Design methods by name.")
+    imported: dict[Name, ImportedLens] = Field(default_factory=dict, description="Lenses from files, by name.")
+    ablations: dict[Name, Ablation] = Field(default_factory=dict, description="Ablations by name.")
+    classifiers: dict[Name, ClassifierSettings] = Field(min_length=1, description="Networks by name.")
     tables: tuple[TableName, ...] = Field(
-        TABLES, min_length=1, description="The tables that the study makes, judges and verifies."
+        TABLES, min_length=1, description="Tables that the study makes, tests claims on, and verifies."
     )
     supervisor: Name = Field(
-        description="The classifier that supervises task-driven designs, and judges lenses in tables 1, 3 and 4."
+        description="The classifier that supervises designs, and measures lenses in tables 1, 3 and 4."
     )
-    fine_tuning: TrainingSettings = Field(description="Of every classifier on every lens, and on the sharp images.")
+    fine_tuning: TrainingSettings = Field(description="Fine-tuning of classifiers on lenses, and on the sharp images.")
     restoration: RestorationSettings = Field(description="The restoration network of table 4.")
-    restored: tuple[Name, ...] | None = Field(None, description="Elements of table 4; null means all.")
+    restored: tuple[Name, ...] | None = Field(None, description="Elements in table 4; null: all.")
 
     @field_validator("seeds", "tables")
     @classmethod
@@ -211,7 +207,7 @@ class Study(Frozen):
         return variant_entry(self._designed(ablation.elements, ablation.design), self.capture, name, ablation, variant)
 
     def spec_of(self, elements: str) -> Spec:
-        """The specification of these elements: `spec` with what `specs` says of them."""
+        """Return the specification of some elements: `spec` changed by their entry in `specs`; raises ValueError."""
         common = self.spec.model_dump(exclude=set(Spec.model_computed_fields))
         try:
             return Spec.model_validate(common | self.specs.get(elements, {}))
@@ -219,12 +215,12 @@ class Study(Frozen):
             raise ValueError(f"specs.{elements}.{_problems(error)}") from None
 
     def capture_of(self, lens: str) -> CaptureSettings:
-        """How images become captures of this lens: as in `capture`, unless an ablation changes it."""
+        """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""
         return self.lens(lens).capture or self.capture
 
     @property
     def lenses(self) -> dict[str, LensEntry]:
-        """Every lens by name, `{elements}-{design}`; the imported ones last."""
+        """All lenses by name, `{elements}-{design}`; imported lenses last."""
         designed = [self._designed(elements, name) for elements in self.elements for name in self.designs]
         return {lens.name: lens for lens in designed} | {
             f"{lens.elements}-{name}": LensEntry(
@@ -244,23 +240,23 @@ class Study(Frozen):
 
     @property
     def variants(self) -> dict[str, LensEntry]:
-        """Every lens by name that only an ablation asks for."""
+        """Lenses of the variants of all ablations, by name."""
         found = [self._variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
         return {lens.name: lens for lens in found}
 
     @property
     def imaging_designs(self) -> tuple[str, ...]:
-        """Names of the designs that image quality alone supervises."""
+        """Names of the imaging designs: those without a classifier."""
         return tuple(
             name for name, design in self.designs.items() if isinstance(design, SpotSettings | LeastSquaresSettings)
         )
 
     def lens(self, name: str) -> LensEntry:
-        """The lens `name`; raises StudyError with the known names."""
+        """Return the lens `name`; raises StudyError with the known names."""
         return pick(self.lenses | self.variants, name, "lens")
 
     def classifier(self, name: str) -> ClassifierSettings:
-        """The classifier `name`; raises StudyError with the known names."""
+        """Return the classifier `name`; raises StudyError with the known names."""
         return pick(self.classifiers, name, "classifier")
 
 
@@ -272,7 +268,7 @@ _Entry = TypeVar("_Entry")
 
 
 def pick(known: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
-    """The entry `name` of `known`; raises StudyError with the known names."""
+    """Return the entry `name` of `known`; raises StudyError with the known names."""
     if name not in known:
         raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(known)}")
     return known[name]

@@ -1,4 +1,4 @@
-"""Which lenses and classifiers stand in the tables of a study; no torch here."""
+"""Contents of the tables and of the verification of a study; no torch here."""
 
 from tasklens.study.design_settings import (
     EndToEndSettings,
@@ -13,13 +13,13 @@ from tasklens.study.study import Study
 
 
 class TableContents(Frozen):
-    """What one table of the paper shows.
+    """Contents of one table of the paper.
 
     Attributes:
         study: name of the study.
         name: `table1` .. `table4`.
-        lenses, classifiers, seeds: its rows.
-        restored: whether its classifiers take restored captures.
+        lenses, classifiers, seeds: names and seeds of its rows.
+        restored: whether captures are restored.
     """
 
     study: str
@@ -30,23 +30,22 @@ class TableContents(Frozen):
     restored: bool
 
     def measured_name(self, classifier: str) -> str:
-        """Name under which a classifier is measured on captures for this table."""
+        """Return the measured name of a classifier on the captures of this table."""
         return restored(classifier) if self.restored else classifier
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
-        """Lens (or SHARP) and classifier of every measurement that the table shows."""
+        """(lens or SHARP, measured name) of every measurement in the table."""
         sharp = tuple((SHARP, classifier) for classifier in self.classifiers)
         captures = ((lens, self.measured_name(c)) for lens in self.lenses for c in self.classifiers)
         return sharp + tuple(captures)
 
 
 def table(study: Study, name: str) -> TableContents:
-    """The contents of a table of the paper.
+    """Return the contents of a table of the paper.
 
-    Tables 1, 2 and 4 compare the task-driven with the imaging designs and the imported lenses, table 3 with the
-    end-to-end designs; table 4 those of the elements that are restored. Table 2 is about all classifiers, the others
-    about the supervisor.
+    Tables 1, 2 and 4 compare task-driven designs with imaging designs and imported lenses, table 3 with end-to-end
+    designs; table 4 has only the elements in `restored`. Table 2 has all classifiers, the others the supervisor.
     """
     methods: tuple[type, ...] = (TaskDrivenSettings, SpotSettings, LeastSquaresSettings, ImportedLens)
     if name == "table3":
@@ -65,20 +64,20 @@ def table(study: Study, name: str) -> TableContents:
 
 
 def tables(study: Study) -> tuple[TableContents, ...]:
-    """The tables that the study makes and has lenses for."""
+    """Return the contents of all tables of the study that have lenses."""
     return tuple(contents for contents in (table(study, name) for name in study.tables) if contents.lenses)
 
 
 def table_lenses(study: Study) -> tuple[str, ...]:
-    """The lenses of these tables."""
+    """Return the names of all lenses in the tables of the study."""
     found = {lens for contents in tables(study) for lens in contents.lenses}
     return tuple(lens for lens in study.lenses if lens in found)
 
 
 def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
-    """The imaging lenses among which a design from the best imaging lens chooses; empty for every other design.
+    """Return the imaging lenses that a design from the best imaging lens may start from; empty for other designs.
 
-    Not the imported lenses: importing a baseline changes no other row.
+    Imported lenses are left out, so that importing a baseline changes no other row.
     """
     entry = study.lens(lens)
     if not (isinstance(entry.design, EndToEndSettings) and entry.design.start == "best_imaging"):
@@ -87,15 +86,15 @@ def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
 
 
 class VerificationContents(Frozen):
-    """What is verified: the tables of a study, their lenses and their measurements.
+    """Contents of the verification of a study: its tables, their lenses and their measurements.
 
     Attributes:
-        lenses: of the tables.
-        constrained: those whose method is required to keep the constraints.
-        efl_mm: by lens, the specified focal length.
-        tables: whose accuracies are compared.
-        measured: lens (or SHARP) and classifier of every measurement in them, each once.
-        seeds: of the study.
+        lenses: names of the lenses in the tables.
+        constrained: names of the constrained lenses.
+        efl_mm: specified focal length by lens [mm].
+        tables: tables whose accuracies are compared.
+        measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
+        seeds: seeds of the study.
     """
 
     lenses: tuple[str, ...]
@@ -107,7 +106,7 @@ class VerificationContents(Frozen):
 
 
 def verification(study: Study) -> VerificationContents:
-    """What a study has to verify."""
+    """Return the contents of the verification of a study."""
     entries = {name: study.lens(name) for name in table_lenses(study)}
     return VerificationContents(
         lenses=tuple(entries),

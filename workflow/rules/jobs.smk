@@ -1,4 +1,4 @@
-"""One rule for every stage: what a job reads, writes and depends on is declared in `tasklens.pipeline.jobs`."""
+"""One rule for every stage; inputs, outputs and settings of jobs are declared in `tasklens.pipeline.jobs`."""
 
 for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
 

@@ -1,1 +1,1 @@
-"""What rays and first-order data say of a lens."""
+"""Analysis of lenses by ray tracing and first-order data."""

@@ -1,7 +1,7 @@
-"""Third-order aberrations surface by surface, and the field curvature of the real chief rays.
+"""Third-order aberrations by surface, and field curvature along the real chief rays.
 
 Sign conventions: a positive lens alone has S_I, S_IV and C_I > 0 (undercorrected), and S_V > 0 is a barrel. Third-order
-terms refer to the paraxial image plane and to the largest field of the view, turned onto +y.
+terms refer to the paraxial image plane and to the largest field of the view, rotated onto +y.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class SeidelSums:
 
 
 def seidel_sums(lens: Lens, view: View) -> SeidelSums:
-    """Seidel sums of the middle wavelength, and the colour between the shortest and the longest.
+    """Compute the Seidel sums at the middle wavelength, and the colour between the shortest and the longest.
 
     With the marginal ray (y, u), the chief ray (yb, ub), A = n (c y + u), B = n (c yb + ub), H = B y - A yb, D the
     difference over the surface, and c = curvature + 2 alpha_2 of its vertex:
@@ -82,7 +82,7 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
 
 
 def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
-    """Tangential and sagittal focus of the rays next to each chief ray, at the middle wavelength.
+    """Compute the tangential and sagittal focus of rays near each chief ray, at the middle wavelength.
 
     Coddington's equations along the real chief ray, for the distance h of a neighbour from it and its angle w:
 
@@ -94,7 +94,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
 
     Returns:
         (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
-        neighbours that leave in parallel, NaN where the chief ray is lost.
+        parallel neighbours, NaN where the chief ray is lost.
 
     Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
     """
@@ -104,7 +104,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
     n = torch.rsqrt(1 + turned.tangents[:, 1].square())
     m = turned.tangents[:, 1] * n
     tangential = sagittal = (torch.ones_like(n), torch.zeros_like(n))
-    z = torch.zeros_like(n)  # of the point before, from the vertex of the surface
+    z = torch.zeros_like(n)  # of the previous point, from the vertex of the surface
     for i, rays in enumerate(behind_each):
         distance = (rays.z[:, 0, 0] - z) / n
         y = rays.y[:, 0, 0]
@@ -133,7 +133,7 @@ def _moved(ray: tuple[Tensor, Tensor], distance: Tensor) -> tuple[Tensor, Tensor
 
 
 def _local_curvatures(lens: Lens, surface: int, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Tangential curvature c_t, s'(r) / r, and 1 / sqrt(1 + s'^2) of a surface at heights y."""
+    """Compute c_t [1/mm], s'(r) / r [1/mm], and 1 / sqrt(1 + s'^2) of a surface at heights y [mm]."""
     shape = lens.curvature[surface], lens.conic[surface], lens.alpha[surface]
     u = y * y
     slope, change = torch.func.jvp(lambda u: sag(u, *shape)[1], (u,), (torch.ones_like(u),))  # type: ignore[misc]  # ds/du, d2s/du2

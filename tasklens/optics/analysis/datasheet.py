@@ -1,4 +1,4 @@
-"""Every optical figure of a finished lens as plain numbers: what its file says and its table shows."""
+"""Optical figures of a finished lens as plain numbers, for its file and its table."""
 
 import torch
 
@@ -21,10 +21,10 @@ from tasklens.runtime.files import FileError
 
 
 def view_of(lens: Lens, content: dict, name: str) -> View:
-    """The view that the `spec` of a lens file describes.
+    """Return the view described by the `spec` of a lens file.
 
     Raises:
-        FileError: the spec is absent, incomplete, or asks for what the lens' media do not know; `name` begins it.
+        FileError: the spec is absent or invalid, or a medium has no index at a wavelength; `name` begins the message.
     """
     spec = content.get("spec")
     if not isinstance(spec, dict):
@@ -48,13 +48,13 @@ def view_of(lens: Lens, content: dict, name: str) -> View:
 
 
 def figures(lens: Lens, view: View, rays: int) -> dict:
-    """Optical figures of a lens; the unit ends each name, a list has one entry per field.
+    """Compute the optical figures of a lens; each name ends in its unit, a list has one entry per field.
 
-    Of `rays` pupil points per field and wavelength. Energies are shares of the launched rays: `valid_fraction` of them
-    arrive, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF starts at the valid
-    fraction; `energy_in_window` is of those that no clear aperture stops, as a PSF is. The RMS radii are those of the
-    rays that arrive. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at
-    the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
+    Rays are traced through `rays` pupil points per field and wavelength. Energies are fractions of the launched rays:
+    `valid_fraction` of them are valid, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF
+    starts at the valid fraction; `energy_in_window` is a fraction of those that are not vignetted, as in a PSF. RMS
+    radii are of the valid rays. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are
+    totals at the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
     """
     lens = lens.detached()
     return _of_the_lens(lens, view) | {"rays": rays} | _by_field(lens, view, rays)
@@ -79,12 +79,12 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
 
 
 def seidel_by_surface(lens: Lens, view: View) -> dict[str, list[float]]:
-    """Contributions of the surfaces to each Seidel sum and to the colour [um]."""
+    """Compute the contributions of the surfaces to each Seidel sum and to the colour [um]."""
     return {name: (1e3 * values.detach()).tolist() for name, values in vars(seidel_sums(lens, view)).items()}
 
 
 def _nyquist(view: View) -> float:
-    """Frequency [cycles/mm] of a grating whose lines are one pixel wide."""
+    """Compute the Nyquist frequency of the pixels [cycles/mm]."""
     return 1e3 / (2 * view.pixel_pitch)
 
 

@@ -1,4 +1,4 @@
-"""How bright the image is off the axis, vignetting included."""
+"""Relative illumination, with vignetting."""
 
 from dataclasses import replace
 
@@ -10,23 +10,22 @@ from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 
-_RINGS, _ARMS = 24, 64  # of the half pupil: exact to rounding in a smooth bundle, a few 1e-3 in a clipped one
+_RINGS, _ARMS = 24, 64  # of the half pupil: error at rounding for a smooth bundle, a few 1e-3 for a vignetted one
 
 
 def relative_illumination(lens: Lens, view: View) -> Tensor:
-    """(F,) illuminance of each field over that of the axis, at the middle wavelength; zero for a lost field.
+    """Compute the illuminance (F,) of fields over that on the axis, at the middle wavelength; zero for a lost field.
 
-    E / E0 = A / A0,  A = integral over the pupil of |d(l, m) / d(px, py)| over the rays that arrive
+    E / E0 = A / A0,  A = integral over the pupil of |d(l, m) / d(px, py)| over the valid rays
 
-    A is the area that the bundle covers in the plane of the direction cosines behind the lens. Finite semi-diameters
-    vignette: what they cut is missing from A. The pupil is the paraxial entrance pupil: a lens whose real pupil grows
-    with the field is brighter than this.
+    A is the area that the bundle covers in the plane of the direction cosines behind the lens, less vignetted rays. The
+    pupil is the paraxial entrance pupil: a lens whose real pupil grows with the field is brighter than this.
 
     Source: Rimmer 1986, Proc. SPIE 655, 99.
     """
     turned = view.in_reference().in_meridian()
     with_axis = replace(turned, fields=torch.cat([torch.zeros_like(turned.fields[:1]), turned.fields]))
-    points, weights = gauss_quadrature(_RINGS, _ARMS)  # the half pupil x > 0: a field on y is the same in the other
+    points, weights = gauss_quadrature(_RINGS, _ARMS)  # half pupil x > 0: fields on y are symmetric in x
 
     def cosines(pupil: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor]:
         rays = trace_fields(lens, with_axis, pupil)

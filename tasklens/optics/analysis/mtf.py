@@ -1,4 +1,4 @@
-"""Geometric MTF: the contrast that the ray distribution leaves of a grating, without diffraction."""
+"""Geometric MTF (without diffraction), and diffraction limits."""
 
 import math
 from collections.abc import Sequence
@@ -10,19 +10,19 @@ from tasklens.optics.rays import Rays
 
 
 def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """Polychromatic geometric MTF, tangential and sagittal.
+    """Compute the polychromatic geometric MTF, tangential and sagittal.
 
     MTF(f) = |(1 / N) sum_i exp(-2 pi i f s_i)|  over the N launched rays of all wavelengths, with equal weights
 
     s is the coordinate of a ray along the field (tangential: the lines of the grating lie across the field) or across
-    it (sagittal). A lost ray adds nothing to the sum and stays in N: the MTF begins at the valid fraction, and no
-    contrast is gained by losing rays. Divided by the valid fraction it is the MTF of the arriving light. It knows no
-    diffraction and no pixel: it says nothing near `diffraction_cutoff` and beyond.
+    it (sagittal). Lost rays add nothing to the sum but count in N: the MTF begins at the valid fraction, and no
+    contrast is gained by losing rays. Divided by the valid fraction it is the MTF of the arriving light. It includes
+    neither diffraction nor pixels, and is not meaningful near `diffraction_cutoff` and beyond.
 
     Args:
-        rays: on the image plane, (F, W, N).
+        rays: rays on the image plane, (F, W, N).
         directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
-        frequencies: K of them [cycles/mm].
+        frequencies: K frequencies [cycles/mm].
 
     Returns:
         (F, K) tangential and (F, K) sagittal MTF, from 0 to 1.
@@ -42,10 +42,10 @@ def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) 
 
 
 def diffraction_cutoff(f_number: float, wavelength: float) -> float:
-    """Frequency 1 / (lambda N) [cycles/mm] at which the MTF of any lens of this F-number ends; wavelength in um."""
+    """Compute the cut-off frequency 1 / (lambda N) [cycles/mm] of the diffraction-limited MTF; wavelength in um."""
     return 1e3 / (wavelength * abs(f_number))
 
 
 def airy_radius(f_number: float, wavelength: float) -> float:
-    """Radius 1.22 lambda N [um] of the first dark ring of a perfect lens; wavelength in um."""
+    """Compute the radius 1.22 lambda N [um] of the first dark Airy ring; wavelength in um."""
     return 1.21966989 * wavelength * abs(f_number)

@@ -1,6 +1,6 @@
 """First-order data of a lens, from the paraxial (y, n u) trace.
 
-The power of a surface is (n' - n) (c + 2 alpha_2): the r^2 term bends light like a curvature.
+The power of a surface is (n' - n) (c + 2 alpha_2), since the r^2 term acts like a curvature.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ class Paraxial:
     """First-order data at one wavelength [mm], as 0-dim tensors.
 
     Attributes:
-        power: 1 / efl [1/mm], finite and differentiable for an afocal lens too.
+        power: 1 / efl [1/mm], also finite and differentiable for an afocal lens.
         efl: effective focal length.
         bfl: distance from the last vertex to the paraxial focus.
         entrance_pupil_z: position of the entrance pupil, from the first vertex.
-        entrance_pupil_radius: its radius.
+        entrance_pupil_radius: radius of the entrance pupil.
     """
 
     power: Tensor
@@ -31,17 +31,17 @@ class Paraxial:
 
 
 def vertex_curvature(lens: Lens) -> Tensor:
-    """(S,) curvature at the vertex, c + 2 alpha_2 [1/mm]."""
+    """Return (S,) curvatures at the vertices, c + 2 alpha_2 [1/mm]."""
     return lens.curvature + (2 * lens.alpha[:, 0] if lens.alpha.shape[1] else 0)
 
 
 def paraxial_ray(lens: Lens, indices: Tensor, height: Tensor, reduced_angle: Tensor) -> tuple[Tensor, Tensor]:
-    """Paraxial rays through all surfaces: n' u' = n u - y (n' - n) (c + 2 alpha_2), y_next = y + u' t.
+    """Trace paraxial rays through all surfaces: n' u' = n u - y (n' - n) (c + 2 alpha_2), y_next = y + u' t.
 
     Args:
         indices: (S + 1,) refractive indices before the lens and behind each surface.
         height: y [mm] at the first vertex, any shape.
-        reduced_angle: n u in front of it, of the same shape.
+        reduced_angle: n u in front of the lens, of the same shape.
 
     Returns:
         (S, ...) heights y at the surfaces [mm], (S + 1, ...) reduced angles n u before the lens and behind each.
@@ -57,12 +57,12 @@ def paraxial_ray(lens: Lens, indices: Tensor, height: Tensor, reduced_angle: Ten
 
 
 def paraxial(lens: Lens, wavelength: float) -> Paraxial:
-    """First-order data of `lens` at `wavelength` [um]; an afocal lens has infinite focal lengths."""
+    """Compute the first-order data of a lens at `wavelength` [um]; an afocal lens has infinite focal lengths."""
     n = lens.refractive_indices((wavelength,))[:, 0]
     # Two rays, from (y, n u) = (1, 0) and (0, 1), form the matrix (A B; C D) from the first vertex to every other.
     unit = torch.eye(2, dtype=lens.dtype)
     heights, angles = paraxial_ray(lens, n, *unit)
     height, angle = heights[-1, 0], angles[-1, 0]
     a, b = heights[lens.stop]
-    # The ray that meets the stop on its axis comes from height y0, angle u0 with a y0 + b u0 = 0: it crosses z = b / a.
+    # A ray through the centre of the stop has a y0 + b u0 = 0 and crosses the axis at z = -y0 / u0 = b / a.
     return Paraxial(-angle, -1 / angle, -height / (angle / n[-1]), b / a, lens.semi_diameter[lens.stop] / a.abs())

@@ -1,4 +1,4 @@
-"""Which rays to trace: points on the pupil, and the collimated bundles of the fields."""
+"""Pupil sampling, and collimated ray bundles of fields."""
 
 import math
 
@@ -11,7 +11,7 @@ from tasklens.optics.rays import Rays, launch
 
 
 def sobol_disc(count: int, seed: int) -> Tensor:
-    """(count, 2) points of a scrambled Sobol sequence, uniform over the unit disc."""
+    """Return (count, 2) points of a scrambled Sobol sequence, uniform over the unit disc."""
     engine = torch.quasirandom.SobolEngine(2, scramble=True, seed=seed)
     u, v = engine.draw(count, dtype=torch.float64).unbind(-1)
     radius, angle = torch.sqrt(u), 2 * math.pi * v
@@ -19,13 +19,13 @@ def sobol_disc(count: int, seed: int) -> Tensor:
 
 
 def rim(count: int) -> Tensor:
-    """(count, 2) points evenly around the unit circle."""
+    """Return (count, 2) equally spaced points on the unit circle."""
     angle = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
     return torch.stack([torch.cos(angle), torch.sin(angle)], -1)
 
 
 def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
-    """Points on the half disc x > 0 and their weights, which sum to 1, for an integrand even in x.
+    """Return points on the half disc x > 0 and their weights, which sum to 1, for an integrand even in x.
 
     Gauss-Legendre in rho^2 and equal steps in angle (Forbes 1988, J. Opt. Soc. Am. A 5, 1943): exact for
     polynomials of degree 4 rings - 2 in rho.
@@ -44,13 +44,13 @@ def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
 
 
 def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
-    """Collimated bundles that fill the paraxial entrance pupil, at the first vertex plane.
+    """Launch collimated bundles that fill the paraxial entrance pupil, at the first vertex plane.
 
     Args:
-        lens: its stop sets the entrance pupil, at the middle wavelength.
+        lens: the lens; its stop sets the entrance pupil, at the middle wavelength.
         tangents: (F, 2) direction tangents (l / n, m / n) of the fields.
         pupil: (N, 2) points of the unit disc.
-        wavelengths: W of them [um].
+        wavelengths: W wavelengths [um].
 
     Returns:
         Rays of shape (F, W, N).

@@ -1,4 +1,4 @@
-"""Shapes of finished surfaces: steepest angle, departure from a sphere, inflections."""
+"""Shapes of surfaces: steepest angle, departure from a sphere, inflections."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,19 @@ import torch
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 
-_HEIGHTS = torch.linspace(0, 1, 401, dtype=torch.float64)  # parts of the semi-diameter
+_HEIGHTS = torch.linspace(0, 1, 401, dtype=torch.float64)  # fractions of the semi-diameter
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A surface within its clear aperture.
+    """Shape of a surface within its clear aperture.
 
     Attributes:
-        surface: its index in the lens.
-        semi_diameter_mm: radius of the clear aperture.
-        steepest_deg: largest angle between the surface and its vertex plane.
-        departure_um: largest distance along z from the sphere through vertex and rim.
-        inflections: heights above the axis at which the bending changes its sign.
+        surface: index in the lens.
+        semi_diameter_mm: radius of the clear aperture [mm].
+        steepest_deg: largest angle between the surface and its vertex plane [degrees].
+        departure_um: largest distance along z from the sphere through vertex and rim [um].
+        inflections: number of heights at which the second derivative of the sag changes its sign.
     """
 
     surface: int
@@ -30,7 +30,7 @@ class Shape:
 
 
 def shapes(lens: Lens) -> list[Shape]:
-    """The shape of every surface that bounds an element; the lens has finite clear apertures."""
+    """Compute the shape of every refracting surface; the lens must have finite clear apertures."""
     return [_shape(lens.detached(), i) for i in lens.refracting_surfaces]
 
 
@@ -40,7 +40,7 @@ def _shape(lens: Lens, i: int) -> Shape:
     surface = lens.curvature[i], lens.conic[i], lens.alpha[i]
     z, slope = sag(height**2, *surface)[0], radial_slope(height, *surface)
     rim = z[-1]
-    # z^2 - 2 z / c + r^2 = 0 on a sphere; c is that through the rim
+    # z^2 - 2 z / c + r^2 = 0 on a sphere; this c is of the sphere through the rim
     curvature = 2 * rim / (rim**2 + semi_diameter**2)
     sphere = sag(height**2, curvature, torch.zeros_like(curvature), lens.alpha[i, :0])[0]
     bending = torch.sign(slope.diff())

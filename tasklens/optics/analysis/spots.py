@@ -1,7 +1,6 @@
-"""What the rays of a lens do on the image plane: chief rays, spots, fans, distortion, apertures.
+"""Rays on the image plane: chief rays, spots, ray fans, distortion, clear apertures and PSFs.
 
-A lost ray is no ray: it has no point in a spot diagram (NaN), no part in an RMS, and keeps its share of the energy that
-was launched, which no radius encircles.
+Lost rays are NaN in a spot diagram and left out of an RMS; encircled energies are fractions of all launched rays.
 """
 
 import math
@@ -17,44 +16,44 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
-_RIM = 64  # rays around the pupil for semi-diameters
-_CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # of the pupil: where chief rays go through
-OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) of the pupil
+_RIM = 64  # number of marginal rays for semi-diameters
+_CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
+OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays
 
 
 def trace_fields(lens: Lens, view: View, pupil: Tensor) -> Rays:
-    """Rays (F, W, N) of every field and wavelength of `view` through the points `pupil` (N, 2), on the image plane."""
+    """Trace rays (F, W, N) of all fields and wavelengths through the points `pupil` (N, 2) to the image plane."""
     rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
     return trace(lens, rays, lens.refractive_indices(view.wavelengths))
 
 
 def trace_fields_full(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, list[Rays]]:
-    """As `trace_fields`, with the rays behind every surface too, z from its vertex, without gradient."""
+    """Trace rays as `trace_fields` does; return also those behind every surface, z from its vertex, without graph."""
     rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
     return trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
 
 
 def chief_rays(lens: Lens, view: View) -> Rays:
-    """Chief rays (F, 1, 1), through the centre of the pupil at the middle wavelength, on the image plane."""
+    """Trace the chief rays (F, 1, 1), through the centre of the pupil at the middle wavelength, to the image plane."""
     return trace_fields(lens, view.in_reference(), _CENTRE)
 
 
 def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, list[Rays]]:
-    """As `chief_rays`, with the rays behind every surface too."""
+    """Trace rays as `chief_rays` does; return also those behind every surface."""
     return trace_fields_full(lens, view.in_reference(), _CENTRE)
 
 
 def chief_points(lens: Lens, view: View) -> Tensor:
-    """(F, 2) where the chief ray of each field meets the image plane [mm]; where it was lost, if it is."""
+    """Compute the image points (F, 2) of the chief rays [mm]; for a lost ray its last point."""
     rays = chief_rays(lens, view)
     return torch.stack([rays.x[:, 0, 0], rays.y[:, 0, 0]], -1)
 
 
 def distortion(fields: Tensor, chief: Tensor) -> Tensor:
-    """(F,) distortion h / h0 - 1: a fraction, negative for a barrel, zero on the axis.
+    """Compute the distortion (F,) h / h0 - 1: a fraction, negative for a barrel, zero on the axis.
 
     h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis, h the component of the chief
-    ray's point `chief` (F, 2) along it [mm]: an image upside down has a distortion near -2, not near 0.
+    ray's point `chief` (F, 2) along it [mm]: an inverted image has a distortion near -2, not near 0.
     """
     squared = fields.square().sum(-1)
     off_axis = squared > 0
@@ -62,28 +61,28 @@ def distortion(fields: Tensor, chief: Tensor) -> Tensor:
 
 
 def centroid(rays: Rays) -> Tensor:
-    """(F, 2) polychromatic centroid of the valid rays of each field [mm]; zero where no ray is valid."""
+    """Compute the polychromatic centroids (F, 2) of the valid rays [mm]; zero where no ray is valid."""
     weight = rays.valid.to(rays.x.dtype)
     total = weight.sum((1, 2)).clamp(min=1)
     return torch.stack([(weight * v).sum((1, 2)) / total for v in (rays.x, rays.y)], -1)
 
 
 def spot_diagram(rays: Rays, centre: Tensor) -> Tensor:
-    """(F, W, N, 2) points (x, y) of the rays relative to `centre` (F, 2) of their field [mm]; NaN for a lost ray."""
+    """Return the points (x, y) of rays relative to `centre` (F, 2) of their field, (F, W, N, 2) [mm]; NaN if lost."""
     points = torch.stack([rays.x, rays.y], -1) - centre[:, None, None]
     return torch.where(rays.valid[..., None], points, torch.nan)
 
 
 def distances(rays: Rays, centre: Tensor) -> Tensor:
-    """(F, W, N) distance of each ray from the point `centre` (F, 2) of its field [mm]; infinite for a lost ray."""
+    """Compute the distances (F, W, N) of rays from `centre` (F, 2) of their field [mm]; infinite for a lost ray."""
     distance = torch.hypot(rays.x - centre[:, 0, None, None], rays.y - centre[:, 1, None, None])
     return torch.where(rays.valid, distance, torch.inf)
 
 
 def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
-    """(F,) sqrt(mean(r^2)) of the valid rays about `centre` (F, 2) [mm]; infinite where no ray is valid.
+    """Compute sqrt(mean(r^2)), (F,), of the valid rays about `centre` (F, 2) [mm]; infinite where no ray is valid.
 
-    Of the rays that arrive: to be read beside the valid fraction.
+    Lost rays are left out, so it is to be read together with the valid fraction.
     """
     squared = torch.where(rays.valid, distances(rays, centre).square(), 0.0)
     count = rays.valid.sum((1, 2))
@@ -91,9 +90,9 @@ def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
 
 
 def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tensor:
-    """(F,) smallest radius about `centre` (F, 2) that holds `fraction` of the launched rays [mm].
+    """Compute the smallest radius (F,) about `centre` (F, 2) that encircles `fraction` of the launched rays [mm].
 
-    A lens that loses light has the larger radius for it, an infinite one if too little arrives.
+    Lost rays enlarge the radius, which is infinite if too few rays are valid.
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
     needed = math.ceil(fraction * ordered.shape[1] * (1 - 1e-12))  # 0.1 x 30 is 3.0000000000000004
@@ -102,10 +101,10 @@ def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tens
 
 @dataclass(frozen=True)
 class RayFans:
-    """Transverse ray aberrations of F fields and W wavelengths across the pupil, each field turned onto +y.
+    """Transverse ray aberrations of F fields and W wavelengths across the pupil, each field rotated onto +y.
 
     Attributes:
-        pupil: (N,) part of the pupil's radius, -1 to 1.
+        pupil: (N,) pupil coordinates, -1 to 1.
         tangential: (F, W, N, 2) errors (ex, ey) [mm] of the rays through (0, p), along the field.
         sagittal: (F, W, N, 2) errors (ex, ey) [mm] of the rays through (p, 0), across it.
     """
@@ -116,7 +115,7 @@ class RayFans:
 
 
 def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
-    """Fans of `count` rays: landing point less that of the chief ray of the middle wavelength; NaN for a lost ray."""
+    """Compute fans of `count` rays: errors from the chief ray of the middle wavelength; NaN for a lost ray."""
     turned = view.in_meridian()
     pupil = torch.linspace(-1, 1, count, dtype=torch.float64)
     zero = torch.zeros_like(pupil)
@@ -126,9 +125,9 @@ def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
 
 
 def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Tensor:
-    """(S,) largest height at which a valid ray of any field and wavelength meets each surface [mm].
+    """Compute the largest height (S,) at which rays through `pupil` (N, 2) pass each surface without loss [mm].
 
-    Of the rays through `pupil` (N, 2); its outline tells enough unless the lens vignettes.
+    The outline of the pupil is sufficient unless the lens vignettes.
     """
     heights = [
         torch.where(r.lost_at < 0, torch.hypot(r.x, r.y), 0.0).max() for r in trace_fields_full(lens, view, pupil)[1]
@@ -137,9 +136,9 @@ def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Ten
 
 
 def evaluation_psf(lens: Lens, view: View, rays: int) -> Tensor:
-    """(F, W, K, K) PSFs centred on the chief rays, from `rays` fixed pupil points.
+    """Compute the PSFs (F, W, K, K), centred on the chief rays, from `rays` fixed pupil points.
 
-    Of the light that the clear apertures let through: what they stop is dark, and not light beside the window.
+    They are normalised to the rays that are not vignetted: vignetted light does not count as outside the window.
     """
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
     passed = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)

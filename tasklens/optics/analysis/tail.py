@@ -1,7 +1,7 @@
-"""The tail of a PSF as numbers: how much of its light lies outside what radius.
+"""Energy in the tail of a PSF, and encircled energy.
 
-Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are shares of
-the launched rays: a lost ray lies outside of every radius.
+Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are fractions of
+the launched rays: a lost ray is outside every radius.
 """
 
 import torch
@@ -19,15 +19,15 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 
-TAIL = 3.0  # core radii; the light outside of them is the tail
-RADII_UM = [round(10 ** (k / 20), 3) for k in range(-20, 61)]  # of the curves: 20 a decade, 0.1 um to 1 mm
+TAIL = 3.0  # radius outside which light belongs to the tail [core radii]
+RADII_UM = [round(10 ** (k / 20), 3) for k in range(-20, 61)]  # 20 per decade, 0.1 um to 1 mm
 
 
 def encircled_energy(rays: Rays, centre: Tensor, radii: Tensor) -> Tensor:
-    """(F, R) share of the launched rays within each of `radii` [mm] of `centre` (F, 2).
+    """Compute the fraction (F, R) of the launched rays within `radii` of `centre` (F, 2) [mm].
 
     Args:
-        radii: (R,) for all fields, or (F, R).
+        radii: (R,) for all fields, or (F, R) [mm].
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
     wanted = radii.expand(len(ordered), -1).contiguous()
@@ -35,13 +35,13 @@ def encircled_energy(rays: Rays, centre: Tensor, radii: Tensor) -> Tensor:
 
 
 def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
-    """The tail of each field, and its curve of encircled energy; of `rays` pupil points per field and wavelength.
+    """Measure the tail and the encircled energy of each field, with `rays` pupil points per field and wavelength.
 
     Returns:
         A row per field: `core_radius_um` and `radius_80_um` encircle 50 % and 80 % of the light, `tail_energy` is the
-        share outside 3 core radii (NaN where the core is infinite), `outside_window` that outside the square of the PSF
-        window, `rms_um` the RMS distance of the rays that arrive.
-        And rows (field, radius_um, fraction) of the curve.
+        fraction outside 3 core radii (NaN where the core is infinite), `outside_window` that outside the square PSF
+        window, `rms_um` the RMS distance of the valid rays.
+        And rows (field, radius_um, fraction) of the encircled energy.
     """
     traced, centre = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_points(lens, view)
     core = encircled_energy_radius(traced, centre, 0.5)

@@ -1,8 +1,8 @@
-"""What the errors of moulding do to a lens: its spots when every radius and centre thickness is a little off.
+"""Sensitivity of spots to moulding errors of radii and thicknesses.
 
-An error changes one radius or one thickness at a time; the image plane is then put where the mean squared spot is
-smallest, as a phone's module is focused when it is built. Tilt and decentre are not simulated: the tracer knows lenses
-of rotation alone.
+An error changes one radius or one thickness at a time; the image plane is then refocused to the smallest mean squared
+spot, as a camera module of a phone is focused in assembly. Tilt and decentre are not simulated, since the tracer is
+limited to rotationally symmetric lenses.
 """
 
 from dataclasses import replace
@@ -17,18 +17,18 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 
 # Precision moulding of plastic lenses, apollooptical.com/manufacturing-tolerances: +- 0.5 % and +- 0.015 mm.
-RADIUS = 0.005  # of a radius of curvature, as a fraction
-THICKNESS = 0.015  # of a centre thickness [mm]; we take it for air spaces too
+RADIUS = 0.005  # error of a radius of curvature, as a fraction
+THICKNESS = 0.015  # error of a centre thickness [mm]; we take it for air spaces too
 
 
 def errors_by_part(lens: Lens, view: View, rays: int) -> tuple[float, dict[str, float]]:
-    """RMS over fields and rays of the refocused spot radius [um], and by how much each error enlarges it.
+    """Compute the refocused RMS spot radius over fields and rays [um], and its increase by the error of each part.
 
-    For each part the worse sign of its error: sqrt(rms_with^2 - rms^2) [um], so that independent errors add as squares;
-    zero where both signs make the spot smaller. A part is `radius i`, or `thickness i` behind surface i, air too.
+    The increase is sqrt(rms_with^2 - rms^2) [um] for the worse sign of the error, so that independent errors add as
+    squares; zero where both signs reduce the spot. A part is `radius i`, or `thickness i` behind surface i, air too.
 
     Args:
-        rays: pupil points per field and colour.
+        rays: number of pupil points per field and colour.
     """
     pupil = sobol_disc(rays, seed=0)
 
@@ -55,10 +55,10 @@ def _changed(lens: Lens, name: str, surface: int, by: float) -> Lens:
 
 
 def _refocused(rays: Rays) -> Tensor:
-    """sqrt of the least mean squared distance from the centroid of each field, over all planes across the axis [mm].
+    """Compute the smallest RMS distance of valid rays from the centroid of their field over all image planes [mm].
 
-    Of the rays that arrive; infinite if none of a field does. With points p + t q at the distance t from the image
-    plane, the mean is a parabola in t.
+    Infinite if a field has no valid ray. With points p + t q at the distance t from the image plane, the mean square is
+    a parabola in t.
     """
     weight = rays.valid.to(rays.x.dtype)
     total = weight.sum((1, 2), keepdim=True)

@@ -1,1 +1,1 @@
-"""Lens files: YAML and Zemax."""
+"""Reading and writing of lens files: YAML and Zemax."""

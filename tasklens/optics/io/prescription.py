@@ -1,4 +1,4 @@
-"""What a lens file says, and lenses as YAML files that a person can read: lossless to the last bit of float64."""
+"""Lens prescriptions, and their YAML files, which restore every float64 exactly."""
 
 import math
 from collections.abc import Mapping
@@ -18,22 +18,22 @@ APERTURES = ("entrance_pupil_diameter_mm", "f_number")
 FIELDS = ("angle_deg", "object_height_mm", "paraxial_image_height_mm", "real_image_height_mm")
 
 _KEYS = ("curvature", "conic", "thickness", "medium", "semi_diameter")
-_ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # as far as Zemax's extended asphere goes
+_ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # the most terms of Zemax's extended asphere
 
 
 @dataclass(frozen=True)
 class Prescription:
-    """A lens and how it is meant to be used; what a file leaves out is None.
+    """A lens with its aperture, fields, wavelengths and object distance; None where the file has none.
 
     Attributes:
-        lens: its stop's semi-diameter follows from `aperture`, where there is one.
-        title: of the file.
+        lens: the lens; the semi-diameter of its stop follows from `aperture`, if there is one.
+        title: title of the file.
         comments: one per surface.
         aperture: one of `APERTURES` and its value; None where the stop's semi-diameter itself is given.
         fields: one of `FIELDS` and the points (x, y).
-        wavelengths_um: in the file's order.
+        wavelengths_um: wavelengths in the order of the file [um].
         primary: index of the reference wavelength.
-        object_distance_mm: from the object to the first surface; the lens' image distance is in focus for it.
+        object_distance_mm: distance from the object, which is in focus, to the first surface [mm].
     """
 
     lens: Lens
@@ -47,10 +47,10 @@ class Prescription:
 
 
 def to_dict(prescription: Prescription) -> dict:
-    """The prescription as plain values: lengths in mm, alpha_2j in mm^(1 - 2j).
+    """Convert a prescription to plain values: lengths in mm, alpha_2j in mm^(1 - 2j).
 
     Raises:
-        FileError: two of its materials have the same name.
+        FileError: two materials have the same name.
     """
     lens = prescription.lens
     materials: dict[str, Material] = {AIR.name: AIR}
@@ -94,11 +94,11 @@ def to_dict(prescription: Prescription) -> dict:
 
 
 def from_dict(content: object, name: str = "lens file") -> Prescription:
-    """The prescription in plain values; the last thickness is the image distance.
+    """Convert plain values to a prescription; the last thickness is the image distance.
 
     Raises:
-        FileError: another format, a missing or unknown key, a value that is none; `name` and the surface begin its
-            message.
+        FileError: another format, a missing or unknown key, or an invalid value; the message begins with `name` and the
+            surface.
     """
     if not isinstance(content, Mapping):
         raise FileError(f"{name}: expected a lens of format {FORMAT}, found {type(content).__name__}")
@@ -154,7 +154,7 @@ def _index(value: int, count: int, where: str) -> int:
 
 
 def _surface(surface: object, where: str) -> dict:
-    """The numbers of a surface by key, those of alpha_2j by j."""
+    """Read the numbers of a surface by key, those of alpha_2j by j."""
     if not isinstance(surface, Mapping):
         raise FileError(f"{where}: expected keys and values, found {surface!r}")
     for key in _KEYS:
@@ -174,7 +174,7 @@ def _surface(surface: object, where: str) -> dict:
 
 
 def _use(content: Mapping, name: str) -> dict:
-    """Aperture, fields, wavelengths and object distance, as far as the file has them."""
+    """Read aperture, fields, wavelengths and object distance, each if present."""
     found: dict = {}
     for key, kinds in (("aperture", APERTURES), ("fields", FIELDS)):
         if key in content:
@@ -203,12 +203,12 @@ def _use(content: Mapping, name: str) -> dict:
 
 
 def write(path: Path, prescription: Prescription, notes: Mapping) -> None:
-    """Write a lens file; `notes` (spec, what made it, figures) follow the prescription."""
+    """Write a lens file; `notes` (spec, origin, figures, margins) follow the prescription."""
     write_text(path, yaml.safe_dump(to_dict(prescription) | dict(notes), sort_keys=False, allow_unicode=True))
 
 
 def read(path: Path) -> tuple[Prescription, dict]:
-    """The prescription in a file, and everything that the file says; raises FileError as `from_dict` does."""
+    """Read a lens file: its prescription, and its whole content; raises FileError as `from_dict` does."""
     try:
         with open(path, encoding="utf-8") as file:
             content = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))

@@ -1,9 +1,9 @@
-"""Zemax lens files (.zmx): what of them a rotationally symmetric sequential lens of even aspheres needs.
+"""Zemax lens files (.zmx) of rotationally symmetric sequential lenses of even aspheres.
 
-Read are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model glasses,
-object distance, aperture, fields, wavelengths, title and comments. What would change the lens and is not read is an
-error; what only serves Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit
-functions) is passed over.
+Supported are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model
+glasses, object distance, aperture, fields, wavelengths, title and comments. Other data that change the lens are an
+error; data for Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit functions) are
+ignored.
 """
 
 import math
@@ -20,13 +20,13 @@ from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError, replacing
 
 _UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
-_INFINITY = 1e10  # Zemax's own limit for an object at infinity
+_INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
 _APERTURES = {"ENPD": "entrance_pupil_diameter_mm", "FNUM": "f_number"}
-_WAVELENGTHS = 24  # as many as Zemax can have
+_WAVELENGTHS = 24  # the maximum in Zemax
 
 
 def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
-    """Radius of the stop [mm] whose paraxial image in front of the lens has the diameter D that `aperture` states.
+    """Compute the radius of the stop [mm] whose paraxial entrance pupil has the diameter D given by `aperture`.
 
     D / (2 r) with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is EFL / D.
     """
@@ -39,17 +39,17 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
 
 
 def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
-    """The prescription in a Zemax lens file.
+    """Read the prescription from a Zemax lens file.
 
-    Glasses are looked up in `catalogues` (.agf or our YAML), those that the file names in GCAT first and in its order,
-    then among the built-in plastics.
+    Glasses are looked up in `catalogues` (.agf or our YAML), those listed in GCAT first and in its order, then among
+    the built-in plastics.
 
-    A surface clips rays where the file makes Zemax clip them: by a circular or floating aperture, or a semi-diameter
-    that is fixed or picked up; automatic semi-diameters only follow the rays. The radius of the stop follows from the
-    aperture (`stop_radius`, at the primary wavelength), or is its semi-diameter where that is the aperture.
+    A surface vignettes as in Zemax: by a circular or floating aperture, or a semi-diameter that is fixed or picked up;
+    automatic semi-diameters do not vignette. The radius of the stop follows from the aperture (`stop_radius`, at the
+    primary wavelength), or is its semi-diameter for "float by stop size".
 
     Raises:
-        FileError: naming the file, the line and what is wrong or not supported.
+        FileError: an invalid or unsupported file; the message names the file, the line and the error.
     """
     system, blocks = _split(read_lines(path), path)
     if "MODE" in system and system["MODE"].words[:1] != ["SEQ"]:
@@ -96,7 +96,7 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
 
 
 def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]:
-    """Lines of the system by keyword (wavelengths as WAVM 1, WAVM 2 ..), and the surfaces: their lines are indented."""
+    """Split lines into those of the system, by keyword (wavelengths as WAVM 1 ..), and those of surfaces (indented)."""
     system: dict[str, Line] = {}
     blocks: list[Block] = []
     for line in lines:
@@ -117,7 +117,7 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]
 
 
 def _check_ends(blocks: list[Block]) -> None:
-    """The object is in air, the image a plane."""
+    """Check that the object is in air and the image surface a plane; raises FileError."""
     first, last = blocks[0], blocks[-1]
     if "GLAS" in first.lines:
         raise first.lines["GLAS"].error("the object is not in air")
@@ -126,7 +126,7 @@ def _check_ends(blocks: list[Block]) -> None:
 
 
 def _object_distance(block: Block, unit: float) -> float:
-    """From the object to the first surface [mm]."""
+    """Read the distance from the object to the first surface [mm]."""
     line = block.line("DISZ")
     distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
     if not distance > 0:
@@ -135,7 +135,7 @@ def _object_distance(block: Block, unit: float) -> float:
 
 
 def _aperture(system: dict[str, Line], unit: float, path: Path) -> tuple[str, float] | None:
-    """The system aperture; None where it floats by the size of the stop."""
+    """Read the system aperture; None for "float by stop size"."""
     if "FLOA" in system:
         return None
     for keyword, kind in _APERTURES.items():
@@ -161,7 +161,7 @@ def _fields(system: dict[str, Line], unit: float, path: Path) -> tuple[str, tupl
 
 
 def _wavelengths(system: dict[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
-    """Wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
+    """Read the wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
     count = system["FTYP"].integer(3) if "FTYP" in system else 0
     listed = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
     if count > 0 and all(f"WAVM {i}" in system for i in range(1, count + 1)):
@@ -177,13 +177,13 @@ def _wavelengths(system: dict[str, Line], path: Path) -> tuple[tuple[float, ...]
 
 
 def write(path: Path, prescription: Prescription) -> None:
-    """Write a Zemax lens file; `read` gives every number back to the last bit.
+    """Write a Zemax lens file; `read` restores every number exactly.
 
     A glass is written by its name, which OpticStudio looks up in its own catalogues.
 
     Raises:
-        FileError: no fields or wavelengths, more than Zemax can have, an aperture that does not fit the stop, or a text
-            or name that the file cannot hold.
+        FileError: no fields or wavelengths, more wavelengths than Zemax allows, an aperture that does not fit the stop,
+            or a text or name that the file cannot hold.
     """
     text = "\r\n".join(_lines(prescription, str(path))) + "\r\n"
     with replacing(path) as temporary:
@@ -206,7 +206,7 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
         if not math.isclose(radii[lens.stop], expected, rel_tol=1e-9):
             raise FileError(f"{name}: {kind} {value} asks for a stop of {expected} mm, the lens has {radii[lens.stop]}")
         aperture = {v: k for k, v in _APERTURES.items()}[kind] + f" {decimal(value)}"
-        radii[lens.stop] = math.inf  # Zemax finds it, as `read` does
+        radii[lens.stop] = math.inf  # Zemax computes it from the aperture
     elif not math.isfinite(radii[lens.stop]):
         raise FileError(f"{name}: the lens has neither an aperture nor a radius of its stop")
     kind, points = prescription.fields

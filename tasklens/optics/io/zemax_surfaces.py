@@ -1,4 +1,4 @@
-"""The surfaces of Zemax lens files: from their lines to a lens, and back."""
+"""Conversion between surfaces of Zemax lens files and lenses."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -11,40 +11,44 @@ from tasklens.materials.zemax_text import Line, decimal
 from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError
 
-_BLANK = "___BLANK"  # stands where a model glass has no name
-_TERMS = 8  # of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
-_MOST_TERMS = 240  # of an extended asphere
-_RHO = (1e-3, 1e3)  # its normalisation radius: beyond, powers of it leave the floating-point range
+_BLANK = "___BLANK"  # Zemax's name of a model glass without a name
+_TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
+_MOST_TERMS = 240  # terms of an extended asphere
+_RHO = (1e-3, 1e3)  # limits of its normalisation radius, beyond which powers of it overflow
 _NOT_ROUND = ("SQAP", "SQOB", "ELAP", "ELOB", "UDAD", "UDAO", "OBSC", "SPID")  # apertures and obscurations
 
 
 @dataclass(frozen=True)
 class Block:
-    """The lines of one surface: the last of each keyword, and the numbered ones (PARM, XDAT) by their number."""
+    """The lines of one surface: the last one of each keyword, and numbered lines (PARM, XDAT) by their number."""
 
     head: Line
     lines: dict[str, Line]
     numbered: dict[tuple[str, int], Line]
 
     def line(self, keyword: str) -> Line:
-        """The line of `keyword`; raises FileError where there is none."""
+        """Return the line of `keyword`; raises FileError where there is none."""
         if keyword not in self.lines:
             raise self.head.error(f"surface {self.head.text} has no {keyword}")
         return self.lines[keyword]
 
     def number(self, keyword: str, default: float) -> float:
-        """First number behind `keyword`, or `default`."""
+        """Return the first number behind `keyword`, or `default`."""
         return self.lines[keyword].number(0) if keyword in self.lines else default
 
 
 def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, Material], searched: str) -> Lens:
-    """The lens between object and image.
+    """Convert the surfaces between object and image to a lens.
 
     Args:
-        blocks: its surfaces.
-        stop: index of the stop among them.
+        blocks: lines of the surfaces.
+        stop: index of the stop.
         unit: the file's unit of length [mm].
-        glasses: materials by name; `searched` says in a message where they are from.
+        glasses: materials by name.
+        searched: source of `glasses`, for error messages.
+
+    Raises:
+        FileError: an invalid or unsupported surface.
     """
     aspheres = [_asphere(block, unit) for block in blocks]
     orders = max(len(coefficients) for coefficients in aspheres)
@@ -67,7 +71,7 @@ def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, M
 
 
 def _asphere(block: Block, unit: float) -> list[float]:
-    """Coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)]."""
+    """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)]."""
     kind = block.lines["TYPE"].text if "TYPE" in block.lines else "STANDARD"
     given = {key: line.number(1) for key, line in block.numbered.items()}
     if kind == "STANDARD":
@@ -88,7 +92,7 @@ def _asphere(block: Block, unit: float) -> list[float]:
 
 
 def _clear_radius(block: Block) -> float:
-    """Radius beyond which Zemax stops rays, in the file's unit; infinite where it does not."""
+    """Read the radius of the clear aperture, in the file's unit; infinite where Zemax does not vignette."""
     for keyword in _NOT_ROUND:
         if keyword in block.lines:
             raise block.lines[keyword].error("only round clear apertures (CLAP, FLAP) are read")
@@ -99,16 +103,16 @@ def _clear_radius(block: Block) -> float:
                 raise aperture.error("the aperture has a hole; only full circles are read")
             return aperture.number(1)
     line = block.lines.get("DIAM")
-    if line is not None and len(line.words) > 1 and line.integer(1) in (1, 2):  # by hand, or picked up
+    if line is not None and len(line.words) > 1 and line.integer(1) in (1, 2):  # fixed, or picked up
         return line.number(0)
     return math.inf
 
 
 def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material], searched: str) -> Material:
-    """What is behind a surface.
+    """Read the medium behind a surface.
 
-    GLAS: a name, how it is solved for (0 not, 1 model, 2 picked up from the next number's surface, 3 to be substituted,
-    4 with an offset), nd, Vd, dPgF. The name of a model glass is only a label: it may also be a catalogue's.
+    GLAS: a name, a solve (0 none, 1 model, 2 picked up from the surface in the next number, 3 substitution, 4 offset),
+    nd, Vd, dPgF. The name of a model glass is only a label, which may also be a name in a catalogue.
     """
     if "GLAS" not in block.lines:
         return AIR
@@ -134,10 +138,10 @@ def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material
 
 
 def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
-    """The lines of surface `index` of a lens [mm]; `radius` is infinite where nothing clips.
+    """Convert surface `index` of a lens to lines [mm]; `radius` is that of its clear aperture, infinite without one.
 
     Raises:
-        FileError: a name that no glass can have in Zemax.
+        FileError: a material name that is not possible in Zemax.
     """
     alpha = lens.alpha[index].tolist()
     while alpha and not alpha[-1]:
@@ -170,4 +174,4 @@ def _glass(material: Material, index: int) -> str:
         return f"{label} 1 0 {numbers} 0 0 0 0 0"
     if " " in material.name or material.name in ("MIRROR", _BLANK):
         raise FileError(f"surface {index}: Zemax cannot have a glass called {material.name!r}; rename it")
-    return f"{material.name} 0 0 1.5 40 0 0 0 0 0 0"  # the numbers are not used: the catalogue has them
+    return f"{material.name} 0 0 1.5 40 0 0 0 0 0 0"  # placeholders: Zemax takes the index from the catalogue

@@ -1,1 +1,1 @@
-"""Rays through surfaces."""
+"""Differentiable ray tracing through the surfaces of a lens."""

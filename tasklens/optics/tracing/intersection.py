@@ -1,4 +1,4 @@
-"""Where rays meet a surface: t with z + t n = s(u), u = (x + t l)^2 + (y + t m)^2."""
+"""Intersection of rays with a surface: t with z + t n = s(u), u = (x + t l)^2 + (y + t m)^2."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,7 +17,7 @@ _STRIDE = 2.0  # longest Newton step [mm]: without a limit a ray may leave for g
 
 @dataclass(frozen=True)
 class PreparedSurface:
-    """The shape of one surface, with what follows from it alone.
+    """Coefficients of one surface, prepared for evaluation.
 
     Attributes:
         curvature: c [1/mm].
@@ -50,7 +50,7 @@ class Shape(NamedTuple):
 
 
 def surfaces(curvature: Tensor, conic: Tensor, alpha: Tensor) -> list[PreparedSurface]:
-    """The S surfaces of (S,), (S,) and (S, M) coefficients."""
+    """Prepare S surfaces from their coefficients, (S,), (S,) and (S, M)."""
     one = torch.ones((), dtype=curvature.dtype, device=curvature.device)
     orders = torch.arange(1, alpha.shape[1] + 1, dtype=alpha.dtype, device=alpha.device)
     curving = alpha[:, 1:] * (orders[1:] * (orders[1:] - 1))
@@ -64,7 +64,7 @@ def surfaces(curvature: Tensor, conic: Tensor, alpha: Tensor) -> list[PreparedSu
 
 
 def shape(u: Tensor, surface: PreparedSurface) -> Shape:
-    """The surface at u = r^2, as `aspheres.sag` but without a graph and in few operations."""
+    """Evaluate a surface at u = r^2, as `aspheres.sag` but without a graph and in few operations."""
     w, safe, argument = _root(u, surface)
     conic = torch.addcmul(surface.one, safe, w)  # 1 + sqrt(argument)
     if not surface.columns:
@@ -75,21 +75,21 @@ def shape(u: Tensor, surface: PreparedSurface) -> Shape:
 
 
 def slope(u: Tensor, surface: PreparedSurface) -> tuple[Tensor, Tensor]:
-    """ds / du and w of `shape` alone."""
+    """Compute ds / du and w of `shape` alone."""
     w, *_ = _root(u, surface)
     conic = (0.5 * surface.curvature) * w
     return (conic.add_(_polynomial(u, surface.slopes)) if surface.slopes else conic), w
 
 
 def _root(u: Tensor, surface: PreparedSurface) -> tuple[Tensor, Tensor, Tensor]:
-    """1 / sqrt(1 - (1 + k) c^2 u), the argument of the root that was used, and the true one."""
+    """Compute 1 / sqrt(1 - (1 + k) c^2 u), the clamped argument of the root, and the argument itself."""
     argument = torch.add(surface.one, u, alpha=surface.minus_kappa)
     safe = argument.clamp(min=EDGE) if surface.minus_kappa < 0 else argument
     return torch.rsqrt(safe), safe, argument
 
 
 def _polynomial(u: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
-    """The sum of coefficients u^(j - 1) by Horner's rule, in place: allocating costs as much as multiplying."""
+    """Sum coefficients times u^(j - 1) by Horner's rule, in place: allocating costs as much as multiplying."""
     *lower, last = coefficients
     value = last.expand(*last.shape[:-3], *u.shape)
     for k, coefficient in enumerate(reversed(lower)):
@@ -100,7 +100,7 @@ def _polynomial(u: Tensor, coefficients: tuple[Tensor, ...]) -> Tensor:
 def distance(
     x: Tensor, y: Tensor, l: Tensor, m: Tensor, n: Tensor, surface: PreparedSurface
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-    """Distance t [mm] at which rays from (x, y) on the vertex plane meet the surface, and which of them do.
+    """Compute the distance t [mm] of rays from (x, y) on the vertex plane to the surface, and which rays meet it.
 
     Newton's iteration, on all rays together: a step below the square root of the precision leaves an error below the
     precision. Rays that have not converged, have left the conic, graze, or come through the surface from behind are
@@ -144,7 +144,7 @@ def distance(
 def _careful_distance(
     a: Tensor, b: Tensor, c: Tensor, n: Tensor, surface: PreparedSurface, tolerance: float
 ) -> tuple[Tensor, Tensor]:
-    """`distance` for the few: limited steps that never divide by little, from the base conic, then from the plane."""
+    """Compute `distance` for difficult rays by bounded Newton steps, from the base conic, then from the plane."""
     # the conic: c (r^2 + (1 + k) z^2) = 2 z with z = t n
     along = n - surface.curvature * b
     discriminant = along * along - a * (surface.curvature * surface.curvature * c - surface.minus_kappa * n * n)

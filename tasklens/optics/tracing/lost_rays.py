@@ -1,4 +1,4 @@
-"""Rays that are lost on the way: which, where and why."""
+"""Lost rays: their status, surface and last point."""
 
 import torch
 from torch import Tensor
@@ -8,7 +8,7 @@ from tasklens.optics.tracing.refraction import RayState
 
 
 class LostRays:
-    """Which rays were lost, where and why; lost rays run on along the axis, where nothing happens to them."""
+    """Status, surface and last point of lost rays, which are then traced along the axis to stay finite."""
 
     def __init__(self, status: Tensor, lost_at: Tensor):
         self.status, self.lost_at = status, lost_at
@@ -16,13 +16,13 @@ class LostRays:
         self.last: tuple[Tensor, ...]  # x, y, z and path where a ray was lost
 
     def add(self, lost: Tensor, status: RayStatus, surface: int, rays: RayState, path: Tensor) -> RayState:
-        """Note that rays are lost where they are now, and park them."""
+        """Record rays as lost at their present position, and move them to the axis."""
         self.status = torch.where(lost, torch.tensor(status, dtype=torch.int8), self.status)
         self.lost_at = torch.where(lost, torch.tensor(surface, dtype=torch.int8), self.lost_at)
         return self.park(lost, rays, path)
 
     def park(self, lost: Tensor, rays: RayState, path: Tensor) -> RayState:
-        """Put rays on the axis."""
+        """Move rays to the axis, and record their last point."""
         now = (*rays[:3], path)
         if self.alive is None:
             self.alive, self.last = ~lost, now
@@ -33,11 +33,11 @@ class LostRays:
         return RayState(*(torch.where(lost, on_axis, v) for on_axis, v in zip(axis, rays, strict=True)))
 
     def where_lost(self, *now: Tensor) -> tuple[Tensor, ...]:
-        """(x, y, z, path), for lost rays those of their last point."""
+        """Return (x, y, z, path), for lost rays those of their last point."""
         if self.alive is None:
             return now
         return tuple(torch.where(self.alive, v, old) for v, old in zip(now, self.last, strict=True))
 
     def masked(self, values: Tensor) -> Tensor:
-        """The values, zero for a lost ray."""
+        """Return the values, zero for lost rays."""
         return values if self.alive is None else torch.where(self.alive, values, 0.0)

@@ -1,4 +1,4 @@
-"""Ray tracing as the textbook has it, in plain autograd: what `tracing` does, to read and to test it against."""
+"""Reference implementation of ray tracing in plain autograd, the oracle of the tests of `tracing`."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from tasklens.optics.surface import Surface
 
 
 def reference_trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
-    """Trace rays through every surface of a lens to its image plane: the same result as `tracing.trace`, but slowly.
+    """Trace rays through every surface of a lens to its image plane: the same result as `tracing.trace`, but slower.
 
     At each surface: intersect it, refract (Snell's law), and measure z from the next vertex. First derivatives are
     exact in backward and in forward mode; second derivatives are not.
@@ -22,8 +22,8 @@ def reference_trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
         indices: (S + 1, W) refractive indices, as from `Lens.refractive_indices`.
 
     Returns:
-        The rays on the image plane, z = 0. A lost ray stays at the last point that it reached, turned along the axis;
-        it carries no gradient.
+        The rays on the image plane, z = 0. A lost ray stays at its last point, with its direction along the axis; it
+        carries no gradient.
     """
     size = torch.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))
     rays = Rays(*(v.expand(size) for v in vars(rays).values()))

@@ -1,4 +1,4 @@
-"""One surface: where rays meet it and how it bends them, with both derivatives written out.
+"""Refraction at a surface, with hand-written forward and reverse derivatives.
 
 A ray has the transverse position P = (x, y) and direction D = (l, m), z from the vertex, and n. It meets the surface
 z = s(u) at P' = P + t D and leaves with D', n':
@@ -26,7 +26,7 @@ from tasklens.optics.tracing.intersection import PreparedSurface, slope
 
 
 class RayState(NamedTuple):
-    """Rays: position, z from a vertex, and direction cosines; or a change of them, or a gradient at them."""
+    """Rays: position, z from a vertex, and direction cosines; or a change or gradient of them."""
 
     x: Tensor
     y: Tensor
@@ -37,7 +37,7 @@ class RayState(NamedTuple):
 
 
 class Refraction(NamedTuple):
-    """Rays at one surface, by the names of the equations above: what `refract_jvp` and `refract_vjp` need."""
+    """Intermediate values of `refract` for its derivatives, named as in the equations above."""
 
     x: Tensor
     y: Tensor
@@ -59,7 +59,7 @@ class Refraction(NamedTuple):
 def refract(
     at: RayState, t: Tensor, u: Tensor, h: Tensor, mu: Tensor, surface: PreparedSurface
 ) -> tuple[RayState, Tensor, Refraction]:
-    """Bend rays `at` the points (x, y, z) where they meet the surface; t, u, h and mu as in the equations above.
+    """Refract rays at their intersections (x, y, z) with the surface; t, u, h and mu as in the equations above.
 
     Returns:
         the rays behind it, z from its vertex; R^2, not positive in total reflection, when the ray behind means nothing
@@ -87,7 +87,7 @@ def refract_jvp(
     refraction: Refraction,
     surface: PreparedSurface,
 ) -> tuple[RayState, Tensor]:
-    """Carry small changes of the rays before a surface, and of the surface, to the rays behind it.
+    """Propagate small changes of the rays before a surface, and of the surface, to the rays behind it.
 
     Args:
         before: changes of the rays before it, z from its vertex.
@@ -129,7 +129,7 @@ def refract_jvp(
 def refract_vjp(
     after: RayState, along: Tensor, refraction: Refraction, surface: PreparedSurface, index: bool
 ) -> tuple[RayState, tuple[Tensor, Tensor, Tensor], Tensor | None]:
-    """Carry the gradient at the rays behind a surface back to the rays before it, and to the surface.
+    """Propagate the gradient of the rays behind a surface back to the rays before it, and to the surface.
 
     Args:
         after: gradient at the rays behind it, z from its vertex.
@@ -172,7 +172,7 @@ def refract_vjp(
 def _at_surface(
     b_by_u: Tensor, b_slope: Tensor, u: Tensor, w: Tensor, powers: Tensor | None, surface: PreparedSurface
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradient at curvature, conic and alpha, from that at the sag (times u) and at the slope."""
+    """Compute the gradients of curvature, conic and alpha from those of the sag (times u) and the slope."""
     b_by_u, b_slope, u, w = (v.flatten() for v in (b_by_u, b_slope, u, w))
     cube, v = w * w * w, w / (1 + w)  # v = 1 / (1 + sqrt(1 - (1 + k) c^2 u))
     wv = w * v
@@ -189,7 +189,7 @@ def _cubed(curvature: float) -> float:
 
 
 def _curving(w: Tensor, surface: PreparedSurface, powers: Tensor | None) -> Tensor:
-    """d^2 s / du^2."""
+    """Compute d^2 s / du^2."""
     conic = w * w * w * (-0.25 * surface.minus_kappa * surface.curvature)
     if powers is None or len(powers) < 2:
         return conic
@@ -197,7 +197,7 @@ def _curving(w: Tensor, surface: PreparedSurface, powers: Tensor | None) -> Tens
 
 
 def _powers(u: Tensor, count: int) -> Tensor | None:
-    """(count, F W N) rows u^0 .. u^(count - 1), or None if there are none."""
+    """Return the rows u^0 .. u^(count - 1), (count, F W N), or None for count 0."""
     if count == 0:
         return None
     u = u.flatten()

@@ -19,7 +19,7 @@ _TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh 
 
 
 class _Notes:
-    """What a `_Sequence` needs beside tensors, and what it keeps for its derivatives."""
+    """Inputs of a `_Sequence` that are no tensors, and the values stored for its derivatives."""
 
     def __init__(self, semi_diameters: list[float], record: list[Rays] | None, keep: bool, to_index: bool):
         self.semi_diameters = semi_diameters
@@ -32,7 +32,7 @@ class _Notes:
 
 
 class _Sequence(torch.autograd.Function):
-    """Rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): the loop over `refract` and its derivatives."""
+    """Trace of rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): loop over `refract` and derivatives."""
 
     @staticmethod
     def forward(notes: _Notes, status, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
@@ -113,7 +113,7 @@ class _Sequence(torch.autograd.Function):
 
 
 def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, conic, alpha, thickness, record=None):
-    """Small changes of rays (..., F, W, N) and surfaces (..., S) carried to the image plane; None stands for zero.
+    """Propagate small changes of rays (..., F, W, N) and surfaces (..., S) to the image plane; None means zero.
 
     Those of x and y behind every surface are appended to `record`.
     """
@@ -142,14 +142,14 @@ def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, 
 
 
 def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
-    """The gradient at an index (W, 1) from that at each ray."""
+    """Sum the gradients of rays to the gradient of an index (W, 1)."""
     return gradient.sum_to_size(1, *index.shape)[0]
 
 
 def _onward(
     rays: RayState, path: Tensor, i: int, surface: PreparedSurface, semi_diameter: float, media: tuple, losses: LostRays
 ) -> tuple[RayState, Tensor, Refraction]:
-    """Rays before surface i, z from its vertex, to behind it, and their optical path; the lost are noted and parked."""
+    """Trace rays, z from the vertex of surface i, from before it to behind it, with optical path and lost rays."""
     x, y, z, l, m, n = rays
     t = z / n  # back to the vertex plane
     x, y = torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1)
@@ -170,7 +170,7 @@ def _onward(
 
 
 def _through(rays: RayState, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: LostRays) -> RayState:
-    """Rays at a plane in one medium, such as a stop in air: as before it, but for those that its aperture stops."""
+    """Vignette rays at a plane without refraction, such as a stop in air; other rays are unchanged."""
     limit = _limit(semi_diameter)
     if limit < math.inf:
         at, so_far = _on_plane(rays, path, index)
@@ -184,7 +184,7 @@ def _through(rays: RayState, path: Tensor, i: int, semi_diameter: float, index: 
 
 
 def _on_plane(rays: RayState, path: Tensor, index: Tensor) -> tuple[RayState, Tensor]:
-    """Rays and their paths where they cross the plane z = 0."""
+    """Move rays and their optical paths to the plane z = 0."""
     x, y, z, l, m, n = rays
     t = z / n
     at = RayState(torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1), torch.zeros_like(n), l, m, n)
@@ -192,7 +192,7 @@ def _on_plane(rays: RayState, path: Tensor, index: Tensor) -> tuple[RayState, Te
 
 
 def _limit(semi_diameter: float) -> float:
-    """Largest x^2 + y^2 that passes an aperture: rays on the rim do."""
+    """Return the largest x^2 + y^2 that passes an aperture, rays on the rim included."""
     return semi_diameter * semi_diameter * (1 + RIM)
 
 
@@ -218,7 +218,7 @@ def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
 
 
 def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays]]:
-    """As `trace`, with the rays behind every surface too, z from its vertex, without gradient."""
+    """Trace rays as `trace` does; return also the rays behind every surface, z from its vertex, without gradient."""
     record: list[Rays] = []
     image = _traced(lens, rays, indices, record)
     return image, [Rays(*(v.reshape(image.x.shape) for v in vars(at).values())) for at in record]
@@ -248,12 +248,12 @@ def _traced(lens: Lens, rays: Rays, indices: Tensor, record: list[Rays] | None) 
 
 
 def _parts(rays: Rays) -> tuple[Tensor, ...]:
-    """The parts of rays in the order of `_Sequence`."""
+    """Return the components of rays in the order of `_Sequence`."""
     return rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path
 
 
 class Derivative(NamedTuple):
-    """Changes of rays by V changes of a lens, each (V, F, W, N) or of a shape that broadcasts with that.
+    """Changes of rays for V changes of a lens, of a shape that broadcasts with (V, F, W, N).
 
     Attributes:
         image: of the rays on the image plane.
@@ -265,7 +265,7 @@ class Derivative(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """Rays through a lens, and how they change with it.
+    """Rays through a lens, and their derivative by the lens.
 
     Attributes:
         image: rays on the image plane.

@@ -1,1 +1,1 @@
-"""The work of each stage, as a function of settings, inputs and outputs."""
+"""Functions of the stages, with settings, inputs and outputs as arguments."""

@@ -1,4 +1,4 @@
-"""The page of a lens: its figures, its aberrations, its limits and its manufacturability."""
+"""The page of a lens: figures, aberrations, limits and manufacturability."""
 
 from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
 from tasklens.optics.analysis.shapes import shapes

@@ -1,4 +1,4 @@
-"""Fine-tune a classifier on the captures of a lens and measure it; or measure it again with its stored weights."""
+"""Fine-tuning and measurement of a classifier on the captures of a lens, and reproduction with its stored weights."""
 
 import torch
 
@@ -40,7 +40,7 @@ def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
 
 
 def _capture_pipeline(settings: Slice, inputs: Files, device: torch.device) -> CapturePipeline:
-    """From an image to a classifier: through the cached PSFs, or none, and the trained restoration, or none."""
+    """Build the capture pipeline from cached PSFs, if any, and the trained restoration, if any."""
     camera = network = None
     if settings.capture is not None:
         psf = read_tensors(inputs.psf)[0]["psf"].to(device)

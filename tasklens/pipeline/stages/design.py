@@ -1,4 +1,4 @@
-"""Design a lens, or import it from its file."""
+"""Design of a lens, or import from its file."""
 
 from tasklens.design import methods
 from tasklens.optics.io import prescription

@@ -1,4 +1,4 @@
-"""Figures of lenses: one, or the task-driven one beside the best imaging lens (the paper's figure 3)."""
+"""Figures of one lens, or of a task-driven and the best imaging lens (the paper's figure 3)."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ def one(settings: Slice, inputs: Files, outputs: Files) -> None:
 
 
 def comparison(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Draw the lens of a claim beside the strongest of its baselines."""
+    """Draw the lens of a claim and its strongest baseline."""
     lenses = (settings.claim.lens, Measurements({}, inputs.metrics).strongest_baseline(settings.claim, settings.seed))
     figures.draw(outputs.figure, [_panel(lens, inputs.lenses[lens], inputs.psfs[lens]) for lens in lenses])
 

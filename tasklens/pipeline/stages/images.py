@@ -1,4 +1,4 @@
-"""Render or read the images, and cut them into train, minival and test."""
+"""Rendering or reading of the images, split into train, minival and test."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Trace the PSF grid of a lens once, for everything after it."""
+"""PSFs of a lens at all fields, cached for later jobs."""
 
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
@@ -8,7 +8,7 @@ from tasklens.study.settings import Slice
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Write the PSFs, and what they are of."""
+    """Write the PSFs (F, 3, K, K) float32, with fields, wavelengths, pixel pitch, energies and number of rays."""
     spec = settings.spec
     grid = evaluation_psf(prescription.read(inputs.lens)[0].lens, view_of_spec(spec), settings.rays)
     notes = {

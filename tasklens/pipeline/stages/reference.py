@@ -1,4 +1,4 @@
-"""Train a classifier on the sharp images, or take its published weights."""
+"""Training of a classifier on the sharp images, or its published weights."""
 
 from tasklens.recognition import classifiers, dataset, training
 from tasklens.runtime.checkpoints import Checkpoint

@@ -1,4 +1,4 @@
-"""Train the restoration network on the captures of a lens."""
+"""Training of the restoration network on the captures of a lens."""
 
 from restoration import training
 from tasklens.imaging import Camera

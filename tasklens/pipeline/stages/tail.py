@@ -1,4 +1,4 @@
-"""Trace how the light of a lens spreads: core, tail, and the energy that each radius encircles."""
+"""Core, tail and encircled energy of the PSFs of a lens."""
 
 from tasklens.optics.analysis.tail import tail
 from tasklens.optics.io import prescription
@@ -8,7 +8,7 @@ from tasklens.study.settings import Slice
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Write both tables."""
+    """Write the tables of tails and of encircled energy."""
     lens = prescription.read(inputs.lens)[0].lens
     by_field, curve = tail(lens, view_of_spec(settings.spec), settings.rays)
     write_rows(outputs.psf_tail, by_field)
