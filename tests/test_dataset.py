@@ -19,12 +19,13 @@ from tasklens.recognition import folders
 from tasklens.runtime import checkpoints, files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError
+from tasklens.study.names import SPLITS
 from tasklens.study.settings import ImageSettings
 
 
 def paths_in(folder: Path) -> dict[str, tuple[Path, Path]]:
     """Images and labels of every split."""
-    return {split: (folder / f"{split}.npy", folder / f"{split}.json") for split in data.SPLITS}
+    return {split: (folder / f"{split}.npy", folder / f"{split}.json") for split in SPLITS}
 
 
 def made(folder: Path, images: ImageSettings) -> dict[str, data.ImageDataset]:

@@ -84,7 +84,7 @@ def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
 def test_a_process_group_larger_than_the_machine_is_refused(monkeypatch):
     pretend(monkeypatch, ["one", "other"])
     monkeypatch.setenv("WORLD_SIZE", "3")
-    with pytest.raises(InputError, match="want a GPU each, 3; found 2"), process_group():
+    with pytest.raises(InputError, match="3 processes need a GPU each, this machine has 2"), process_group():
         pass
 
 

@@ -101,7 +101,7 @@ def test_page_says_whether_it_can_be_made():
     assert "0.0200 mm" in page and "23.6" in page
     assert "Needs tighter tolerances" in manufacturability.markdown(kept, surfaces, 12.0, lively)
     page = manufacturability.markdown(violated, surfaces, 12.0, calm)
-    assert "Not as it stands: it violates max slope by 0.03." in page
+    assert "Not manufacturable: it violates max slope by 0.03." in page
 
 
 @pytest.mark.parametrize("built_um, words", [(24.0, "Within"), (24.1, "Needs tighter"), (240.0, "20.0 times")])
@@ -110,4 +110,4 @@ def test_a_lens_is_robust_up_to_twice_its_spot(built_um, words):
 
 
 def test_a_margin_that_is_no_number_is_violated():
-    assert "Not as it stands" in manufacturability.verdict({"max_slope": math.nan}, 12.0, 12.0)
+    assert "Not manufacturable" in manufacturability.verdict({"max_slope": math.nan}, 12.0, 12.0)

@@ -58,7 +58,7 @@ def _read_agf(path: Path) -> dict[str, Material]:
             glasses.append({})
         if line.keyword in ("NM", "CD", "LD"):
             if not glasses:
-                raise line.error("stands before the first glass (NM)")
+                raise line.error("comes before the first glass (NM)")
             glasses[-1][line.keyword] = line
     if not glasses:
         raise FileError(f"{path}: no glass (NM) in it")

@@ -14,11 +14,10 @@ from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
 from tasklens.study.design_settings import EndToEndSettings, ImportedLens, LensDesign, TaskDrivenSettings
-from tasklens.study.names import SHARP
+from tasklens.study.names import SHARP, SPLITS
 from tasklens.study.settings import Slice
 from tasklens.study.study import Study
 
-SPLITS = ("train", "minival", "test")
 PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
 STAGES = "tasklens.pipeline.stages"
 REPORT = "tasklens.report"

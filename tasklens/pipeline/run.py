@@ -1,5 +1,6 @@
 """Execution of one job: the function of its stage, with its checkpoint."""
 
+import os
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -37,7 +38,9 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
         return function(plan.settings, Files(**inputs), Files(**outputs))
     checkpoint = _checkpoint(stage, plan, Path(results(study), "checkpoints", label.replace("/", "-", 1)))
     function(plan.settings, Files(**inputs), Files(**outputs), checkpoint)
-    checkpoint.remove()
+    if os.environ.get("RANK", "0") == "0":  # of a process group, the first process writes the outputs
+        checkpoint.remove()
+    return None
 
 
 def _checkpoint(stage: Stage, plan: Plan, name: Path) -> Any:

@@ -14,8 +14,6 @@ from tasklens.runtime.devices import CPU, send
 from tasklens.runtime.files import FileError, map_array, write_text, writing_array
 from tasklens.study.settings import ImageSettings
 
-SPLITS = ("train", "minival", "test")
-
 
 @dataclass(frozen=True)
 class ImageDataset:

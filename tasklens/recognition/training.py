@@ -55,11 +55,6 @@ class Shuffled:
         self.generator.set_state(state["generator"])
 
 
-def reseed(seed: int) -> None:
-    """Seed torch's global generator, used by new networks and augmentations."""
-    torch.manual_seed(seed)
-
-
 def fit(
     classifier: nn.Module,
     dataset: ImageDataset,

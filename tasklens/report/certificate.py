@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import pandas
 
+from tasklens.report.publish import right_aligned
+
 # Columns of the table of fields: key in the figures of the lens file, heading, number of decimals.
 _FIELDS = (
     ("angle_deg", "angle [deg]", 1),
@@ -61,7 +63,15 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
     note = _NOTE.format(
         rays=figures["rays"], quarter=nyquist / 4, half=nyquist / 2, cutoff=figures["diffraction_cutoff_per_mm"]
     )
-    parts = [f"# {title}", _table(lens), "## Fields", _table(fields), "## Aberrations [um]", _table(surfaces), note]
+    parts = [
+        f"# {title}",
+        right_aligned(lens),
+        "## Fields",
+        right_aligned(fields),
+        "## Aberrations [um]",
+        right_aligned(surfaces),
+        note,
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -81,7 +91,3 @@ def _lens(content: Mapping) -> dict[str, str]:
     if "worst_margin" in content:
         rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
     return rows
-
-
-def _table(frame: pandas.DataFrame) -> str:
-    return frame.to_markdown(index=False, disable_numparse=True, stralign="right")

@@ -7,6 +7,7 @@ import pandas
 
 from tasklens.optics.analysis.shapes import Shape
 from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS
+from tasklens.report.publish import right_aligned
 
 ROBUST = 2.0  # largest ratio of the spot with moulding errors to the nominal spot of a robust lens
 _SHOWN = 3  # number of most sensitive parts in the page
@@ -54,8 +55,8 @@ def markdown(
         "## Manufacturability",
         verdict(margins, nominal_um, built_um),
         tolerances,
-        _table(limits),
-        _table(surfaces),
+        right_aligned(limits),
+        right_aligned(surfaces),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -64,7 +65,7 @@ def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) ->
     """Describe the manufacturability in one or two sentences."""
     violated = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
     if violated:
-        return f"Not as it stands: it violates {', '.join(violated)}."
+        return f"Not manufacturable: it violates {', '.join(violated)}."
     growth = built_um / nominal_um
     if growth <= ROBUST:
         return f"Within precision moulding: all limits are kept, and its errors enlarge the spot {growth:.1f} times."
@@ -72,7 +73,3 @@ def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) ->
         f"Needs tighter tolerances than precision moulding states: all limits are kept, but those errors "
         f"enlarge the spot {growth:.1f} times."
     )
-
-
-def _table(frame: pandas.DataFrame) -> str:
-    return frame.to_markdown(index=False, disable_numparse=True, stralign="right")

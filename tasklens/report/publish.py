@@ -27,6 +27,11 @@ def _formatter(form: str) -> Callable[[float], str]:
     return lambda value: GAP if pandas.isna(value) else format(value, form)
 
 
+def right_aligned(table: pandas.DataFrame) -> str:
+    """Format a table of texts in Markdown, with its columns aligned on the right."""
+    return table.to_markdown(index=False, disable_numparse=True, stralign="right")
+
+
 def publish(outputs: Files, title: str, table: pandas.DataFrame, shown: pandas.DataFrame, note: str) -> None:
     """Write a table to `outputs.csv` and `outputs.md`.
 

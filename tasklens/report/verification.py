@@ -21,7 +21,6 @@ from tasklens.study.tables import TableContents, VerificationContents
 Reproduced = Mapping[tuple[str, str, int], Path]  # predictions by (lens, measured name, seed)
 
 ROUNDING = 1e-6  # tolerance on margins [mm or a fraction]
-EFL_TOLERANCE = 0.02
 DIFFERENT = 1e-3  # largest fraction of captures classified differently; on the same machine it is zero
 
 
@@ -60,7 +59,7 @@ def verify(
     failures: list[Failure] = []
     unconstrained: list[Failure] = []
     for lens, seed in product(contents.lenses, contents.seeds):
-        found = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents.efl_mm[lens])
+        found = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
         (failures if lens in contents.constrained else unconstrained).extend(found)
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):
@@ -76,19 +75,19 @@ def verify(
     return Findings(failures, unconstrained, len(contents.seeds) * len(contents.lenses), len(accuracy))
 
 
-def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], efl_mm: float) -> list[Failure]:
-    violated = violated_limits(content, efl_mm)
+def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], contents: VerificationContents) -> list[Failure]:
+    violated = violated_limits(content, contents.efl_mm[lens], contents.efl_tolerance)
     found = [Failure(lens, str(seed), limit, f"margin {value:.4g}") for limit, value in violated.items()]
     if "diverged" in content.get("origin", {}):
         found.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
     return found
 
 
-def violated_limits(content: Mapping[str, Any], efl_mm: float) -> dict[str, float]:
+def violated_limits(content: Mapping[str, Any], efl_mm: float, efl_tolerance: float) -> dict[str, float]:
     """Return negative margins [mm, or a fraction] by limit: those in a lens file, and that of the specified EFL."""
     worst = content["worst_margin"]
     missed = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # relative error of the power, as in designs
-    margins = [*content["margins"].items(), (worst["limit"], worst["value"]), ("efl_tolerance", EFL_TOLERANCE - missed)]
+    margins = [*content["margins"].items(), (worst["limit"], worst["value"]), ("efl_tolerance", efl_tolerance - missed)]
     return {limit: value for limit, value in margins if not value >= -ROUNDING}
 
 

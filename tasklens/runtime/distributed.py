@@ -68,7 +68,9 @@ def process_group() -> Iterator[ProcessGroup]:
         return
     count = torch.cuda.device_count()
     if 0 < count < int(os.environ["WORLD_SIZE"]):
-        raise InputError(f"processes: those of a classifier want a GPU each, {os.environ['WORLD_SIZE']}; found {count}")
+        raise InputError(
+            f"processes: a classifier's {os.environ['WORLD_SIZE']} processes need a GPU each, this machine has {count}"
+        )
     waiting = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
     backends = "cpu:gloo,cuda:nccl" if count else "gloo"
     torch.distributed.init_process_group(backends, timeout=waiting)

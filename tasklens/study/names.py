@@ -1,5 +1,6 @@
 """Measured names: names of classifiers with or without restoration, and of the sharp images."""
 
+SPLITS = ("train", "minival", "test")  # of the images
 SHARP = "sharp"  # used in place of a lens name for measurements on the sharp images
 _RESTORED = "-restored"
 

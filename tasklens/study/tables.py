@@ -92,6 +92,7 @@ class VerificationContents(Frozen):
         lenses: names of the lenses in the tables.
         constrained: names of the constrained lenses.
         efl_mm: specified focal length by lens [mm].
+        efl_tolerance: largest relative deviation from it.
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
         seeds: seeds of the study.
@@ -100,6 +101,7 @@ class VerificationContents(Frozen):
     lenses: tuple[str, ...]
     constrained: tuple[str, ...]
     efl_mm: dict[str, float]
+    efl_tolerance: float
     tables: tuple[TableContents, ...]
     measured: tuple[tuple[str, str], ...]
     seeds: tuple[int, ...]
@@ -112,6 +114,7 @@ def verification(study: Study) -> VerificationContents:
         lenses=tuple(entries),
         constrained=tuple(name for name, lens in entries.items() if lens.constrained),
         efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in entries.items()},
+        efl_tolerance=study.constraints.efl_tolerance,
         tables=tables(study),
         measured=tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured)),
         seeds=study.seeds,

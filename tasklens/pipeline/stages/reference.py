@@ -1,5 +1,7 @@
 """Training of a classifier on the sharp images, or its published weights."""
 
+import torch
+
 from tasklens.recognition import classifiers, dataset, training
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
@@ -11,7 +13,7 @@ def run(settings: ClassifierSettings, inputs: Files, outputs: Files, checkpoint:
     """Write the weights."""
     device = claim()
     train = dataset.read(*inputs.train, device=device)
-    training.reseed(0)
+    torch.manual_seed(0)
     classifier = classifiers.build(settings, train.classes).to(device)
     if settings.training is not None:
         training.fit(classifier, train, settings.training, 0, "reference", checkpoint=checkpoint)
