@@ -60,7 +60,7 @@ def differences(render: Callable, other: Callable, psf: Tensor, images: Tensor, 
 
 
 def floor_ms(count: int, pixels: int, fields: int, kernel: int) -> tuple[float, float]:
-    """What forward and backward need at least, by arithmetic and by memory traffic [ms].
+    """Compute the least time of forward and backward, by arithmetic and by memory traffic [ms].
 
     Transforms of 2.5 N log2 N operations, of images, PSFs, captures and back again, at the rate of transforms of rows
     in the cache; captures and their gradients go through memory once, at the rate of a copy.

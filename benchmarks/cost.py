@@ -1,4 +1,4 @@
-"""What a study costs on GPUs, on paper: the arithmetic of its networks over a measured throughput, table by table.
+"""Estimate of GPU hours of a study by table: arithmetic of its networks over a measured throughput.
 
 Operations of a network forward, two per multiply-add, are counted on tensors without memory; with the backward pass to
 its input it takes twice as many, to its weights three times. A study file says how often each happens. A table is

@@ -1,4 +1,4 @@
-"""What the jobs of finished studies took: writes their rows of config/durations.csv, from which runs are forecast.
+"""Durations of the jobs of finished studies, written as rows of config/durations.csv, from which runs are forecast.
 
     python benchmarks/durations.py results/small results/smoke
 

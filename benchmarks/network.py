@@ -1,4 +1,4 @@
-"""What a study adds to its networks: a step of design over the frozen network alone, fine-tuning over bare training.
+"""Time that a study adds to its networks: a design step over the frozen network, fine-tuning over bare training.
 
 The frozen network alone takes the same number of captures in the same micro-batches, forward and backward to its input.
 Bare training takes one batch that is there already: forward, backward, AdamW. Both compute as a study does, in bfloat16

@@ -1,4 +1,4 @@
-"""Where the time of a task-driven step goes: rays and PSFs, captures, network; and the optics' share of it.
+"""Time of a task-driven step by part (rays and PSFs, captures, network), and the share of the optics.
 
 Two steps: the default study's; and the paper's (ResNet50 with random weights, 64 images of 224 px at nine fields), of
 which 2 images are timed: what is in proportion to the captures is multiplied by 32. The parts are those of

@@ -90,7 +90,7 @@ class Stage:
         return self.plan(study, **{n: int(wildcards[n]) if n == SEED else wildcards[n] for n in self.wildcards})
 
     def command(self, study: Study, wildcards: Mapping[str, str], file: str) -> str:
-        """What a person would type for a job of the study in `file`."""
+        """Return the command that a person would type for a job of the study in `file`."""
         processes = self.plan_from(study, wildcards).processes
         # Snakemake sets the threads of a job to its cores, here those of all its processes.
         together = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.pipeline.cli"

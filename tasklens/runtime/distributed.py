@@ -25,7 +25,7 @@ class ProcessGroup:
 
     @property
     def is_first(self) -> bool:
-        """Whether this is the first process, which writes files."""
+        """True in the first process, which writes the files."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:

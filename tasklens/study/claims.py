@@ -42,7 +42,7 @@ class Claim(Frozen):
 
     @property
     def about_convergence(self) -> bool:
-        """Whether the claim is about the convergence of one lens, without baselines."""
+        """True for the claim about the convergence of one lens, which has no baselines."""
         return not self.baselines
 
     @property

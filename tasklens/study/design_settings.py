@@ -186,7 +186,7 @@ class LensEntry(Frozen):
 
     @property
     def constrained(self) -> bool:
-        """Whether the lens is required to keep the constraints and the focal length, which verification checks.
+        """True if the lens has to keep the constraints and the focal length, which verification checks.
 
         End-to-end designs from flat, which need not converge, and imported lenses are not.
         """
