@@ -3,6 +3,7 @@
 import os
 import shlex
 import sys
+from functools import cache
 
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
@@ -105,8 +106,8 @@ onstart:
 
 onsuccess:
     for path in shown:
-        print(open(path).read())
+        print(open(path, encoding="utf-8").read())
 
 
 onerror:
-    print(f"Tables of what has finished: tasklens table {RESOLVED} table1 --partial")
+    print(f"Tables of what has finished: tasklens table {RESOLVED} {study.tables[0]} --partial")

@@ -11,15 +11,16 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from examples import changed, tiny_study
+from examples import changed, random_images, tiny_study
 from test_design import descended, small_network
 
 from tasklens.design import supervision
 from tasklens.pipeline import cli
-from tasklens.recognition import evaluation
+from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
 from tasklens.runtime.checkpoints import Checkpoint, key
 from tasklens.runtime.files import FileError
+from tasklens.study.settings import TrainingSettings
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
 JOBS = {
@@ -157,6 +158,34 @@ def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     assert not lens.exists()
     assert run(*JOBS["task"]) == 0
     assert lens.read_bytes() == expected
+
+
+def test_a_job_killed_in_its_evaluation_keeps_what_it_learned(monkeypatch, tmp_path):
+    """Also if the file was last written in the middle of the training, and then in the evaluation, both times whole."""
+    settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10)
+    dataset, path = random_images(80, 16, 3, seed=1), tmp_path / "job.pt"
+    due = iter([*(step == 3 for step in range(1, 9)), False, True])  # after step 3; at the end; in the evaluation
+    monkeypatch.setattr(Checkpoint, "due", lambda self: next(due))
+    network, checkpoint = small_network(0), Checkpoint(path)
+    training.fit(network, dataset, settings, 0, "fine-tune", checkpoint=checkpoint)
+    checkpoint.part("test").save(1, correct=torch.ones(3))
+    monkeypatch.setattr(training.F, "cross_entropy", None)  # nothing is trained again
+    resumed = small_network(1)
+    training.fit(resumed, dataset, settings, 0, "fine-tune", checkpoint=Checkpoint(path))
+    assert all(torch.equal(value, network.state_dict()[name]) for name, value in resumed.state_dict().items())
+
+
+def test_a_saved_state_does_not_change_with_its_network(monkeypatch, tmp_path):
+    """A part that was saved, but not finished, when a later part writes the file."""
+    network, checkpoint = torch.nn.Linear(2, 2), Checkpoint(tmp_path / "job.pt")
+    before = network.weight.detach().clone()
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    checkpoint.part("training", network=network).save(1)
+    with torch.no_grad():
+        network.weight += 1
+    checkpoint.part("test").save(1)
+    Checkpoint(tmp_path / "job.pt").part("training", network=network)
+    assert torch.equal(network.weight, before)
 
 
 def test_a_state_that_is_not_finite_is_not_kept(tmp_path, monkeypatch):

@@ -206,6 +206,7 @@ def test_analyse_needs_the_spec_and_a_number_of_rays(lenses, capsys):
         (["design", "doublet-imaging1"], ["doublet-imaging1", "singlet-imaging1"]),
         (["fine-tune", "singlet-imaging1", "nobody"], ["nobody", "small"]),
         (["psf", "singlet-imaging1", "--seed", "7"], ["seed7", "lens.yaml"]),
+        (["fine-tune", "sharp", "small-restored"], ["sharp images are not restored", "small"]),
         (["reference", "other"], ["/nowhere"]),
         (["table", "table3"], ["metrics"]),
     ],
@@ -215,6 +216,12 @@ def test_a_mistake_is_one_message_and_exit_status_2(workplace, capsys, arguments
     message = capsys.readouterr().err
     assert message.startswith("tasklens: ") and len(message.splitlines()) == 1
     assert all(word in message for word in words)
+
+
+def test_the_first_seed_of_the_study_is_the_default(workplace, capsys):
+    (workplace / "seeds.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "seeds", [4, 0])))
+    assert cli.main(["psf", "seeds.yaml", "singlet-imaging1"]) == 2
+    assert "singlet-imaging1/seed4/lens.yaml" in capsys.readouterr().err
 
 
 def test_a_wrong_study_is_a_message_too(workplace, capsys):

@@ -20,6 +20,13 @@ def pretend(monkeypatch, names: list[str]) -> None:
     monkeypatch.setattr(torch.cuda, "set_device", lambda index: None)
 
 
+def test_a_group_larger_than_the_machine_is_refused(monkeypatch):
+    """It would wait for ever."""
+    pretend(monkeypatch, ["a", "b"])
+    with pytest.raises(InputError, match="3 processes need a GPU each; visible are 2"):
+        devices.claim_several(3)
+
+
 def test_without_a_gpu_it_is_the_cpu(monkeypatch):
     pretend(monkeypatch, [])
     assert devices.claim() == torch.device("cpu")

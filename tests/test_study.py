@@ -53,6 +53,12 @@ MISTAKES = [
     ("designs.imaging1.images", 8, ["8", "not permitted"]),
     ("designs.imaging2.highest_order", 5, ["5", "4, 6, 8 or 10"]),
     ("designs.tasklens.size", 4, ["4", "spec.kernel_size = 11", "16"]),
+    (
+        "ablations",
+        {"crop": {"elements": "singlet", "design": "tasklens", "variants": {"large": {"size": 17}}}},
+        ["ablations.crop.variants.large.size", "images.size = 16"],
+    ),
+    ("specs", {"singlet": {"kernel_size": 33}}, ["specs.singlet.kernel_size", "images.size = 16"]),
     ("designs.tasklens.size", 17, ["17", "images.size = 16"]),
     ("designs.imaging1.learning_rates", "theirs", ["theirs", "paper", "ours"]),
     ("designs.tasklens.restart.pixels", [20, 0.5], ["restart.pixels", "0.5"]),

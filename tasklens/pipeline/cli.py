@@ -26,6 +26,9 @@ _HELP: dict[str, dict[str, Any]] = {
     "lens": {"help": f"name of a lens; {SHARP} for the sharp images, where a classifier follows"},
     "measured_name": {"help": "name of a classifier, with -restored on restored captures"},
     "table": {"choices": TABLES},
+    "classifier": {"help": "name of a classifier"},
+    "elements": {"help": "name of elements, such as doublet"},
+    "ablation": {"help": "name of an ablation"},
 }
 
 
@@ -64,8 +67,11 @@ def analyse(args: argparse.Namespace) -> None:
 
 
 def _run_stage(stage: Stage, args: argparse.Namespace) -> int:
+    study = load(args.study)
     wildcards = {name: getattr(args, name) for name in stage.wildcards}
-    return run(stage, load(args.study), wildcards, getattr(args, "partial", False)) or 0
+    if wildcards.get(SEED, 0) is None:
+        wildcards[SEED] = study.seeds[0]
+    return run(stage, study, wildcards, getattr(args, "partial", False)) or 0
 
 
 def _count(text: str) -> int:
@@ -91,9 +97,9 @@ def _parser() -> argparse.ArgumentParser:
         words = [name for name in stage.wildcards if name != SEED]
         added = command(stage.name, stage.plan.__doc__, partial(_run_stage, stage), "study", *words)
         if SEED in stage.wildcards:
-            added.add_argument("--seed", type=int, default=0)
+            added.add_argument("--seed", type=int, help="by default the first seed of the study")
         if stage is jobs.table:
-            added.add_argument("--partial", action="store_true", help="of what has been measured, as <table>-partial")
+            added.add_argument("--partial", action="store_true", help="write <table>-partial, of what is measured")
     added = command("check", check.__doc__, check, "study")
     added.add_argument("--networks", action="store_true", help="build every classifier once, without weights")
     added = command("analyse", analyse.__doc__, analyse)

@@ -94,8 +94,8 @@ class Durations:
 
     def limit_minutes(self, stage: str) -> int:
         """Return the time limit of a job of a stage [min]."""
-        found = (measured[stage] for measured in (self.here, self.elsewhere) if stage in measured)
-        known = [max(each.seconds, each.longest_s) for each in found]
+        found = [(1.0, self.here), (max(1.0, self.scale), self.elsewhere)]
+        known = [scale * max(each[stage].seconds, each[stage].longest_s) for scale, each in found if stage in each]
         return round(max(_LEAST_LIMIT_MIN, _LIMIT * max(known) / 60) if known else _UNKNOWN_MIN)
 
     def memory_mb(self, stage: str) -> int:

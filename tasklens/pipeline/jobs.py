@@ -16,7 +16,7 @@ from tasklens.study.claims import Claims
 from tasklens.study.design_settings import EndToEndSettings, ImportedLens, LensDesign, TaskDrivenSettings
 from tasklens.study.names import SHARP, SPLITS
 from tasklens.study.settings import Slice
-from tasklens.study.study import Study
+from tasklens.study.study import Study, StudyError
 
 PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
 STAGES = "tasklens.pipeline.stages"
@@ -129,6 +129,8 @@ def restore(study: Study, lens: str, seed: int) -> Plan:
 def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return settings and inputs of the captures, restored or not, for a measured name."""
     classifier, restored = names.split(measured_name)
+    if restored and lens == SHARP:
+        raise StudyError(f"{SHARP} images are not restored; expected the classifier {classifier}")
     settings = {
         "classifier": study.classifier(classifier),
         "capture": None if lens == SHARP else study.capture_of(lens),

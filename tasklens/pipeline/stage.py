@@ -86,7 +86,7 @@ class Stage:
         return f"{self.name}/{'-'.join(parts)}" if self.wildcards else self.name
 
     def plan_from(self, study: Study, wildcards: Mapping[str, str]) -> Plan:
-        """The plan of a job, from wildcards as texts."""
+        """Return the plan of a job, from wildcards as texts."""
         return self.plan(study, **{n: int(wildcards[n]) if n == SEED else wildcards[n] for n in self.wildcards})
 
     def command(self, study: Study, wildcards: Mapping[str, str], file: str) -> str:
@@ -116,6 +116,9 @@ def stage(
     """Declare a stage by the function that plans its jobs; the arguments are attributes of `Stage`."""
 
     def declare(plan: Callable[..., Plan]) -> Stage:
-        return STAGES.setdefault(plan.__name__, Stage(plan, function, patterns, resumable, threads, priority))
+        if plan.__name__ in STAGES:
+            raise ValueError(f"stage {plan.__name__}: declared twice")
+        STAGES[plan.__name__] = Stage(plan, function, patterns, resumable, threads, priority)
+        return STAGES[plan.__name__]
 
     return declare

@@ -12,6 +12,7 @@ from tasklens.recognition import folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import CPU, send
 from tasklens.runtime.files import FileError, map_array, write_text, writing_array
+from tasklens.study.names import SPLITS
 from tasklens.study.settings import ImageSettings
 
 
@@ -51,13 +52,17 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
     Raises:
         FileError: a missing folder, an empty class, an unreadable image, or too few images.
     """
-    train, minival, test = _splits(images)
-    for name, split in (("train", train), ("minival", minival), ("test", test)):
+    finished = {}
+    for name, split in zip(SPLITS, _splits(images), strict=True):
         if isinstance(split, ImageDataset):
             write(split, *paths[name])
         else:
-            folders.convert(split, images.size, paths[name][0], torch.get_num_threads(), checkpoint)
+            path = paths[name][0]
+            finished[path] = path.with_name(f".{path.name}")  # Snakemake deletes the outputs of a killed job
+            folders.convert(split, images.size, finished[path], torch.get_num_threads(), checkpoint)
             _write_labels(split, paths[name][1])
+    for path, converted in finished.items():
+        converted.replace(path)
 
 
 def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]:

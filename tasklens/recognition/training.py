@@ -92,6 +92,10 @@ def fit(
     order = Shuffled(len(dataset), training.batch_size, generator)
     progress = Progress(label, steps)
     part = checkpoint.part(label, network=classifier, optimizer=optimizer, schedule=schedule, order=order)
+    if part.result is not None:
+        classifier.load_state_dict(part.result["network"])
+        classifier.eval()
+        return
 
     def check(step: int, loss: float) -> None:
         if not math.isfinite(loss):
@@ -119,4 +123,6 @@ def fit(
         check(steps, before.item())
     if not all(parameter.isfinite().all() for parameter in classifier.parameters()):
         raise FloatingPointError(f"{label}: the weights stopped being finite at step {steps} of {steps}")
+    if group.is_first:
+        part.finish(network=classifier.state_dict())
     classifier.eval()

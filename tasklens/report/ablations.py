@@ -24,9 +24,8 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
         measured = [
             measurements.values(lens, classifier, seed) | measurements.lens_values(lens, seed) for seed in claims.seeds
         ]
-        means = pandas.DataFrame(measured).mean()
-        columns = ["rms_spot_um", "core_radius_um", "energy_in_window", "worst_margin"]
-        rows.append({"lens": lens, "accuracy": means["accuracy"]} | means[columns].to_dict())
+        columns = dict.fromkeys(("accuracy", "rms_spot_um", "core_radius_um", "energy_in_window"), "mean")
+        rows.append({"lens": lens} | pandas.DataFrame(measured).agg(columns | {"worst_margin": "min"}).to_dict())
     compared = differences[["difference", "low", "high", "seeds", "verdict"]].reset_index()
     return pandas.DataFrame(rows).merge(compared, on="lens", how="left")
 

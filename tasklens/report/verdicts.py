@@ -70,8 +70,8 @@ def advantage(
     """Compute the advantage of a claim [points], and the lower bounds of its means over images.
 
     For a claim about two lenses it is the difference of their accuracies, without bound. For a claim that a design does
-    not converge, it is what the accuracy is below half-way from chance to that of sharp images; its bound is what the
-    energy in the PSF window is below 50 %.
+    not converge, it is half of the sum of sharp accuracy and chance, minus the accuracy; its bound is 50 %
+    minus the energy in the PSF window.
 
     Args:
         baselines: strongest baseline by seed.

@@ -113,7 +113,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
     """Return failures for the rows of a table whose accuracy is not reproduced."""
     failures = []
     for row in pandas.read_csv(path, keep_default_na=False).to_dict("records"):
-        sharp = row["design"] == "reference"
+        sharp = row["elements"] == ""
         lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
         classifier = row.get("classifier", contents.classifiers[0])
         name = classifier if sharp else contents.measured_name(classifier)

@@ -6,6 +6,7 @@ digest of what the job computes (`key`), so that a changed job does not resume f
 outputs, which Snakemake deletes when a job fails.
 """
 
+import copy
 import hashlib
 import time
 from collections.abc import Mapping, Sequence
@@ -130,4 +131,5 @@ class Part:
         if torch.cuda.is_initialized():  # dropout uses the GPU's generator
             random["gpu"] = torch.cuda.get_rng_state()
         rows = [dict(row) for row in self.history]
-        self.checkpoint.records[self.name] = record | {"random": random, "history": rows}
+        # A copy, since the tensors of a network change in place while a later part of the job is saved.
+        self.checkpoint.records[self.name] = copy.deepcopy(record) | {"random": random, "history": rows}

@@ -9,6 +9,8 @@ from typing import TextIO
 import torch
 from torch import Tensor
 
+from tasklens.runtime.errors import InputError
+
 CPU = torch.device("cpu")
 _locked: dict[str, TextIO] = {}  # open lock files by GPU; a lock is released when its process ends
 
@@ -25,10 +27,16 @@ def claim() -> torch.device:
 
 
 def claim_several(wanted: int) -> list[torch.device]:
-    """Claim `wanted` GPUs, at most as many as visible, for a process group; without GPUs the CPU."""
+    """Claim `wanted` GPUs, for a process group; without GPUs the CPU.
+
+    Raises:
+        InputError: fewer GPUs are visible.
+    """
     count = torch.cuda.device_count()
     if count == 0:
         return wanted * [CPU]
+    if wanted > count:
+        raise InputError(f"{wanted} processes need a GPU each; visible are {count}: lower `processes`")
     while wanted > 1 and not _lock("several"):  # two groups that claim GPUs at once could deadlock
         time.sleep(1.0)
     while True:

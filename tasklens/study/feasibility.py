@@ -4,11 +4,12 @@ from tasklens.materials.material import Material
 from tasklens.study.settings import Constraints, Spec
 
 
-def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
+def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
     """Check the wavelengths of the plastics, the size of the PSF window, and the room for flat plates.
 
     Args:
         name: name of the elements.
+        where: key of their specification in the study file.
         size: side of the images [pixels].
 
     Raises:
@@ -19,13 +20,13 @@ def check(name: str, plastics: tuple[Material, ...], spec: Spec, limits: Constra
             if not material.covers(wavelength):
                 low, high = material.range_um
                 raise ValueError(
-                    f"spec.wavelengths_um: {wavelength} um is outside the {low} to {high} um in which the "
+                    f"{where}.wavelengths_um: {wavelength} um of {name} is outside the {low} to {high} um in which the "
                     f"coefficients of {material.name} hold"
                 )
     if spec.kernel_size // 2 >= size:
         raise ValueError(
-            f"spec.kernel_size: half of {spec.kernel_size} must be less than images.size = {size}, since borders are "
-            "reflected"
+            f"{where}.kernel_size: half of {spec.kernel_size} must be less than images.size = {size}, since borders "
+            "are reflected"
         )
     if limits.min_centre_thickness >= limits.max_centre_thickness:
         raise ValueError(

@@ -167,25 +167,28 @@ class Study(Frozen):
     def _lenses_are_feasible(self) -> "Study":
         for name, plastics in self.elements.items():
             materials = tuple(self.materials[plastic] for plastic in plastics)
-            feasibility.check(name, materials, self.spec_of(name), self.constraints, self.images.size)
-        for lens in (self.lenses | self.variants).values():
-            self._check_design(lens)
+            where = f"specs.{name}" if name in self.specs else "spec"
+            spec = self.spec_of(name)
+            feasibility.check(name, where, materials, spec, self.constraints, self.images.size)
+        places = [(f"designs.{lens.design_name}", lens) for lens in self.lenses.values()]
+        for name, item in self.ablations.items():
+            places += [(f"ablations.{name}.variants.{other}", self._variant(name, other)) for other in item.variants]
+        for where, lens in places:
+            self._check_design(where, lens)
         return self
 
-    def _check_design(self, lens: LensEntry) -> None:
+    def _check_design(self, where: str, lens: LensEntry) -> None:
         kernel_size = self.spec_of(lens.elements).kernel_size
-        for part in (lens.design, getattr(lens.design, "polish", None)):
+        for key, part in (("size", lens.design), ("polish.size", getattr(lens.design, "polish", None))):
             size = getattr(part, "size", None)
             if size is not None and not kernel_size // 2 < size <= self.images.size:
                 raise ValueError(
-                    f"designs.{lens.design_name}: size: expected more than half of spec.kernel_size = {kernel_size} "
+                    f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
                     f"and at most images.size = {self.images.size}, got {size}"
                 )
         start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
         if start == "best_imaging" and not self.imaging_designs:
-            raise ValueError(
-                f"designs.{lens.design_name}.start: 'best_imaging' needs a design by spot or least_squares"
-            )
+            raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot or least_squares")
 
     def _check_ablation(self, name: str) -> None:
         ablation = self.ablations[name]

@@ -1,12 +1,18 @@
 """One rule for every stage; inputs, outputs and settings of jobs are declared in `tasklens.pipeline.jobs`."""
 
+@cache
+def plan(name, *wildcards):
+    """Return the plan of a job, made once: it may list a folder of a million photographs."""
+    return STAGES[name].plan_from(study, dict(wildcards))
+
+
 for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
 
     rule:
         name:
             stage.name
         input:
-            unpack(lambda w, stage=stage: {"files": [*map(str, flatten(stage.plan_from(study, w).inputs))]}),
+            unpack(lambda w, stage=stage: {"files": [*map(str, flatten(plan(stage.name, *w.items()).inputs))]}),
         output:
             **stage.outputs(study),
         log:
@@ -16,13 +22,13 @@ for stage in STAGES.values():  # functions of wildcards are called later: each k
         priority: stage.priority
         retries: int(stage.resumable)
         localrule: not stage.patterns  # it prints
-        threads: lambda w, stage=stage: stage.threads * stage.plan_from(study, w).processes
+        threads: lambda w, stage=stage: stage.threads * plan(stage.name, *w.items()).processes
         resources:
             mem_mb=lambda w, attempt, stage=stage: attempt * durations.memory_mb(stage.name),
-            runtime=durations.limit_minutes(stage.name),
-            gpu=lambda w, stage=stage: stage.plan_from(study, w).gpus,
+            runtime=lambda w, attempt, stage=stage: attempt * durations.limit_minutes(stage.name),
+            gpu=lambda w, stage=stage: plan(stage.name, *w.items()).gpus,
         params:
-            settings=lambda w, stage=stage: stage.plan_from(study, w).settings.model_dump_json(),
+            settings=lambda w, stage=stage: plan(stage.name, *w.items()).settings.model_dump_json(),
             command=lambda w, stage=stage: stage.command(study, w, RESOLVED),
             code=code_digest(stage.function),
         shell:
