@@ -148,7 +148,7 @@ def test_the_cause_of_a_divergence_has_a_name(start):
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
     wanted = jobs.design.plan(study, "doublet-imaging1", 0).settings
-    lens, notes = methods.finished(start, 1.5 * clear_semi_diameters(start, LOOKS), wanted, {"method": "spot"})
+    lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, LOOKS), wanted, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()
     assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
     valid = trace_fields(start, LOOKS, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
@@ -168,7 +168,7 @@ def test_rays_that_go_astray_are_stopped(start):
     used = clear_semi_diameters(start, LOOKS)
     clear = used.clone()
     clear[-1] *= 0.97
-    whole, cut = (methods.finished(start, each, wanted, {}) for each in (1.01 * used, clear))
+    whole, cut = (methods.with_notes(start, each, wanted, {}) for each in (1.01 * used, clear))
     fractions = [sum(notes["figures"]["valid_fraction"]) for _, notes in (whole, cut)]
     assert 0.8 * fractions[0] < fractions[1] < fractions[0]
     assert torch.equal(cut[0].semi_diameter[1:], clear[1:])

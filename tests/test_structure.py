@@ -275,10 +275,10 @@ SEE = {"restore", "fine_tune", "reproduce"}
     "path, old, new",
     [
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
-        ("tasklens/optics/psf.py", "# Far rays", "# Rays that are far"),
+        ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/pipeline/stages/psf.py", '"""Trace the PSF', '"""Calculate the PSF'),
-        ("tasklens/pipeline/jobs.py", '"""Trace the PSF', '"""Calculate the PSF'),
+        ("tasklens/pipeline/stages/psf.py", '"""PSFs of a lens', '"""All PSFs of a lens'),
+        ("tasklens/pipeline/jobs.py", '"""Compute the PSFs', '"""Trace the PSFs'),
     ],
 )
 def test_words_do_not_change_a_digest(digests, edited, path, old, new):
@@ -295,8 +295,8 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
-        ("tasklens/report/publish.py", "index=False", "index=True", {"table", "psf_tail"} | JUDGE),
-        ("tasklens/study/names.py", '"-restored"', '"-mended"', MEASUREMENTS - FIGURES),
+        ("tasklens/report/publish.py", "index=False", "index=True", {"table", "psf_tail", "certificate"} | JUDGE),
+        ("tasklens/study/names.py", '"-restored"', '"-mended"', READ_IMAGES | MEASUREMENTS - FIGURES),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
         ("tasklens/pipeline/stages/psf.py", "grid.float()", "grid", {"psf"}),

@@ -12,6 +12,7 @@ from examples import changed, finish, inputs_of, tiny_study, write
 from tasklens.pipeline import cli, jobs
 from tasklens.pipeline.jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
+from tasklens.report.convergence import converged
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError, Files
 from tasklens.study.loading import dump, parse
@@ -134,7 +135,7 @@ def test_table3_decides_convergence_by_its_rule(study):
 @pytest.mark.parametrize("accuracy, inside, expected", [(50, 0.5, True), (49.9, 1, False), (90, 0.49, False)])
 def test_convergence_rule(accuracy, inside, expected):
     """Chance 10 %, reference 90 %: 50 % is half-way."""
-    assert tables.converged(accuracy, REFERENCE, CHANCE, inside) is expected
+    assert converged(accuracy, REFERENCE, CHANCE, inside) is expected
 
 
 def test_table4_is_about_restored_captures(study):

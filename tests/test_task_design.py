@@ -122,7 +122,7 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
     monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
     _, notes, _ = methods.design(wanted, None, None, {})
     assert notes["worst_margin"]["value"] > 0
-    assert methods.finished(lens, clear_semi_diameters(lens, LOOKS), wanted, {})[1]["worst_margin"]["value"] < -0.02
+    assert methods.with_notes(lens, clear_semi_diameters(lens, LOOKS), wanted, {})[1]["worst_margin"]["value"] < -0.02
 
 
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):

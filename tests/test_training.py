@@ -27,15 +27,15 @@ def test_training_learns_and_ends_in_eval():
 
 
 def test_what_the_classifier_sees_is_what_it_learns_from():
-    """`see` gets the flipped images in [0, 1]; training on black images cannot learn."""
+    """`capture` gets the flipped images in [0, 1]; training on black images cannot learn."""
     network, dataset = small_network(0), random_images(60, 16, 3, seed=1)
     ranges = []
 
-    def see(images, generator, share):
+    def capture(images, generator, share):
         ranges.append((float(images.min()), float(images.max())))
         return 0 * images[share]
 
-    training.fit(network, dataset, TrainingSettings(epochs=20, learning_rate=1e-2, batch_size=10), 0, "test", see)
+    training.fit(network, dataset, TrainingSettings(epochs=20, learning_rate=1e-2, batch_size=10), 0, "test", capture)
     assert len(ranges) == 120 and all(0 <= low < high <= 1 for low, high in ranges)
     correct, _ = evaluation.evaluate(network, dataset, evaluation.CapturePipeline())
     assert correct.double().mean() < 0.5
@@ -46,7 +46,7 @@ def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path)
     """At whichever step, and the state kept last is from before it."""
     steps = iter(range(1, 6))
 
-    def see(images: torch.Tensor, generator: torch.Generator, share: slice) -> torch.Tensor:
+    def capture(images: torch.Tensor, generator: torch.Generator, share: slice) -> torch.Tensor:
         return images[share] * (float("inf") if next(steps) == bad else 1.0)
 
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
@@ -56,7 +56,7 @@ def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path)
             random_images(50, 16, 3, seed=1),
             TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10),
         )
-        training.fit(small_network(0), dataset, settings, 0, "test", see, checkpoint)
+        training.fit(small_network(0), dataset, settings, 0, "test", capture, checkpoint)
     assert checkpoint.records.get("test", {}).get("step", 0) == bad - 1
 
 

@@ -39,7 +39,7 @@ class GradientDescent(Descent):
         **holders: Any,
     ):
         self.problem, self.steps = problem, steps
-        self.variables = Variables.stepped(start, problem.view, rates)
+        self.variables = Variables.for_learning_rates(start, problem.view, rates)
         self.values = {name: value.requires_grad_() for name, value in self.variables.values().items()}
         self.optimizer = torch.optim.AdamW([*parameter_groups(self.values, rates), *groups], betas=betas)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(

@@ -59,7 +59,7 @@ def design(
         lens, origin = imported.fit(settings, view, wanted.spec.f_number, wanted.rays)
         used = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(wanted.rays, seed=0)]))
         origin = {"design": wanted.entry.design_name, "method": "file"} | origin
-        return *finished(lens, _APERTURE * used, wanted, origin), []
+        return *with_notes(lens, _APERTURE * used, wanted, origin), []
     start, start_name = flat(wanted.entry.plastics, wanted.spec, wanted.constraints), "flat"
     if isinstance(settings, LeastSquaresSettings):
         start_name = "random paraxial lenses"
@@ -79,7 +79,7 @@ def design(
     if wrong:
         origin["diverged"] = f"step {wrong[-1]['step']}: {wrong[-1]['cause']}"
     # Limits were soft constraints until here.
-    return *finished(*repair(lens, view, wanted.constraints), wanted, origin), history
+    return *with_notes(*repair(lens, view, wanted.constraints), wanted, origin), history
 
 
 def _descend(
@@ -112,7 +112,7 @@ def open_apertures(lens: Lens) -> Lens:
     return replace(lens, semi_diameter=semi_diameter)
 
 
-def finished(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
+def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
     """Add clear apertures (S,) [mm] to surfaces without one; return the lens and the notes for its file.
 
     They vignette stray rays: task-driven lenses have strongly curved rims, where a few marginal rays have large errors.

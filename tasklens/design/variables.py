@@ -34,7 +34,7 @@ class Variables:
         return cls(lens, torch.ones_like(lens.curvature))
 
     @classmethod
-    def stepped(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
+    def for_learning_rates(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
         """Return variables normalised if `rates` are."""
         return cls.normalised(lens, view) if rates.normalised else cls.plain(lens)
 

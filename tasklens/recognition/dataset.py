@@ -52,17 +52,22 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
     Raises:
         FileError: a missing folder, an empty class, an unreadable image, or too few images.
     """
-    finished = {}
-    for name, split in zip(SPLITS, _splits(images), strict=True):
-        if isinstance(split, ImageDataset):
-            write(split, *paths[name])
-        else:
-            path = paths[name][0]
-            finished[path] = path.with_name(f".{path.name}")  # Snakemake deletes the outputs of a killed job
-            folders.convert(split, images.size, finished[path], torch.get_num_threads(), checkpoint)
-            _write_labels(split, paths[name][1])
+    finished = {path: path.with_name(f".{path.name}") for path, _ in paths.values()}
+    try:
+        for name, split in zip(SPLITS, _splits(images), strict=True):
+            path, labels = paths[name]
+            if isinstance(split, ImageDataset):
+                write(split, path, labels)
+            else:  # beside the outputs, which Snakemake deletes where a job was killed
+                folders.convert(split, images.size, finished[path], torch.get_num_threads(), checkpoint)
+                _write_labels(split, labels)
+    except Exception:
+        for converted in finished.values():
+            converted.unlink(missing_ok=True)
+        raise
     for path, converted in finished.items():
-        converted.replace(path)
+        if converted.exists():
+            converted.replace(path)
 
 
 def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]:

@@ -61,7 +61,7 @@ def fit(
     training: TrainingSettings,
     seed: int,
     label: str,
-    see: Callable[[Tensor, torch.Generator, slice], Tensor] = lambda images, generator, share: images[share],
+    capture: Callable[[Tensor, torch.Generator, slice], Tensor] = lambda images, generator, share: images[share],
     checkpoint: Checkpoint = NO_CHECKPOINT,
     group: ProcessGroup = SINGLE_PROCESS,
 ) -> None:
@@ -73,15 +73,15 @@ def fit(
         training: settings of the training.
         seed: seed of the image order, the flips and the network's random numbers.
         label: label of progress lines, and name of the part of the checkpoint.
-        see: function that captures a share of the sharp images (B, 3, H, W); it draws the same random numbers from the
-            generator for every share.
+        capture: function that captures a share of the sharp images (B, 3, H, W); it draws the same random numbers
+            from the generator for every share.
         checkpoint: checkpoint of the job; the first process saves it.
         group: process group; all processes end with the same network.
 
     Raises:
         FloatingPointError: the loss, or a weight after the last step, is not finite.
     """
-    share, together = group.share(training.batch_size), group.wrap(classifier)
+    share, parallel = group.share(training.batch_size), group.wrap(classifier)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(dataset) / training.batch_size))
@@ -111,7 +111,7 @@ def fit(
         if before is not None:  # after fetching images, which overlaps with the previous step on a GPU
             check(step - 1, before.item())
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
-        loss = F.cross_entropy(together(see(images, generator, share)), labels[share])
+        loss = F.cross_entropy(parallel(capture(images, generator, share)), labels[share])
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -36,5 +36,7 @@ def make(ablation: AblationClaims, inputs: Files, outputs: Files) -> None:
     digits = {"": ".2f", "energy": ".3f", "worst": ".3f", "seeds": ".0f"}
     shown = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
     claims = ablation.claims
-    note = _NOTE.format(study=claims.study, base=ablation.base, seeds=verdicts.over(claims), least=verdicts.LEAST_SEEDS)
+    note = _NOTE.format(
+        study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
+    )
     publish(outputs, f"Ablation: {ablation.name}", rows, shown, note)

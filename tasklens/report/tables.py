@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas
 
+from tasklens.report.convergence import converged
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import GAP, publish, rounded
 from tasklens.runtime.files import FileError, Files, write_text
@@ -32,15 +33,6 @@ _TITLES = {
     "table3": "Task-driven against end-to-end design",
     "table4": "After image restoration",
 }
-
-
-def converged(accuracy: float, reference_accuracy: float, chance: float, energy_in_window: float) -> bool:
-    """Return whether a design converged, by energy inside the PSF window and accuracy [%].
-
-    On average over fields at least half of the light is inside the PSF window, and the fine-tuned classifier's accuracy
-    is at least half-way from chance to that on sharp images.
-    """
-    return energy_in_window >= 0.5 and accuracy >= (reference_accuracy + chance) / 2
 
 
 def collect(contents: TableContents, measurements: Measurements) -> pandas.DataFrame:

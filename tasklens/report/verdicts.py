@@ -15,6 +15,7 @@ import numpy
 import pandas
 
 from tasklens.report import bootstrap, predictions
+from tasklens.report.convergence import LEAST_ENERGY, least_accuracy
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
 from tasklens.runtime.files import Files
@@ -88,7 +89,7 @@ def advantage(
         sharp = accuracy_by_image(dict.fromkeys(seeds, SHARP), claim.reference, measurements)
         chance = measurements.values(SHARP, claim.reference, seeds[0])["chance"]
         inside = [measurements.lens_values(claim.lens, seed)["energy_in_window"] for seed in seeds]
-        other, own, least = own, (sharp + chance) / 2, 50 - 100 * numpy.array(inside)
+        other, own, least = own, least_accuracy(sharp, chance), 100 * LEAST_ENERGY - 100 * numpy.array(inside)
     else:
         other = accuracy_by_image(baselines, claim.classifier, measurements)
         least = numpy.full(len(seeds), -numpy.inf)
@@ -127,7 +128,7 @@ def _named(baselines: Iterable[str]) -> str:
     return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
 
 
-def over(claims: Claims) -> str:
+def seeds_phrase(claims: Claims) -> str:
     """Return " and seeds" if the intervals include the resampling of seeds."""
     return " and seeds" if len(claims.seeds) > 1 else ""
 
@@ -136,6 +137,6 @@ def make(claims: Claims, inputs: Files, outputs: Files) -> None:
     """Write the verdicts as CSV and Markdown."""
     rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f"))
-    note = _NOTE.format(study=claims.study, seeds=over(claims), least=LEAST_SEEDS)
+    note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
     publish(outputs, "Verdicts on the paper's claims", rows, shown, note)

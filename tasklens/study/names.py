@@ -1,4 +1,4 @@
-"""Measured names: names of classifiers with or without restoration, and of the sharp images."""
+"""Names of splits, and measured names: classifiers with or without restoration, and the sharp images."""
 
 SPLITS = ("train", "minival", "test")  # of the images
 SHARP = "sharp"  # used in place of a lens name for measurements on the sharp images

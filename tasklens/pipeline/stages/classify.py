@@ -20,8 +20,10 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
         classifier = classifiers.build(settings.classifier, splits["train"].classes, inputs.weights).to(group.device)
         pipeline = _capture_pipeline(settings, inputs, group.device)
         rows = evaluation.zero_shot(classifier.eval(), splits["test"], pipeline, checkpoint) if group.is_first else []
-        see = pipeline.one_field
-        training.fit(classifier, splits["train"], settings.training, settings.seed, "fine-tune", see, checkpoint, group)
+        capture = pipeline.one_field
+        training.fit(
+            classifier, splits["train"], settings.training, settings.seed, "fine-tune", capture, checkpoint, group
+        )
     if not group.is_first:
         return
     metrics, predictions = evaluation.measure(classifier, splits, pipeline, checkpoint)
