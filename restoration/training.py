@@ -68,12 +68,14 @@ def train(
         fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
         quality = _step(network, optimizer, camera.single(images, fields), images)
         if not math.isfinite(quality):
-            raise FloatingPointError(f"restoration: the PSNR became {quality} at step {step}")
+            raise FloatingPointError(f"restoration: the PSNR became {quality} at step {step}; lower its learning_rate")
         progress(step, psnr_db=quality)
         if step % settings.check == 0 or step == settings.steps:
             validated = _validation_psnr(network, minival, camera)
             if not math.isfinite(validated):
-                raise FloatingPointError(f"restoration: the minival's PSNR became {validated} at step {step}")
+                raise FloatingPointError(
+                    f"restoration: the minival's PSNR became {validated} at step {step}; lower its learning_rate"
+                )
             if validated > best:
                 best, found = validated, copy.deepcopy(network.state_dict())
             rate = optimizer.param_groups[0]["lr"]

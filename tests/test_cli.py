@@ -224,6 +224,14 @@ def test_the_first_seed_of_the_study_is_the_default(workplace, capsys):
     assert "singlet-imaging1/seed4/lens.yaml" in capsys.readouterr().err
 
 
+def test_a_training_that_is_not_finite_is_a_message_too(workplace, capsys):
+    study = changed(tiny_study(), "fine_tuning.learning_rate", 1e38)
+    (workplace / "fast.yaml").write_text(yaml.safe_dump(study))
+    assert cli.main(["fine-tune", "fast.yaml", "sharp", "small"]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("tasklens: fine-tune: ") and last.endswith("lower its learning_rate")
+
+
 def test_a_wrong_study_is_a_message_too(workplace, capsys):
     (workplace / "wrong.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "spec.kernel_size", 50)))
     assert cli.main(["check", "wrong.yaml"]) == 2

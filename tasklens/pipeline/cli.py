@@ -115,7 +115,7 @@ def main(argv: list[str] | None = None) -> int:
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
         return args.run(args) or 0
-    except (InputError, FileNotFoundError) as error:
+    except (InputError, FileNotFoundError, FloatingPointError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
         return 2
 

@@ -99,7 +99,9 @@ def fit(
 
     def check(step: int, loss: float) -> None:
         if not math.isfinite(loss):
-            raise FloatingPointError(f"{label}: the loss became {loss} at step {step} of {steps}")
+            raise FloatingPointError(
+                f"{label}: the loss became {loss} at step {step} of {steps}; lower its learning_rate"
+            )
         if group.is_first:
             progress(step, loss=loss)
 
@@ -122,7 +124,9 @@ def fit(
     if before is not None:
         check(steps, before.item())
     if not all(parameter.isfinite().all() for parameter in classifier.parameters()):
-        raise FloatingPointError(f"{label}: the weights stopped being finite at step {steps} of {steps}")
+        raise FloatingPointError(
+            f"{label}: the weights stopped being finite at step {steps} of {steps}; lower its learning_rate"
+        )
     if group.is_first:
         part.finish(network=classifier.state_dict())
     classifier.eval()
