@@ -16,6 +16,7 @@ MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
 _LIMIT = 4.0  # time limit of a job over the longest job of its stage
 _LEAST_LIMIT_MIN = 10.0
 _UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage without benchmarks
+_LEAST_MB = 1000.0  # short jobs are measured while they still import
 _MARGIN = 1.5  # memory of a job over the largest job of its stage
 
 
@@ -101,7 +102,7 @@ class Durations:
     def memory_mb(self, stage: str) -> int:
         """Return the memory requested for a job of a stage [MB]."""
         known = [measured[stage].memory_mb for measured in (self.here, self.elsewhere) if stage in measured]
-        return round(_MARGIN * max(known) if any(known) else _UNKNOWN_MB)
+        return round(max(_LEAST_MB, _MARGIN * max(known)) if any(known) else _UNKNOWN_MB)
 
     def forecast(self, stages: Iterable[str], cores: int) -> str:
         """Describe in one line the number of jobs of these stages and their total duration on `cores` cores."""
