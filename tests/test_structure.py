@@ -184,6 +184,22 @@ def test_digests_cover_every_constant_that_a_stage_computes_with(stage):
     assert {module: wrong for module in modules if (wrong := taken_from_data(digest.parse(module)))} == {}
 
 
+def test_nothing_computes_with_methods_of_data():
+    """Settings, tables and claims come to a stage as values, computed fields too, but methods and properties do not."""
+    classes = [
+        node for module in digest.DATA_ONLY for node in digest.parse(module).body if isinstance(node, ast.ClassDef)
+    ]
+    fields = {entry.target.id for found in classes for entry in found.body if isinstance(entry, ast.AnnAssign)}
+    methods = {entry for found in classes for entry in found.body if isinstance(entry, ast.FunctionDef)}
+    names = {entry.name for entry in methods if "computed_field" not in map(ast.unparse, entry.decorator_list)} - fields
+    assert {"spec_of", "about_convergence"} <= names  # of a study and of a claim
+    reached = set().union(*(digest.reached_modules(stage.function.rpartition(".")[0]) for stage in STAGES.values()))
+    for module in reached:
+        for node in ast.walk(digest.parse(module)):
+            own = isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("self", "super()")
+            assert own or not (isinstance(node, ast.Attribute) and node.attr in names), f"{module}: {ast.unparse(node)}"
+
+
 def test_digests_leave_out_data_alone():
     """A digest covers all that a stage's module imports, lazily or not, but for the modules of data."""
     for stage in STAGES.values():

@@ -5,7 +5,7 @@ modules that it imports, directly or indirectly, as syntax trees without docstri
 docstrings does not change it.
 
 Modules of data only are left out, since their values are in the settings of the jobs: only classes of settings and
-errors, and no constants or functions used in computations, may be imported from them.
+errors may be imported from them, and nothing computes with their constants, functions or methods.
 """
 
 import ast

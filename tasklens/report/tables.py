@@ -15,6 +15,7 @@ from tasklens.report.convergence import converged
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import GAP, publish, rounded
 from tasklens.runtime.files import FileError, Files, write_text
+from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents
 
@@ -46,7 +47,7 @@ def collect(contents: TableContents, measurements: Measurements) -> pandas.DataF
             shown = {key: sharp[key] for key in ("accuracy", _ZERO_SHOT) if key in sharp}
             rows.append({"elements": "", "design": "reference", "seed": seed} | shown)
         for lens in contents.lenses:
-            key = lens, contents.measured_name(classifier), seed
+            key = lens, names.measured(classifier, contents.restored), seed
             if key in measurements.metrics and (lens, seed) in measurements.lenses:
                 rows.append(_row(lens, classifier, seed, sharp, measurements.values(*key), measurements))
     return pandas.DataFrame(rows)

@@ -85,7 +85,7 @@ def advantage(
     """
     seeds = list(baselines)
     own = accuracy_by_image(dict.fromkeys(seeds, claim.lens), claim.classifier, measurements)
-    if claim.about_convergence:
+    if not claim.baselines:  # a claim about convergence
         sharp = accuracy_by_image(dict.fromkeys(seeds, SHARP), claim.reference, measurements)
         chance = measurements.values(SHARP, claim.reference, seeds[0])["chance"]
         inside = [measurements.lens_values(claim.lens, seed)["energy_in_window"] for seed in seeds]

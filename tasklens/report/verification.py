@@ -15,6 +15,7 @@ import pandas
 from tasklens.report import predictions
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import Files
+from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents, VerificationContents
 
@@ -116,7 +117,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
         sharp = row["elements"] == ""
         lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
         classifier = row.get("classifier", contents.classifiers[0])
-        name = classifier if sharp else contents.measured_name(classifier)
+        name = classifier if sharp else names.measured(classifier, contents.restored)
         anew = sum(accuracy[lens, name, seed] for seed in contents.seeds) / len(contents.seeds)
         if not abs(row["accuracy"] - anew) <= 100 * DIFFERENT:
             value = f"{row['accuracy']:.2f} % in the table, {anew:.2f} % from the weights"

@@ -5,6 +5,7 @@ A claim belongs to one table, which sets its classifier and whether captures are
 
 from itertools import pairwise
 
+from tasklens.study import names
 from tasklens.study.design_settings import EndToEndSettings, LensEntry, TaskDrivenSettings
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study, pick
@@ -78,7 +79,7 @@ def claims(study: Study) -> Claims:
                 text=text,
                 lens=lens,
                 baselines=baselines,
-                classifier=table.measured_name(classifier),
+                classifier=names.measured(classifier, table.restored),
                 reference=classifier,
             )
             for classifier in table.classifiers

@@ -10,6 +10,11 @@ def restored(classifier: str) -> str:
     return f"{classifier}{_RESTORED}"
 
 
+def measured(classifier: str, on_restored: bool) -> str:
+    """Return the measured name of a classifier on captures, restored or not."""
+    return restored(classifier) if on_restored else classifier
+
+
 def split(measured_name: str) -> tuple[str, bool]:
     """Split a measured name into the classifier, and whether captures are restored."""
     return measured_name.removesuffix(_RESTORED), measured_name.endswith(_RESTORED)

@@ -1,5 +1,6 @@
 """Contents of the tables and of the verification of a study; no torch here."""
 
+from tasklens.study import names
 from tasklens.study.design_settings import (
     EndToEndSettings,
     ImportedLens,
@@ -7,7 +8,7 @@ from tasklens.study.design_settings import (
     SpotSettings,
     TaskDrivenSettings,
 )
-from tasklens.study.names import SHARP, restored
+from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
 
@@ -29,15 +30,11 @@ class TableContents(Frozen):
     seeds: tuple[int, ...]
     restored: bool
 
-    def measured_name(self, classifier: str) -> str:
-        """Return the measured name of a classifier on the captures of this table."""
-        return restored(classifier) if self.restored else classifier
-
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
         """(lens or SHARP, measured name) of every measurement in the table."""
         sharp = tuple((SHARP, classifier) for classifier in self.classifiers)
-        captures = ((lens, self.measured_name(c)) for lens in self.lenses for c in self.classifiers)
+        captures = ((lens, names.measured(c, self.restored)) for lens in self.lenses for c in self.classifiers)
         return sharp + tuple(captures)
 
 
