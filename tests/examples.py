@@ -201,12 +201,12 @@ def finish(stage: Stage, study: Study, **wildcards: str | int) -> Files:
 
 
 def inputs_of(stage: Stage, study: Study, **wildcards: str | int) -> Files:
-    """What a job is given."""
+    """Return the inputs of a job."""
     return Files(**stage.plan(study, **wildcards).inputs)
 
 
 def measurements_of(inputs: Files) -> Measurements:
-    """What a job that judges is given to judge by."""
+    """Return the measurements among the inputs of a job."""
     return Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
 
 

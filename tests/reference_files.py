@@ -13,6 +13,6 @@ def reference_files(pattern: str) -> list[Path]:
 
 
 def original_of(path: Path) -> Path:
-    """Where a file of tests/data stands in ../shared."""
+    """Return the path in ../shared of a file of tests/data."""
     name = path.relative_to(SHIPPED)
     return SHARED / name if name.parts[0] == "reference" else SHARED / "data" / name

@@ -53,7 +53,7 @@ def test_splits_are_disjoint_and_deterministic(tmp_path):
 
 
 def test_images_survive_their_file(tmp_path):
-    """Which numpy reads too, and the labels any reader of JSON."""
+    """Numpy reads the images too, and any reader of JSON the labels."""
     dataset, paths = random_images(6, 16, 3, seed=0), paths_in(tmp_path)["train"]
     data.write(dataset, *paths)
     found = data.read(*paths)
@@ -175,7 +175,7 @@ def test_a_photograph_looks_alike_in_every_format(name):
 
 
 def test_the_formats_of_the_photographs():
-    """What the files say of themselves: more than one decoder and every conversion is tried."""
+    """By what the files say of themselves, more than one decoder and every conversion is tried."""
     found = set()
     for path in PHOTOGRAPHS.iterdir():
         with Image.open(path) as image:
@@ -231,7 +231,7 @@ def test_threads_change_nothing(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("writes", [1, 5, 9])
 def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
-    """What was decoded before is not decoded again, and the files come out equal to the byte."""
+    """Images decoded before are not decoded again, and the files come out equal to the byte."""
     settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=20))
     paths = paths_in(tmp_path)
     every = [path for pair in paths.values() for path in pair]

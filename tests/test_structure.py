@@ -192,7 +192,7 @@ def test_nothing_computes_with_methods_of_data():
     fields = {entry.target.id for found in classes for entry in found.body if isinstance(entry, ast.AnnAssign)}
     methods = {entry for found in classes for entry in found.body if isinstance(entry, ast.FunctionDef)}
     names = {entry.name for entry in methods if "computed_field" not in map(ast.unparse, entry.decorator_list)} - fields
-    assert {"spec_of", "about_convergence"} <= names  # of a study and of a claim
+    assert {"spec_of", "imaging_designs"} <= names  # a method and a property of a study
     reached = set().union(*(digest.reached_modules(stage.function.rpartition(".")[0]) for stage in STAGES.values()))
     for module in reached:
         for node in ast.walk(digest.parse(module)):

@@ -195,7 +195,7 @@ def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
     """Return the files of measurements that claims need."""
     lenses = dict.fromkeys(lens for claim in claims.claims for lens in claim.lenses)
     measured = dict.fromkeys((lens, claim.classifier) for claim in claims.claims for lens in claim.lenses)
-    sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if claim.about_convergence)
+    sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if not claim.baselines)
     return _measurements(study, lenses, measured | sharp)
 
 

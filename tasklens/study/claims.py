@@ -42,11 +42,6 @@ class Claim(Frozen):
     reference: str
 
     @property
-    def about_convergence(self) -> bool:
-        """True for the claim about the convergence of one lens, which has no baselines."""
-        return not self.baselines
-
-    @property
     def lenses(self) -> tuple[str, ...]:
         """The lens and its baselines."""
         return (self.lens, *self.baselines)
