@@ -1,4 +1,4 @@
-"""Derivatives of the tracer: against differences, forward against backward, tiles, lost rays."""
+"""Derivatives of the tracer: against differences, forward against backward, threads, lost rays."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import torch
 from examples import WAVELENGTHS, difference, f64, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing import trace as trace_module
+from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise, trace
 
 SEEDS = range(4)
@@ -71,29 +71,36 @@ def test_linearised_rays_change_as_derivatives_say():
 
     rays, _, derivative = linearise(lens, start, indices)
     assert torch.equal(torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n]), image(values))
-    moved = derivative(changes).image
-    found = torch.stack([moved.x, moved.y, moved.l, moved.m, moved.n], 1)
+    found = torch.stack(derivative(changes).image, 1)
     for i in range(3):
         expected = torch.func.jvp(image, (values,), ({k: v[i] for k, v in changes.items()},))[1]
         exact(found[i], expected, 1e-11)
-    alone = derivative({"conic": changes["conic"]}).image.x
-    exact(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).image.x, alone, 0.0)
+    alone = derivative({"conic": changes["conic"]}).image[0]
+    exact(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).image[0], alone, 0.0)
 
 
-def test_tiles_do_not_show(monkeypatch):
-    """Rays of six fields traced in tiles of two fields, or all at once: the same values, the same gradients."""
-    lens, start = random_lens(2), random_rays(20, 3)
-    start = replace(start, **{k: getattr(start, k).reshape(10, 1, 2)[:6] for k in vars(start)})
+def test_threads_and_blocks_do_not_show():
+    """Ten thousand rays in one thread and in two, and in parts of no whole block: the same bits, sums to rounding."""
+    lens, start = random_lens(2), random_rays(10_000, 3)
 
-    def traced():
+    def traced(first, last):
         leaf = lens.curvature.clone().requires_grad_()
-        rays = trace(replace(lens, curvature=leaf), start, lens.refractive_indices(WAVELENGTHS))
+        part = Rays(*(v[:, first:last] for v in vars(start).values()))
+        rays = trace(replace(lens, curvature=leaf), part, lens.refractive_indices(WAVELENGTHS))
         return torch.stack([rays.x, rays.y, rays.path]), torch.autograd.grad(rays.x.square().sum(), leaf)[0]
 
-    whole = traced()
-    monkeypatch.setattr(trace_module, "_TILE", 12 * 8)
-    for found, expected in zip(traced(), whole, strict=True):
-        exact(found, expected, 1e-14)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        whole = traced(0, 10_000)
+        parts = [traced(0, 777), traced(777, 10_000)]
+        torch.set_num_threads(2)
+        for found, expected in zip(traced(0, 10_000), whole, strict=True):
+            exact(found, expected, 0.0)
+    finally:
+        torch.set_num_threads(threads)
+    exact(torch.cat([part[0] for part in parts], -1), whole[0], 1e-15)
+    exact(sum(part[1] for part in parts), whole[1], 1e-12 * float(whole[1].abs().max()))
 
 
 def test_a_lost_ray_carries_no_gradient():

@@ -90,14 +90,14 @@ class Merit:
         values = torch.cat([*(error.flatten() for error in errors), operands.detach()])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
-            moved, changes_behind = derivative(changes)
+            (dx, dy, _, dm, dn), changes_behind = derivative(changes)
             rows = [
                 torch.where(valid, 1e3 * self.share * error, 0.0).flatten(1)
-                for error in self._errors(moved.x, moved.y, valid, change=True)
+                for error in self._errors(dx, dy, valid, change=True)
             ]
-            chief = torch.stack([v[..., self.middle, -1] for v in (moved.x, moved.y, moved.m, moved.n)], 1)
+            chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dm, dn)], 1)
             aperture = [
-                (x * dx.expand_as(moved.x).flatten(1)[:, i] + y * dy.expand_as(moved.x).flatten(1)[:, i]) / height
+                (x * dx.flatten(1)[:, i] + y * dy.flatten(1)[:, i]) / height
                 for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, used, strict=True)
             ]
             apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)

@@ -40,6 +40,23 @@ def sag(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tens
     return value, slope, inside
 
 
+def bounds(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute bounds of |ds/du| [1/mm] and |d^2 s/du^2| [1/mm^3] up to u = r^2; arguments as of `sag`.
+
+    |c| w / 2 + sum_j j |alpha_2j| u^(j - 1),  |(1 + k) c^3| w^3 / 4 + sum_j j (j - 1) |alpha_2j| u^(j - 2)
+
+    w is the largest 1 / sqrt(1 - (1 + k) c^2 u): at u for 1 + k > 0, otherwise 1.
+    """
+    bending = (1 + conic) * curvature**2
+    w = torch.rsqrt((1 - bending * u).clamp(EDGE, 1.0))
+    slope, second = 0.5 * abs(curvature) * w, 0.25 * abs(bending * curvature) * w**3
+    for j, coefficient in enumerate(alpha.abs().unbind(-1), 1):
+        slope = slope + j * coefficient * u ** (j - 1)
+        if j > 1:
+            second = second + j * (j - 1) * coefficient * u ** (j - 2)
+    return slope, second
+
+
 def radial_slope(radius: Tensor, curvature: Tensor, conic: Tensor, alpha: Tensor) -> Tensor:
     """Compute the slope d sag / d r = 2 r d sag / d u at `radius` [mm]; shapes as in `sag`."""
     return 2 * radius * sag(radius**2, curvature, conic, alpha)[1]

@@ -8,8 +8,9 @@ from torch import Tensor
 from tasklens.optics import aspheres
 from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
 
-_NEWTON_STEPS = 30  # from each start
-_STRIDE = 2.0  # longest Newton step [mm], since unlimited steps can diverge
+_STEPS = 400
+_CLOSE = 1e-9  # [mm] last step towards a surface; the error behind it is of the order of its square
+_FAR = 1e15  # [mm^2] largest r^2 at which a ray meets a surface
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,10 @@ class Surface:
 
     def _profile(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Compute the sag, its derivative by u = r^2, and whether u is inside the conic."""
-        return aspheres.sag(u, self.curvature, self.conic, torch.as_tensor(self.alpha, dtype=u.dtype))
+        return aspheres.sag(u, self.curvature, self.conic, self._alpha(u))
+
+    def _alpha(self, like: Tensor) -> Tensor:
+        return torch.as_tensor(self.alpha, dtype=like.dtype)
 
     def _newton_step(self, rays: Rays, t: Tensor) -> tuple[Tensor, Tensor]:
         """Compute Newton's step from t for F(t) = z + t n - s(r^2) = 0, and whether the point is on the conic's front.
@@ -110,33 +114,49 @@ class Surface:
         return (sag - rays.z - t * rays.n) / safe, inside & (derivative > GRAZING)
 
     def _distance(self, rays: Rays) -> tuple[Tensor, Tensor]:
-        """Compute the distance t [mm] along each ray to the surface, zero where there is none, and which rays meet it.
+        """Compute the distance t [mm] along each ray to its first crossing, or zero, and which rays have one.
 
-        Newton's iteration starts at the vertex plane; rays that do not converge start again at the base conic.
+        A ray in front of the surface goes forward, one behind it backward. Steps cannot pass a crossing: with
+        |F''| <= B on the next D mm, |F| does not vanish before 2 |F| / (F' + sqrt(F'^2 + 2 B |F|)), where F' is the
+        derivative along the ray. Near a crossing this is Newton's step; a ray without one comes to the conic's edge.
         """
-        tolerance = torch.finfo(rays.n.dtype).eps ** 0.5  # the error behind a Newton step is of the order of its square
         able = rays.valid & (rays.n > GRAZING)
-        distance, pending = torch.zeros_like(rays.n), able
-        for t in self._starts(rays):
-            for _ in range(_NEWTON_STEPS):
-                step, front = self._newton_step(rays, t)
-                t = t + step.clamp(-_STRIDE, _STRIDE)
-                converged = step.abs() <= tolerance
-                if bool((converged | ~pending).all()):
-                    break
-            found = pending & converged & front
-            distance, pending = torch.where(found, t, distance), pending & ~found
-        return distance, able & ~pending
+        x, y, z, l, m, n = (torch.where(able, v, k == "n").double() for k, v in vars(rays).items() if k in "xyzlmn")
+        squared_sine = l * l + m * m
+        bending = float((1 + self.conic) * self.curvature**2)
+        end = min((1 - aspheres.EDGE) / bending, _FAR) if bending > 0 else _FAR
 
-    def _starts(self, rays: Rays) -> tuple[Tensor, Tensor]:
-        """Compute the distances t [mm] to the vertex plane, and to the base conic c (r^2 + (1 + k) z^2) = 2 z."""
-        plane = -rays.z / rays.n.clamp(min=GRAZING)
-        x, y, c = rays.x + plane * rays.l, rays.y + plane * rays.m, self.curvature
-        along = rays.n - c * (x * rays.l + y * rays.m)
-        discriminant = along * along - c * c * (1 + self.conic * rays.n * rays.n) * (x * x + y * y)
-        root = along + torch.sqrt(discriminant.clamp(min=0))
-        on_conic = (discriminant > 0) & (root > GRAZING)
-        return plane, plane + torch.where(on_conic, c * (x * x + y * y) / root.clamp(min=GRAZING), 0.0)
+        def along(t: Tensor) -> tuple[Tensor, Tensor]:
+            """Return u = r^2 and half its derivative at t."""
+            return (x + t * l) ** 2 + (y + t * m) ** 2, x * l + y * m + t * squared_sine
+
+        u, h = along(torch.zeros_like(n))
+        root = torch.sqrt((h * h - squared_sine * (u - end)).clamp(min=0))
+        inside = u < end
+        t = torch.where(inside | (root == 0), 0.0, -(u - end) / (h + torch.copysign(root, h)))  # to the edge
+        side = torch.where(z + t * n <= self._profile(along(t)[0])[0], 1.0, -1.0)
+        pending = able & (inside | (root > 0)) & (t * side >= 0)
+        window, found = torch.ones_like(n), torch.zeros_like(pending)
+        for _ in range(_STEPS):
+            u, h = along(t)
+            sag, slope, _ = self._profile(u)
+            gap = (side * (sag - z - t * n)).clamp(min=0)
+            derivative = n - 2 * slope * h
+            away, root = side * h, torch.sqrt(h * h + squared_sine * (end - u).clamp(min=0))
+            way_out = torch.where(away >= 0, (end - u) / (away + root), (root - away) / squared_sine)
+            window = torch.minimum(window, 0.75 * way_out)
+            u_window, h_window = along(t + side * window)
+            steepest, most = aspheres.bounds(torch.maximum(u, u_window), self.curvature, self.conic, self._alpha(u))
+            bound = 4 * most * torch.maximum(h * h, h_window * h_window) + 2 * steepest * squared_sine
+            step = 2 * gap / (derivative + torch.sqrt(derivative * derivative + 2 * bound * gap))
+            close = (step <= window) & (step <= _CLOSE)
+            t = torch.where(pending, t + side * torch.where(close, gap / derivative, torch.minimum(step, window)), t)
+            found = found | (pending & close & (derivative > GRAZING))
+            pending = pending & ~close & (way_out > _CLOSE) & (step >= 0)
+            window = 2 * torch.minimum(step, window)
+            if not bool(pending.any()):
+                break
+        return torch.where(found, t, 0.0).to(rays.n.dtype), found
 
 
 def _lose(rays: Rays, lost: Tensor, status: RayStatus) -> Rays:

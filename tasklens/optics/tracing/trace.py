@@ -1,203 +1,214 @@
 """Differentiable sequential ray tracing; every lost ray has a status and a surface."""
 
-import math
-from collections.abc import Callable, Mapping
-from functools import partial
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import NamedTuple
 
+import numpy
 import torch
-import torch.autograd.forward_ad as fwAD
 from torch import Tensor
 
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
-from tasklens.optics.tracing.intersection import PreparedSurface, distance, surfaces
-from tasklens.optics.tracing.lost_rays import LostRays
-from tasklens.optics.tracing.refraction import RayState, Refraction, refract, refract_jvp, refract_vjp
+from tasklens.optics.rays import RIM, Rays
+from tasklens.optics.tracing import kernel
+from tasklens.optics.tracing.kernel import GROUP
 
-_TILE = 2**19  # bytes of one array: above, caches overflow; below, calls weigh more (benchmarks/README.md)
+_PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `_Inputs`
+
+
+class _Inputs(NamedTuple):
+    """What a trace can be differentiated by: rays (7, ..., W, N), indices (S + 1, W), and tensors of the lens."""
+
+    start: Tensor
+    indices: Tensor
+    curvature: Tensor
+    conic: Tensor
+    thickness: Tensor
+    alpha: Tensor
+    rotation: Tensor  # (S, 3, 3) and (S, 3) of surfaces with a pose; of no surface where none has one
+    position: Tensor
+
+
+class _Traced:
+    """Rays traced through a lens, and the derivatives of it: numpy arrays, as the kernel wants them."""
+
+    def __init__(self, inputs: _Inputs, semi_diameter: Tensor, status: Tensor, lost_at: Tensor, record: bool):
+        self.shape = inputs.start.shape[1:]
+        self.start = inputs.start.detach().contiguous().numpy().reshape(7, -1)
+        self.lens = _tables(inputs, semi_diameter)
+        self.orders = inputs.alpha.shape[1]
+        self.status, self.lost_at = (v.expand(self.shape).flatten().numpy().copy() for v in (status, lost_at))
+        surfaces, rays = len(semi_diameter), self.start.shape[1]
+        self.image, self.distances = self.array(7, rays), self.array(surfaces, rays)
+        self.record = self.array(surfaces if record else 0, 7, rays)
+        self.start_of = (self.start, tuple(self.shape[-2:]), self.lens)
+        outputs = (self.image, self.status, self.lost_at, self.distances, self.record)
+        _in_parts(rays, lambda *part: kernel.trace(*part, *self.start_of, *outputs))
+
+    def array(self, *shape: int) -> numpy.ndarray:
+        """Return an empty array of the rays' data type."""
+        return numpy.empty(shape, self.start.dtype)
+
+    def of_rays(self, values: numpy.ndarray) -> Tensor:
+        """Return values (..., R) as a tensor of the rays' shape."""
+        return torch.from_numpy(values).reshape(*values.shape[:-1], *self.shape)
+
+    def reverse(self, gradient: Tensor, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """Compute the gradients of the wanted `_Inputs` from that of the image, (7, ..., W, N)."""
+        surfaces, rays = self.distances.shape
+        groups = -(-rays // GROUP)
+        to_rays, to_indices, to_poses = wanted[0], wanted[1], any(wanted[6:]) or self.lens[3].any()
+        b_start = self.array(7 if to_rays else 0, rays)
+        b_lens = numpy.zeros((groups, surfaces, 3 + self.orders))
+        b_indices = numpy.zeros((groups, surfaces + 1 if to_indices else 0, self.shape[-2]))
+        b_poses = numpy.zeros((groups, surfaces if to_poses else 0, 4, 3))
+        b_image = gradient.contiguous().numpy().reshape(7, -1)
+        known = (*self.start_of, self.status, self.distances, b_image, b_start, b_lens, b_indices, b_poses)
+        _in_parts(rays, lambda *part: kernel.reverse(*part, *known))
+        b_lens, b_poses = b_lens.sum(0), b_poses.sum(0)
+        found = (
+            b_start.reshape(-1, *self.shape),
+            b_indices.sum(0),
+            *(b_lens[:, k] for k in range(3)),
+            b_lens[:, 3:],
+            b_poses[:, :3],
+            b_poses[:, 3],
+        )
+        return [torch.from_numpy(v).to(gradient.dtype) if want else None for v, want in zip(found, wanted, strict=True)]
+
+    def forward(self, changes: Sequence[Tensor | None], record: bool = False) -> tuple[numpy.ndarray, numpy.ndarray]:
+        """Compute the changes of the image, (V, 7, R), for V changes of each of the `_Inputs`, where None is no change.
+
+        Returns:
+            those, and with `record` those of x and y behind every surface, (V, S, 2, R).
+        """
+        surfaces, rays = self.distances.shape
+        count = next(len(v) for v in changes if v is not None)
+        d_start, d_indices, *d_lens, d_alpha, d_rotation, d_position = changes
+        d_rotation, d_position = (None if v is None or not v.numel() else v for v in (d_rotation, d_position))
+        moves = d_rotation is not None or d_position is not None
+        table = self.array(count, surfaces, 3 + 2 * self.lens[1].shape[2])
+        table[:] = 0
+        for k, values in enumerate(d_lens):
+            if values is not None:
+                table[..., k] = values.numpy()
+        if d_alpha is not None:
+            padded = self.lens[1].shape[2]
+            table[..., 3 : 3 + self.orders] = d_alpha.numpy()
+            table[..., 3 + padded : 3 + padded + self.orders] = d_alpha.numpy() * numpy.arange(1, self.orders + 1)
+        poses = numpy.zeros((count if moves else 0, surfaces, 4, 3), table.dtype)
+        if d_rotation is not None:
+            poses[:, :, :3] = d_rotation.numpy()
+        if d_position is not None:
+            poses[:, :, 3] = d_position.numpy()
+        begins = numpy.zeros(count, numpy.int64)
+        if d_start is None and d_indices is None and not moves:
+            begins[:] = (table != 0).any(2).argmax(1)
+        none = self.array(0, 0, 0)
+        d_rays = none if d_start is None else d_start.contiguous().numpy().reshape(count, 7, -1)
+        d_media = none if d_indices is None else d_indices.contiguous().numpy()
+        d_image = self.array(count, 7, rays)
+        d_record = numpy.zeros((count if record else 0, surfaces, 2, rays), table.dtype)
+        lost = (self.status, self.lost_at)
+        known = (*self.start_of, *lost, self.distances, begins, d_rays, table, d_media, poses)
+        _in_parts(rays, lambda *part: kernel.forward(*part, *known, d_image, d_record))
+        return d_image, d_record
+
+    def image_change(self, changes: Sequence[Tensor | None]) -> Tensor:
+        """Compute the change of the image, (7, ..., W, N), for one change of the `_Inputs`."""
+        return self.of_rays(self.forward([None if v is None else v[None] for v in changes])[0][0])
 
 
 class _Notes:
-    """Inputs of a `_Sequence` that are no tensors, and the values stored for its derivatives."""
+    """Inputs of a `_Trace` that have no derivative, and what it leaves for the derivatives of the others."""
 
-    def __init__(self, semi_diameters: list[float], record: list[Rays] | None, keep: bool, to_index: bool):
-        self.semi_diameters = semi_diameters
-        self.record = record
-        self.to_index = to_index
-        self.refractions: list[Refraction | None] | None = [] if keep else None  # None: a plane that bends nothing
-        self.losses: LostRays
-        self.surfaces: list[PreparedSurface]
-        self.last: tuple[Tensor, ...]  # l, m, n and t from the last surface to the image plane
+    def __init__(self, semi_diameter: Tensor, status: Tensor, lost_at: Tensor, record: bool):
+        self.inputs = (semi_diameter, status, lost_at, record)
+        self.traced: _Traced
 
 
-class _Sequence(torch.autograd.Function):
-    """Trace of rays (F, W, N) through all surfaces, with indices (S + 1, W, 1): loop over `refract` and derivatives."""
+class _Call(torch.autograd.Function):
+    """Call a function of tensors: `torch.func` wraps the arguments of derivatives, but not those of a Function."""
 
     @staticmethod
-    def forward(notes: _Notes, status, lost_at, x, y, z, l, m, n, path, indices, curvature, conic, alpha, thickness):
-        notes.losses = losses = LostRays(status, lost_at)
-        notes.surfaces = surfaces(curvature, conic, alpha)
-        rays = RayState(x, y, z, l, m, n)
-        if bool(status.any()):
-            rays = losses.park(status != RayStatus.OK, rays, path)
-        if float(rays.n.min()) <= GRAZING:  # along the first surface or away from it
-            rays = losses.add(rays.n <= GRAZING, RayStatus.MISSED, 0, rays, path)
-        index, space = indices.unbind(), thickness.unbind()
-        for i, (surface, semi_diameter) in enumerate(zip(notes.surfaces, notes.semi_diameters, strict=True)):
-            media = (index[i], index[i + 1])
-            refraction = None
-            if surface.plane and not notes.to_index and torch.equal(*media):
-                rays = _through(rays, path, i, semi_diameter, media[0], losses)
-            else:
-                rays, path, refraction = _onward(rays, path, i, surface, semi_diameter, media, losses)
-            if notes.refractions is not None:
-                notes.refractions.append(refraction)
-            if notes.record is not None:
-                at, so_far = (rays, path) if refraction is not None else _on_plane(rays, path, media[0])
-                x, y, z, so_far = losses.where_lost(*at[:3], so_far)
-                notes.record.append(Rays(x, y, z, *rays[3:], so_far, losses.status, losses.lost_at))
-            del refraction  # or its memory would not serve the next one
-            rays = rays._replace(z=rays.z - space[i])
-        x, y, z, l, m, n = rays
-        t = -z / n
-        x, y, path = torch.addcmul(x, t, l), torch.addcmul(y, t, m), torch.addcmul(path, index[-1], t)
-        x, y, _, path = losses.where_lost(x, y, z, path)
-        notes.last = (l.detach(), m.detach(), n.detach(), t)
-        return x, y, l, m, n, path, losses.status, losses.lost_at
+    def forward(function, *arguments):
+        found = function(*arguments)
+        return tuple(found) if isinstance(found, list) else found
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        ctx.notes, ctx.orders = inputs[0], inputs[13].shape[1]
-        ctx.save_for_backward(inputs[10])
-        ctx.save_for_forward(inputs[10])
-        ctx.mark_non_differentiable(*output[6:])
-        ctx.set_materialize_grads(False)
+        pass
+
+
+class _Trace(torch.autograd.Function):
+    """Trace of `_Inputs` to the image plane: x, y, z, l, m, n and path (7, ..., W, N)."""
+
+    @staticmethod
+    def forward(notes, *inputs):
+        notes.traced = _Traced(_Inputs(*inputs), *notes.inputs)
+        return notes.traced.of_rays(notes.traced.image)
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.notes = inputs[0]
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, *gradients):
-        notes, (indices,) = ctx.notes, ctx.saved_tensors
-        zero, index = indices.new_zeros(()), indices.unbind()
-        b_x, b_y, b_l, b_m, b_n, b_path = (zero if g is None else notes.losses.masked(g) for g in gradients[:6])
-        wanted = notes.to_index
-        l, m, n, t = notes.last
-        tau = torch.addcmul(torch.addcmul(b_path * index[-1], b_x, l), b_y, m) / n
-        b_l, b_m, b_n = torch.addcmul(b_l, t, b_x), torch.addcmul(b_m, t, b_y), torch.addcmul(b_n, t, tau, value=-1)
-        rays = RayState(b_x, b_y, -tau, b_l, b_m, b_n)
-        b_index = [_over_rays(t * b_path, index[-1])] if wanted else []
-        b_shapes, b_spaces = [], []
-        for i in reversed(range(len(notes.surfaces))):
-            refraction = notes.refractions[i]
-            b_spaces.append(-rays.z.sum())
-            if refraction is None:
-                b_shapes.append(None)
-                continue
-            rays, b_shape, b_mu = refract_vjp(rays, b_path * index[i], refraction, notes.surfaces[i], wanted)
-            b_shapes.append(b_shape)
-            if wanted:
-                b_ratio = b_mu / index[i + 1]
-                b_index[-1] = b_index[-1] - _over_rays(b_ratio * refraction.mu, index[i])
-                b_index.append(_over_rays(b_ratio + refraction.t * b_path, index[i]))
-        none = (zero, zero, indices.new_zeros(ctx.orders))
-        b_curvature, b_conic, b_alpha = (torch.stack(v[::-1]) for v in zip(*(b or none for b in b_shapes), strict=True))
-        b_path = None if gradients[5] is None else b_path
-        b_indices = torch.stack(b_index[::-1]) if wanted else None
-        return None, None, None, *rays, b_path, b_indices, b_curvature, b_conic, b_alpha, torch.stack(b_spaces[::-1])
+    def backward(ctx, gradient):
+        return None, *_Call.apply(lambda g: ctx.notes.traced.reverse(g, ctx.needs_input_grad[1:]), gradient)
 
     @staticmethod
-    def jvp(ctx, _notes, _status, _lost_at, *changes):
-        (indices,) = ctx.saved_tensors
-        *rays, path, d_indices, curvature, conic, alpha, thickness = changes
-        return *_pushed(ctx.notes, indices, rays, path, d_indices, curvature, conic, alpha, thickness), None, None
+    def jvp(ctx, _, *changes):
+        return _Call.apply(lambda *along: ctx.notes.traced.image_change(along), *changes)
 
 
-def _pushed(notes: _Notes, indices: Tensor, rays, d_path, d_indices, curvature, conic, alpha, thickness, record=None):
-    """Propagate small changes of rays (..., F, W, N) and surfaces (..., S) to the image plane; None means zero.
-
-    Those of x and y behind every surface are appended to `record`.
-    """
-    zero, index = indices.new_zeros(()), indices.unbind()
-    rays, d_path = RayState(*(zero if v is None else v for v in rays)), zero if d_path is None else d_path
-
-    def at(change: Tensor | None, i: int) -> Tensor:
-        return zero if change is None else change[..., i, None, None, None]
-
-    for i, (refraction, surface) in enumerate(zip(notes.refractions, notes.surfaces, strict=True)):
-        if refraction is not None:
-            before, behind = (zero, zero) if d_indices is None else (d_indices[i], d_indices[i + 1])
-            coefficients = torch.zeros_like(surface.orders) if alpha is None else alpha[..., i, :]
-            shape = (at(curvature, i), at(conic, i), coefficients)
-            rays, dt = refract_jvp(rays, (before - refraction.mu * behind) / index[i + 1], shape, refraction, surface)
-            d_path = d_path + before * refraction.t + index[i] * dt
-        if record is not None:
-            record.append((rays.x, rays.y))
-        rays = rays._replace(z=rays.z - at(thickness, i))
-    dx, dy, dz, dl, dm, dn = rays
-    l, m, n, t = notes.last
-    dt = -(dz + t * dn) / n
-    d_path = d_path + (zero if d_indices is None else d_indices[-1]) * t + index[-1] * dt
-    ends = (dx + t * dl + dt * l, dy + t * dm + dt * m, dl, dm, dn, d_path)
-    return tuple(notes.losses.masked(v) for v in ends)
+def _tables(inputs: _Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]:
+    """Return the tables of a lens for the kernel: surfaces, polynomials, indices, which are posed, and poses."""
+    dtype = inputs.start.detach().numpy().dtype
+    curvature, conic, thickness, alpha = (v.detach().numpy() for v in inputs[2:6])
+    surfaces = numpy.empty((len(curvature), kernel.COLUMNS), dtype)
+    surfaces[:, kernel.CURVATURE], surfaces[:, kernel.THICKNESS] = curvature, thickness
+    surfaces[:, kernel.BENDING] = (1 + conic) * curvature * curvature
+    limit = numpy.float64(semi_diameter.detach().numpy()) ** 2 * (1 + RIM)
+    surfaces[:, kernel.LIMIT] = numpy.minimum(limit, numpy.finfo(dtype).max)
+    orders = alpha.shape[1]
+    polynomials = numpy.zeros((len(curvature), 3, -(-orders // kernel.CHUNK) * kernel.CHUNK), dtype)
+    j = numpy.arange(1, orders + 1, dtype=dtype)
+    polynomials[:, kernel.VALUES, :orders] = alpha
+    polynomials[:, kernel.SLOPES, :orders] = j * alpha
+    polynomials[:, kernel.CURVINGS, : max(0, orders - 1)] = ((j - 1) * j * alpha)[:, 1:]
+    kernel.gentle_radii(surfaces, polynomials)
+    posed = len(inputs.rotation) > 0
+    rotations = inputs.rotation.detach().numpy() if posed else numpy.zeros((len(curvature), 3, 3), dtype)
+    positions = inputs.position.detach().numpy() if posed else numpy.zeros((len(curvature), 3), dtype)
+    moved = (
+        (rotations != numpy.eye(3, dtype=dtype)).any((1, 2)) | (positions != 0).any(1)
+        if posed
+        else rotations.any((1, 2))
+    )
+    return surfaces, polynomials, inputs.indices.detach().contiguous().numpy(), moved, rotations, positions
 
 
-def _over_rays(gradient: Tensor, index: Tensor) -> Tensor:
-    """Sum the gradients of rays to the gradient of an index (W, 1)."""
-    return gradient.sum_to_size(1, *index.shape)[0]
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(torch.get_num_threads())
 
 
-def _onward(
-    rays: RayState, path: Tensor, i: int, surface: PreparedSurface, semi_diameter: float, media: tuple, losses: LostRays
-) -> tuple[RayState, Tensor, Refraction]:
-    """Trace rays, z from the vertex of surface i, from before it to behind it, with optical path and lost rays."""
-    x, y, z, l, m, n = rays
-    t = z / n  # back to the vertex plane
-    x, y = torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1)
-    beyond, u, h, met = distance(x, y, l, m, n, surface)
-    if met is not None:
-        *_, l, m, n = losses.add(~met, RayStatus.MISSED, i, rays, path)
-        x, y = torch.where(met, x, 0.0), torch.where(met, y, 0.0)
-    t, x, y, z = beyond - t, torch.addcmul(x, beyond, l), torch.addcmul(y, beyond, m), beyond * n
-    path = torch.addcmul(path, media[0], t)
-    behind, squared, refraction = refract(RayState(x, y, z, l, m, n), t, u, h, media[0] / media[1], surface)
-    limit = _limit(semi_diameter)
-    if limit < math.inf and float(u.max()) > limit:
-        behind = losses.add(u > limit, RayStatus.VIGNETTED, i, behind, path)
-    if not (float(squared.min()) > GRAZING**2 and float(behind.n.min()) > GRAZING):
-        lost = (squared <= GRAZING**2) | (behind.n <= GRAZING)
-        behind = losses.add(lost, RayStatus.TOTAL_INTERNAL_REFLECTION, i, behind, path)
-    return behind, path, refraction
+os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
 
 
-def _through(rays: RayState, path: Tensor, i: int, semi_diameter: float, index: Tensor, losses: LostRays) -> RayState:
-    """Vignette rays at a plane without refraction, such as a stop in air; other rays are unchanged."""
-    limit = _limit(semi_diameter)
-    if limit < math.inf:
-        at, so_far = _on_plane(rays, path, index)
-        u = torch.addcmul(at.x * at.x, at.y, at.y)
-        if float(u.max()) > limit:
-            stopped = u > limit
-            return RayState(
-                *map(partial(torch.where, stopped), losses.add(stopped, RayStatus.VIGNETTED, i, at, so_far), rays)
-            )
-    return rays
-
-
-def _on_plane(rays: RayState, path: Tensor, index: Tensor) -> tuple[RayState, Tensor]:
-    """Move rays and their optical paths to the plane z = 0."""
-    x, y, z, l, m, n = rays
-    t = z / n
-    at = RayState(torch.addcmul(x, t, l, value=-1), torch.addcmul(y, t, m, value=-1), torch.zeros_like(n), l, m, n)
-    return at, torch.addcmul(path, index, t, value=-1)
-
-
-def _limit(semi_diameter: float) -> float:
-    """Return the largest x^2 + y^2 that passes an aperture, rays on the rim included."""
-    return semi_diameter * semi_diameter * (1 + RIM)
-
-
-def _carries_derivative(values: Tensor) -> bool:
-    return (torch.is_grad_enabled() and values.requires_grad) or fwAD.unpack_dual(values).tangent is not None
+def _in_parts(rays: int, work: Callable[[int, int], None]) -> None:
+    """Call work(first, last) on groups of rays, in as many threads as torch uses; rays do not know of each other."""
+    threads = min(torch.get_num_threads(), rays // GROUP)
+    if threads <= 1:
+        work(0, rays)
+        return
+    groups = -(-rays // GROUP)
+    ends = [min(rays, k * groups // threads * GROUP) for k in range(threads + 1)]
+    ends[-1] = rays
+    list(_pool().map(work, ends[:-1], ends[1:]))
 
 
 def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
@@ -214,53 +225,51 @@ def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
     Returns:
         The rays on the image plane, z = 0.
     """
-    return _traced(lens, rays, indices, None)
+    return _traced(lens, rays, indices, record=False)[0]
 
 
 def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays]]:
     """Trace rays as `trace` does; return also the rays behind every surface, z from its vertex, without gradient."""
-    record: list[Rays] = []
-    image = _traced(lens, rays, indices, record)
-    return image, [Rays(*(v.reshape(image.x.shape) for v in vars(at).values())) for at in record]
+    image, traced = _traced(lens, rays, indices, record=True)
+    return image, _recorded(traced)
 
 
-def _traced(lens: Lens, rays: Rays, indices: Tensor, record: list[Rays] | None) -> Rays:
-    size = torch.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))
-    stack = (-1, *size[-2:])
-
-    def batch(values: Tensor) -> Tensor:
-        return values.expand(size).reshape(stack)
-
-    start = [batch(v) for v in _parts(rays)]
-    fields = len(start[0])
-    tile = fields if record is not None else max(1, _TILE // (size[-2] * size[-1] * start[2].element_size()))
-    shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
-    to_index = _carries_derivative(indices)
-    keep = to_index or any(_carries_derivative(v) for v in (*shape, *start))
-    semi_diameters = lens.semi_diameter.tolist()
-    ends = []
-    for first in range(0, fields, tile):  # rays do not know of each other
-        notes = _Notes(semi_diameters, record, keep, to_index)
-        ends.append(_Sequence.apply(notes, *(v[first : first + tile] for v in start), indices[..., None], *shape))
-    ends = [torch.cat(v) if len(v) > 1 else v[0] for v in zip(*ends, strict=True)]
-    x, y, l, m, n, path, status, lost_at = (v.reshape(size) for v in ends)
-    return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at)
+def _recorded(traced: _Traced) -> list[Rays]:
+    """Return the rays behind every surface, with their status there."""
+    status, lost_at = traced.of_rays(traced.status), traced.of_rays(traced.lost_at)
+    behind = []
+    for i, values in enumerate(traced.of_rays(traced.record).unbind()):
+        later = lost_at > i
+        behind.append(Rays(*values.unbind(), status.masked_fill(later, 0), lost_at.masked_fill(later, -1)))
+    return behind
 
 
-def _parts(rays: Rays) -> tuple[Tensor, ...]:
-    """Return the components of rays in the order of `_Sequence`."""
-    return rays.status, rays.lost_at, rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path
+def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, _Traced]:
+    dtype = lens.dtype
+    size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # of torch it takes 20 times as long
+    start = torch.stack([v.expand(size).to(dtype) for v in (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)])
+    notes = _Notes(lens.semi_diameter, rays.status, rays.lost_at, record)
+    image = _Trace.apply(notes, *_inputs(lens, start, indices))
+    x, y, _, l, m, n, path = image.unbind()
+    traced = notes.traced
+    status, lost_at = traced.of_rays(traced.status), traced.of_rays(traced.lost_at)
+    return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at), traced
+
+
+def _inputs(lens: Lens, start: Tensor, indices: Tensor) -> _Inputs:
+    none = start.new_empty(0)
+    return _Inputs(start, indices.to(lens.dtype), lens.curvature, lens.conic, lens.thickness, lens.alpha, none, none)
 
 
 class Derivative(NamedTuple):
-    """Changes of rays for V changes of a lens, of a shape that broadcasts with (V, F, W, N).
+    """Changes of rays for V changes of a lens, (V, ..., W, N).
 
     Attributes:
-        image: of the rays on the image plane.
+        image: x, y, l, m and n of the rays on the image plane.
         behind: of x and y of the rays behind every surface.
     """
 
-    image: RayState
+    image: tuple[Tensor, ...]
     behind: list[tuple[Tensor, Tensor]]
 
 
@@ -280,18 +289,14 @@ class Linearised(NamedTuple):
 
 
 def linearise(lens: Lens, rays: Rays, indices: Tensor) -> Linearised:
-    """Trace rays (F, W, N) as `trace_full` does but without a graph, with the derivative along changes of the lens."""
-    record: list[Rays] = []
-    notes = _Notes(lens.semi_diameter.tolist(), record, keep=True, to_index=False)
-    shape = (lens.curvature, lens.conic, lens.alpha, lens.thickness)
+    """Trace rays as `trace_full` does but without a graph, with the derivative along changes of the lens."""
     with torch.no_grad():
-        x, y, l, m, n, path, status, lost_at = _Sequence.forward(notes, *_parts(rays), indices[..., None], *shape)
+        image, traced = _traced(lens.detached(), rays, indices, record=True)
 
     def derivative(changes: Mapping[str, Tensor]) -> Derivative:
-        kinds = (changes.get(name) for name in ("curvature", "conic", "alpha", "thickness"))
-        behind: list[tuple[Tensor, Tensor]] = []
-        with torch.no_grad():
-            dx, dy, dl, dm, dn, _ = _pushed(notes, indices[..., None], (None,) * 6, None, None, *kinds, behind)
-        return Derivative(RayState(dx, dy, torch.zeros_like(dx), dl, dm, dn), behind)
+        along = [changes.get(name) for name in _PARAMETERS]
+        d_image, d_record = (traced.of_rays(v) for v in traced.forward([None, None, *along, None, None], record=True))
+        x, y, _, l, m, n, _ = d_image.unbind(1)
+        return Derivative((x, y, l, m, n), [d.unbind(1) for d in d_record.unbind(1)])
 
-    return Linearised(Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at), record, derivative)
+    return Linearised(image, _recorded(traced), derivative)
