@@ -205,7 +205,7 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
         expected = stop_radius(lens, prescription.aperture, wavelengths[primary])
         if not math.isclose(radii[lens.stop], expected, rel_tol=1e-9):
             raise FileError(f"{name}: {kind} {value} asks for a stop of {expected} mm, the lens has {radii[lens.stop]}")
-        aperture = {v: k for k, v in _APERTURES.items()}[kind] + f" {decimal(value)}"
+        aperture = f"ENPD {decimal(value)}" if kind == "entrance_pupil_diameter_mm" else f"FNUM {decimal(value)} 0"
         radii[lens.stop] = math.inf  # Zemax computes it from the aperture
     elif not math.isfinite(radii[lens.stop]):
         raise FileError(f"{name}: the lens has neither an aperture nor a radius of its stop")
