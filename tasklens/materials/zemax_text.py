@@ -96,9 +96,10 @@ def _decode(content: bytes, path: Path) -> str:
         if encoding is None:
             return content.decode("latin-1")
         row = _row(content[: error.start].decode(encoding, "ignore"))
+        kind = encoding.upper().removesuffix("-SIG")
         raise FileError(
-            f"{path}, line {row}: not valid {encoding.upper()} ({error.reason}); is the file cut off? Save it again as "
-            "ASCII, UTF-8 or UTF-16"
+            f"{path}, line {row}: not valid {kind} ({error.reason}); is the file cut off? Save it again as ASCII, "
+            "UTF-8 or UTF-16"
         ) from None
 
 

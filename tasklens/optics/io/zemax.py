@@ -1,9 +1,9 @@
 """Zemax lens files (.zmx) of rotationally symmetric sequential lenses of even aspheres.
 
 Supported are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model
-glasses, object distance, aperture, fields, wavelengths, title and comments. Other data that change the lens are an
-error; data for Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit functions) are
-ignored.
+glasses, object distance, aperture, fields, wavelengths, title and comments. Data for Zemax's own analyses (vignetting
+factors, weights, solves, coatings, tolerances, merit functions) and apertures of object and image surface are ignored.
+Every other line is an error.
 """
 
 import math
@@ -66,8 +66,10 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
     _check_ends(blocks)
     inner = blocks[1:-1]
     stops = [i for i, block in enumerate(inner) if "STOP" in block.lines]
-    if len(stops) != 1:
-        raise FileError(f"{path}: expected STOP on one surface between object and image, found it on {len(stops)}")
+    if len(stops) > 1:
+        raise inner[stops[1]].lines["STOP"].error(f"expected one stop, found {len(stops)}")
+    if not stops:
+        raise FileError(f"{path}: expected STOP on a surface between object and image, found 0")
     named = system["GCAT"].text.upper().split() if "GCAT" in system else []
     ranked = sorted(catalogues, key=lambda file: [*named, file.stem.upper()].index(file.stem.upper()))
     searched = ", ".join([*(file.name for file in ranked), "the built-in plastics"])

@@ -140,9 +140,9 @@ def _clear_radius(block: Block, unit: float) -> float:
             if aperture.number(0):
                 raise aperture.error("the aperture has a hole; only full circles are read")
             return _radius(aperture, 1, unit)
-    line = block.lines.get("DIAM")
-    if line is not None and len(line.words) > 1 and line.integer(1) in (1, 2):  # fixed, or picked up
-        return _radius(line, 0, unit)
+    drawn = block.lines.get("DIAM")
+    if drawn is not None and len(drawn.words) > 1 and drawn.integer(1) in (1, 2):  # fixed, or picked up
+        return _radius(drawn, 0, unit)
     return math.inf
 
 

@@ -1,7 +1,7 @@
 """System data of Zemax lens files: units, aperture, fields and wavelengths."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from tasklens.materials.zemax_text import Line
@@ -10,7 +10,7 @@ from tasklens.runtime.files import FileError
 
 _UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
 _INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
-_APERTURES = ("ENPD", "FNUM", "FLOA", "OBNA")
+_APERTURES = ("ENPD", "FNUM", "FLOA")
 
 
 def read_unit(system: Mapping[str, Line]) -> float:
@@ -40,6 +40,8 @@ def read_aperture(
     Raises:
         FileError: no aperture, several, or one that is not read.
     """
+    if "OBNA" in system:
+        raise system["OBNA"].error("an aperture in object space is not read; the apertures ENPD, FNUM and FLOA are")
     found = [system[keyword] for keyword in _APERTURES if keyword in system]
     if not found:
         raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
@@ -48,8 +50,6 @@ def read_aperture(
     line = found[0]
     if line.keyword == "FLOA":
         return line, None
-    if line.keyword == "OBNA":
-        raise line.error("an aperture in object space is not read; the apertures that are read are ENPD, FNUM and FLOA")
     value = line.number(0, unit if line.keyword == "ENPD" else 1.0)
     if not value > 0:
         raise line.error(f"expected a positive number, found {line.text!r}")
@@ -82,22 +82,26 @@ def read_fields(system: Mapping[str, Line], unit: float, path: Path) -> tuple[st
 
 def read_wavelengths(system: Mapping[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
     """Read the wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
-    count = system["FTYP"].integer(3) if "FTYP" in system else 0
+    if "FTYP" not in system:
+        raise FileError(f"{path}: no numbers of fields and wavelengths: FTYP is missing")
+    count = system["FTYP"].integer(3)
     listed = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
+    words: Iterable[tuple[Line, int]]
     if count > 0 and all(f"WAVM {i}" in system for i in range(1, count + 1)):
-        words = [(system[f"WAVM {i}"], 1) for i in range(1, count + 1)]
+        words = ((system[f"WAVM {i}"], 1) for i in range(1, count + 1))
     elif count > 0 and listed is not None:
-        words = [(listed, i) for i in range(min(count, len(listed.words) + 1))]
+        words = ((listed, i) for i in range(count))
     else:
-        raise FileError(f"{path}: expected {max(count, 1)} wavelengths, as FTYP says, in WAVM, WAVL or WAVN")
-    found = tuple(line.number(i) for line, i in words)
-    for (line, _), wavelength in zip(words, found, strict=True):
-        if not wavelength > 0:
-            raise line.error(f"expected positive wavelengths in um, found {wavelength}")
+        raise system["FTYP"].error(f"expected {max(count, 1)} wavelengths in WAVM, WAVL or WAVN, found fewer")
+    found = []
+    for line, i in words:
+        found.append(line.number(i))
+        if not found[-1] > 0:
+            raise line.error(f"expected positive wavelengths in um, found {found[-1]}")
     primary = system["PWAV"].integer(0) if "PWAV" in system else 1
     if not 1 <= primary <= count:
         raise system["PWAV"].error(f"expected one of the {count} wavelengths, found {primary}")
-    return found, primary - 1
+    return tuple(found), primary - 1
 
 
 def read_object_distance(line: Line, unit: float) -> float:
