@@ -136,6 +136,20 @@ def test_numbers_that_leave_the_range_in_mm(tmp_path, line):
         assert_refused(tmp_path, text, line)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [("CURV 0.25", "CURV 1e308"), ("CURV -0.1", "CURV 1e308")],
+        [("CURV 0.25", "CURV 1e200"), ("DISZ 0.8", "DISZ 1e200")],
+        [("CURV 0.25", "CURV 0"), ("CURV -0.1", "CURV 0"), ("  CURV 0.1\n", "  CURV 0\n"), ("PARM 1 0.01", "PARM 1 0")],
+    ],
+)
+def test_a_lens_without_a_finite_stop(tmp_path, changes):
+    """Powers that overflow, and a plane-parallel plate of which an F-number is asked."""
+    line = "FNUM 2.8 0"
+    assert_refused(tmp_path, edited(*changes, ("ENPD 1.2", line)), line, "radius of the stop")
+
+
 def extended(*lines: str) -> str:
     """The text with an extended asphere of these numbers."""
     numbers = "\n".join(f"  XDAT {line}" for line in lines)

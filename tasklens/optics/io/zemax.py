@@ -41,7 +41,7 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
     found = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
     kind, value = aperture
     diameter = abs(float(found.efl)) / value if kind == "f_number" else value
-    return diameter / (2 * float(found.entrance_pupil_radius))
+    return float(diameter / (2 * found.entrance_pupil_radius.double()))
 
 
 def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
