@@ -67,9 +67,11 @@ def test_round_trip_keeps_every_bit(tmp_path, seed):
 
 
 def test_a_written_file_has_what_opticstudio_looks_for(tmp_path):
-    zemax.write(tmp_path / "lens.zmx", replace(random_prescription(4), title="T"))
+    shown = random_prescription(4)
+    zemax.write(tmp_path / "lens.zmx", replace(shown, title="T"))
     lines = (tmp_path / "lens.zmx").read_bytes().decode("ascii", "replace").split("\r\n")
-    for start in ("VERS ", "MODE SEQ", "NAME T", "UNIT MM", "FNUM ", "FTYP 0 0 5 3", "XFLN ", "YFLN ", "PWAV 2"):
+    assert f"FNUM {shown.aperture[1]:.17g} 0" in lines  # 0: F-number in image space
+    for start in ("VERS ", "MODE SEQ", "NAME T", "UNIT MM", "FTYP 0 0 5 3", "XFLN ", "YFLN ", "PWAV 2"):
         assert any(line.startswith(start) for line in lines), start
     assert [line for line in lines if line.startswith("SURF")] == [f"SURF {i}" for i in range(8)]
     assert sum(line == "  STOP" for line in lines) == 1

@@ -37,8 +37,10 @@ def number(value: object, where: str) -> float:
         FileError: another value; the message begins with `where`.
     """
     text = value if isinstance(value, str) else repr(value)
-    if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
+    if not _NUMBER.fullmatch(text):
         raise FileError(f"{where}: expected a number, found {value!r}")
+    if not math.isfinite(float(text)):
+        raise FileError(f"{where}: expected a number within the range of float64 (1.8e308), found {value!r}")
     return float(text)
 
 

@@ -1,27 +1,33 @@
 """Zemax lens files (.zmx) of rotationally symmetric sequential lenses of even aspheres.
 
 Supported are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model
-glasses, object distance, aperture, fields, wavelengths, title and comments. Other data that change the lens are an
-error; data for Zemax's own analyses (vignetting factors, weights, solves, coatings, tolerances, merit functions) are
-ignored.
+glasses, object distance, aperture, fields, wavelengths, title and comments. Data for Zemax's own analyses (vignetting
+factors, weights, solves, coatings, tolerances, merit functions) and apertures of object and image surface are ignored.
+Every other line is an error.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tasklens.materials.catalogues import collect
 from tasklens.materials.zemax_text import Line, decimal, read_lines
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io.prescription import FIELDS, Prescription
+from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_configuration, check_surface, check_system
 from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
+from tasklens.optics.io.zemax_system import (
+    read_aperture,
+    read_fields,
+    read_object_distance,
+    read_unit,
+    read_wavelengths,
+)
 from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError, replacing
 
-_UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
-_INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
-_APERTURES = {"ENPD": "entrance_pupil_diameter_mm", "FNUM": "f_number"}
 _WAVELENGTHS = 24  # the maximum in Zemax
 
 
@@ -35,7 +41,7 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
     found = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
     kind, value = aperture
     diameter = abs(float(found.efl)) / value if kind == "f_number" else value
-    return diameter / (2 * float(found.entrance_pupil_radius))
+    return float(diameter / (2 * found.entrance_pupil_radius.double()))
 
 
 def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
@@ -56,30 +62,31 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
         raise system["MODE"].error(f"expected a sequential file (SEQ), found {system['MODE'].text!r}")
     if "MNUM" in system and system["MNUM"].integer(0) > 1:
         raise system["MNUM"].error(f"{system['MNUM'].integer(0)} configurations; save the file with one")
-    unit = _UNITS.get((system["UNIT"].words or [""])[0]) if "UNIT" in system else 1.0
-    if unit is None:
-        raise system["UNIT"].error(f"expected one of {', '.join(_UNITS)}, found {system['UNIT'].text!r}")
+    unit = read_unit(system)
     _check_ends(blocks)
     inner = blocks[1:-1]
     stops = [i for i, block in enumerate(inner) if "STOP" in block.lines]
-    if len(stops) != 1:
-        raise FileError(f"{path}: expected STOP on one surface between object and image, found it on {len(stops)}")
+    if len(stops) > 1:
+        raise inner[stops[1]].lines["STOP"].error(f"expected one stop, found {len(stops)}")
+    if not stops:
+        raise FileError(f"{path}: expected STOP on a surface between object and image, found 0")
     named = system["GCAT"].text.upper().split() if "GCAT" in system else []
     ranked = sorted(catalogues, key=lambda file: [*named, file.stem.upper()].index(file.stem.upper()))
     searched = ", ".join([*(file.name for file in ranked), "the built-in plastics"])
     lens = to_lens(inner, stops[0], unit, collect(ranked), searched)
 
-    wavelengths, primary = _wavelengths(system, path)
-    aperture = _aperture(system, unit, path)
+    wavelengths, primary = read_wavelengths(system, path)
+    object_distance = read_object_distance(blocks[0].line("DISZ"), unit)
+    line, aperture = read_aperture(system, unit, math.isfinite(object_distance), path)
     if aperture is None:
-        radius = unit * inner[lens.stop].line("DIAM").number(0)
+        radius = inner[lens.stop].line("DIAM").number(0, unit)
     else:
         try:
             radius = stop_radius(lens, aperture, wavelengths[primary])
         except ValueError as error:  # a wavelength at which a glass has no index
             raise FileError(f"{path}: {error}") from None
     if not 0 < radius < math.inf:
-        raise FileError(f"{path}: the aperture makes the radius of the stop {radius} mm")
+        raise line.error(f"the aperture makes the radius of the stop {radius} mm, expected a positive number")
     semi_diameter = lens.semi_diameter.clone()
     semi_diameter[lens.stop] = radius
     comments = tuple(block.lines["COMM"].text if "COMM" in block.lines else "" for block in inner)
@@ -88,15 +95,19 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
         title=system["NAME"].text if "NAME" in system else "",
         comments=comments if any(comments) else None,
         aperture=aperture,
-        fields=_fields(system, unit, path),
+        fields=read_fields(system, unit, path),
         wavelengths_um=wavelengths,
         primary=primary,
-        object_distance_mm=_object_distance(blocks[0], unit),
+        object_distance_mm=object_distance,
     )
 
 
 def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]:
-    """Split lines into those of the system, by keyword (wavelengths as WAVM 1 ..), and those of surfaces (indented)."""
+    """Split lines into those of the system, by keyword (wavelengths as WAVM 1 ..), and those of surfaces (indented).
+
+    Raises:
+        FileError: a keyword that may change rays and is not read, or data that are there twice.
+    """
     system: dict[str, Line] = {}
     blocks: list[Block] = []
     for line in lines:
@@ -105,75 +116,36 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]
                 raise line.error(f"expected surface {len(blocks)}, found {line.text!r}")
             blocks.append(Block(line, {}, {}))
         elif line.indented and blocks:
+            check_surface(line)
             if line.keyword in ("PARM", "XDAT"):
-                blocks[-1].numbered[line.keyword, line.integer(0)] = line
+                _add(blocks[-1].numbered, (line.keyword, line.integer(0)), line)
+            elif line.keyword in SURFACE:
+                _add(blocks[-1].lines, line.keyword, line)
             else:
                 blocks[-1].lines[line.keyword] = line
         else:
-            system.setdefault(f"WAVM {line.integer(0)}" if line.keyword == "WAVM" else line.keyword, line)
+            (check_configuration if blocks else check_system)(line)
+            if line.keyword in SYSTEM:
+                _add(system, f"WAVM {line.integer(0)}" if line.keyword == "WAVM" else line.keyword, line)
     if len(blocks) < 3:
         raise FileError(f"{path}: expected SURF of an object, a surface and an image at least, found {len(blocks)}")
     return system, blocks
 
 
+def _add(found: dict[Any, Line], key: object, line: Line) -> None:
+    if key in found:
+        raise line.error(f"stands in {found[key].where} already; delete one of the lines")
+    found[key] = line
+
+
 def _check_ends(blocks: list[Block]) -> None:
-    """Check that the object is in air and the image surface a plane; raises FileError."""
+    """Check that the object is in air, and that object and image surface are planes; raises FileError."""
     first, last = blocks[0], blocks[-1]
     if "GLAS" in first.lines:
         raise first.lines["GLAS"].error("the object is not in air")
-    if last.number("CURV", 0.0) or any(line.number(1) for line in last.numbered.values()):
-        raise last.head.error("the image surface is curved; only a plane is read")
-
-
-def _object_distance(block: Block, unit: float) -> float:
-    """Read the distance from the object to the first surface [mm]."""
-    line = block.line("DISZ")
-    distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
-    if not distance > 0:
-        raise line.error(f"expected INFINITY or a positive distance of the object, found {line.text!r}")
-    return unit * distance if distance < _INFINITY else math.inf
-
-
-def _aperture(system: dict[str, Line], unit: float, path: Path) -> tuple[str, float] | None:
-    """Read the system aperture; None for "float by stop size"."""
-    if "FLOA" in system:
-        return None
-    for keyword, kind in _APERTURES.items():
-        if keyword in system:
-            value = system[keyword].number(0) * (unit if keyword == "ENPD" else 1.0)
-            if not value > 0:
-                raise system[keyword].error(f"expected a positive number, found {system[keyword].text!r}")
-            return kind, value
-    raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
-
-
-def _fields(system: dict[str, Line], unit: float, path: Path) -> tuple[str, tuple[tuple[float, float], ...]]:
-    for keyword in ("FTYP", "XFLN", "YFLN"):
-        if keyword not in system:
-            raise FileError(f"{path}: no fields: {keyword} is missing")
-    line = system["FTYP"]  # type, telecentric, number of fields, number of wavelengths
-    kind, count = line.integer(0), line.integer(2)
-    if not 0 <= kind < len(FIELDS) or count < 1:
-        raise line.error(f"expected a type 0 .. {len(FIELDS) - 1} and at least one field, found {line.text!r}")
-    scale = 1.0 if FIELDS[kind] == "angle_deg" else unit
-    points = ((scale * system["XFLN"].number(i), scale * system["YFLN"].number(i)) for i in range(count))
-    return FIELDS[kind], tuple(points)
-
-
-def _wavelengths(system: dict[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
-    """Read the wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
-    count = system["FTYP"].integer(3) if "FTYP" in system else 0
-    listed = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
-    if count > 0 and all(f"WAVM {i}" in system for i in range(1, count + 1)):
-        found = tuple(system[f"WAVM {i}"].number(1) for i in range(1, count + 1))
-    elif count > 0 and listed is not None:
-        found = tuple(listed.number(i) for i in range(count))
-    else:
-        raise FileError(f"{path}: expected {max(count, 1)} wavelengths, as FTYP says, in WAVM, WAVL or WAVN")
-    primary = system["PWAV"].integer(0) if "PWAV" in system else 1
-    if not 1 <= primary <= count:
-        raise system["PWAV"].error(f"expected one of the {count} wavelengths, found {primary}")
-    return found, primary - 1
+    for block, name in ((first, "object"), (last, "image surface")):
+        if block.number("CURV", 0.0) or any(line.number(1) for line in block.numbered.values()):
+            raise block.head.error(f"the {name} is curved; only a plane is read")
 
 
 def write(path: Path, prescription: Prescription) -> None:
@@ -205,7 +177,7 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
         expected = stop_radius(lens, prescription.aperture, wavelengths[primary])
         if not math.isclose(radii[lens.stop], expected, rel_tol=1e-9):
             raise FileError(f"{name}: {kind} {value} asks for a stop of {expected} mm, the lens has {radii[lens.stop]}")
-        aperture = {v: k for k, v in _APERTURES.items()}[kind] + f" {decimal(value)}"
+        aperture = f"ENPD {decimal(value)}" if kind == "entrance_pupil_diameter_mm" else f"FNUM {decimal(value)} 0"
         radii[lens.stop] = math.inf  # Zemax computes it from the aperture
     elif not math.isfinite(radii[lens.stop]):
         raise FileError(f"{name}: the lens has neither an aperture nor a radius of its stop")

@@ -1,6 +1,7 @@
 """Conversion between surfaces of Zemax lens files and lenses."""
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -8,14 +9,14 @@ import torch
 
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.materials.zemax_text import Line, decimal
+from tasklens.optics.io.zemax_keywords import check_aperture
 from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError
 
 _BLANK = "___BLANK"  # Zemax's name of a model glass without a name
 _TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
 _MOST_TERMS = 240  # terms of an extended asphere
-_RHO = (1e-3, 1e3)  # limits of its normalisation radius, beyond which powers of it overflow
-_NOT_ROUND = ("SQAP", "SQOB", "ELAP", "ELOB", "UDAD", "UDAO", "OBSC", "SPID")  # apertures and obscurations
+_HEAD = 2  # numbers of an extended asphere in front of its coefficients
 
 
 @dataclass(frozen=True)
@@ -63,49 +64,93 @@ def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, M
         curvature=column(block.line("CURV").number(0) / unit for block in blocks),
         conic=column(block.number("CONI", 0.0) for block in blocks),
         alpha=column([*a, *[0.0] * (orders - len(a))] for a in aspheres).reshape(len(blocks), orders),
-        thickness=column(unit * block.line("DISZ").number(0) for block in blocks),
-        semi_diameter=column(unit * _clear_radius(block) for block in blocks),
+        thickness=column(block.line("DISZ").number(0, unit) for block in blocks),
+        semi_diameter=column(_clear_radius(block, unit) for block in blocks),
         media=tuple(media),
         stop=stop,
     )
 
 
 def _asphere(block: Block, unit: float) -> list[float]:
-    """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)]."""
+    """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)].
+
+    An even asphere has alpha_2j in PARM j; an extended one the number of terms in XDAT 1, the radius rho in
+    sum_j a_j (r / rho)^2j in XDAT 2, and a_j in XDAT 2 + j.
+    """
     kind = block.lines["TYPE"].text if "TYPE" in block.lines else "STANDARD"
-    given = {key: line.number(1) for key, line in block.numbered.items()}
-    if kind == "STANDARD":
-        found = []
-    elif kind == "EVENASPH":
-        found = [given.get(("PARM", j), 0.0) for j in range(1, _TERMS + 1)]
+    rho, used = 1.0, []
+    if kind == "EVENASPH":
+        used = [("PARM", j) for j in range(1, _TERMS + 1)]
     elif kind == "XASPHERE":
-        # XDAT 1: number of terms; XDAT 2: the radius rho in sum_j a_j (r / rho)^2j; XDAT 3 and on: a_j
-        terms, rho = int(given.get(("XDAT", 1), 0)), given.get(("XDAT", 2), 0.0)
-        if terms and not (terms <= _MOST_TERMS and _RHO[0] < rho < _RHO[1]):
-            raise block.lines["TYPE"].error(f"{terms} terms (XDAT 1) over a normalisation radius of {rho} (XDAT 2)")
-        found = [given.get(("XDAT", 2 + j), 0.0) / rho ** (2 * j) for j in range(1, terms + 1)]
-    else:
+        terms, rho = _normalisation(block)
+        used = [("XDAT", _HEAD + j) for j in range(1, terms + 1)]
+    elif kind != "STANDARD":
         raise block.lines["TYPE"].error(f"{kind} is not read; STANDARD, EVENASPH and XASPHERE are")
+    head = [("XDAT", j) for j in range(1, _HEAD + 1)] if kind == "XASPHERE" else []
+    for key, line in block.numbered.items():
+        if key not in used and key not in head and line.number(1):
+            raise line.error(f"{kind} with {len(used)} terms has no number {key[1]}; delete the line, or mend the type")
+    found = [
+        _coefficient(block.numbered[key], j, rho, unit) if key in block.numbered else 0.0
+        for j, key in enumerate(used, 1)
+    ]
     while found and not found[-1]:
         found.pop()
-    return [value / unit ** (2 * j - 1) for j, value in enumerate(found, 1)]
+    return found
 
 
-def _clear_radius(block: Block) -> float:
-    """Read the radius of the clear aperture, in the file's unit; infinite where Zemax does not vignette."""
-    for keyword in _NOT_ROUND:
-        if keyword in block.lines:
-            raise block.lines[keyword].error("only round clear apertures (CLAP, FLAP) are read")
+def _normalisation(block: Block) -> tuple[int, float]:
+    """Read the number of terms of an extended asphere and its normalisation radius, in the file's unit."""
+    count, radius = (block.numbered.get(("XDAT", number)) for number in range(1, _HEAD + 1))
+    terms = 0 if count is None else count.integer(1)
+    if count is not None and not 0 <= terms <= _MOST_TERMS:
+        raise count.error(f"expected 0 .. {_MOST_TERMS} terms, found {count.words[1]}")
+    if not terms:
+        return 0, 1.0
+    if radius is None:
+        raise block.lines["TYPE"].error(f"expected the normalisation radius of {terms} terms in XDAT 2, found none")
+    if not radius.number(1) > 0:
+        raise radius.error(f"expected a positive normalisation radius, found {radius.words[1]}")
+    return terms, radius.number(1)
+
+
+def _coefficient(line: Line, j: int, rho: float, unit: float) -> float:
+    """Convert coefficient j to alpha_2j = a / (rho^2j unit^(2j - 1)) [mm^(1 - 2j)]; raises FileError."""
+    value = line.number(1)
+    if not value or rho == unit == 1.0:
+        return value
+    try:
+        found = value / rho ** (2 * j) / unit ** (2 * j - 1)
+    except (OverflowError, ZeroDivisionError):
+        found = math.inf
+    if not sys.float_info.min <= abs(found) < math.inf:
+        raise line.error(
+            f"{line.words[1]} over {rho:g}^{2 * j} {unit:g}^{2 * j - 1} mm^{2 * j - 1} is beyond the range of float64"
+        )
+    return found
+
+
+def _clear_radius(block: Block, unit: float) -> float:
+    """Read the radius of the clear aperture [mm]; infinite where Zemax does not vignette."""
+    for line in block.lines.values():
+        check_aperture(line)
     for keyword in ("CLAP", "FLAP"):
         if keyword in block.lines:
             aperture = block.lines[keyword]
             if aperture.number(0):
                 raise aperture.error("the aperture has a hole; only full circles are read")
-            return aperture.number(1)
-    line = block.lines.get("DIAM")
-    if line is not None and len(line.words) > 1 and line.integer(1) in (1, 2):  # fixed, or picked up
-        return line.number(0)
+            return _radius(aperture, 1, unit)
+    drawn = block.lines.get("DIAM")
+    if drawn is not None and len(drawn.words) > 1 and drawn.integer(1) in (1, 2):  # fixed, or picked up
+        return _radius(drawn, 0, unit)
     return math.inf
+
+
+def _radius(line: Line, index: int, unit: float) -> float:
+    """Read word `index` as a radius [mm]."""
+    if line.number(index) < 0:
+        raise line.error(f"expected a radius of at least 0, found {line.words[index]}")
+    return line.number(index, unit)
 
 
 def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material], searched: str) -> Material:

@@ -1,0 +1,98 @@
+"""Keywords of Zemax lens files: those that are read, those that leave rays alone, and those that must be neutral.
+
+Any other keyword of the system or of a surface is refused, so that nothing that may change rays is passed over.
+"""
+
+from tasklens.materials.zemax_text import Line
+
+
+def _keywords(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+SYSTEM = _keywords("MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN WAVM WAVL WAVN PWAV MNUM")
+SURFACE = _keywords("STOP COMM TYPE CURV PARM XDAT DISZ GLAS CONI DIAM CLAP FLAP")
+
+# Vignetting factors, weights, ray aiming, polarisation, names of files, settings of analyses and displays.
+_HARMLESS_SYSTEM = _keywords(
+    "! AUTH BLNK COFN DBDT EERA FCOM FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB POLS PUSH "
+    "RAIM ROPD SDMA TOL VANN VCXN VCYN VDXN VDYN VERS WWGN WWGT XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
+)
+# Solves and variables (their values stand in the file), coatings, colours, drawing, mechanical radii, tolerances.
+_HARMLESS_SURFACE = _keywords(
+    "! COAT EDGE FIMP MAZH MEMA MIRR OEMA POPS PPAR PZUP SCOL SLAB SSID TCED TCMM TOLE VCON VDSZ VPAR"
+)
+_APERTURES = _keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither round nor clear
+
+_CLIMATE = "only indices at 20 deg C and 1 atm are read, without adjustment to the environment (0 in third place)"
+_IGNORED = "an ignored surface is not read; delete it in Zemax, or do not ignore it"
+_DECENTRED = "a decentred aperture is not read; centre it, or delete it and its CLAP or FLAP"
+_TELECENTRIC = "an object space that is telecentric is not read; switch it off in Zemax"
+_AFOCAL = "an afocal image space is not read; switch it off in Zemax"
+_HIDDEN = "only the first four flags are known to concern drawings alone; set the others to 0"
+
+# Words by position whose only value that is read is the given one; a word that is not there is neutral.
+_NEUTRAL: dict[str, dict[int, tuple[float, str]]] = {
+    "FTYP": {1: (0, _TELECENTRIC), 6: (0, _AFOCAL)},
+    "ENVD": {0: (20, _CLIMATE), 1: (1, _CLIMATE), 2: (0, _CLIMATE)},
+    "GFAC": {0: (0, "an apodised pupil is not read; switch the apodisation off in Zemax")},
+    "OBDC": {0: (0, _DECENTRED), 1: (0, _DECENTRED)},
+    "IGNR": {0: (0, _IGNORED)},
+    "HIDE": {i: (0, _HIDDEN) for i in range(4, 16)},
+}
+# Data of a configuration, behind the surfaces: KEYWORD surface configuration value.
+_CONFIGURATION: dict[str, tuple[float, str]] = {
+    "IGNR": (0, _IGNORED),
+    "IGNM": (0, _IGNORED),
+    "TELE": (0, _TELECENTRIC),
+    "AFOC": (0, _AFOCAL),
+    "TEMP": (20, _CLIMATE),
+    "PRES": (1, _CLIMATE),
+}
+
+
+def check_system(line: Line) -> None:
+    """Check a line in front of the surfaces; raises FileError unless it is read, neutral or harmless."""
+    if line.keyword in _CONFIGURATION:
+        check_configuration(line)
+    elif line.keyword not in SYSTEM | _HARMLESS_SYSTEM:
+        raise _unknown(line)
+    _check_neutral(line)
+
+
+def check_surface(line: Line) -> None:
+    """Check a line of a surface; raises FileError unless it is read, neutral or harmless."""
+    if line.keyword == "SCBD":
+        raise line.error("a surface that is tilted or decentred is not read; only lenses symmetric about the axis are")
+    if line.keyword not in SURFACE | _HARMLESS_SURFACE | _APERTURES | {"OBDC", "IGNR", "HIDE"}:
+        raise _unknown(line)
+    if line.keyword in ("IGNR", "HIDE"):
+        _check_neutral(line)
+
+
+def check_configuration(line: Line) -> None:
+    """Check a line behind the surfaces, of merit functions, tolerances or a configuration; raises FileError."""
+    if line.keyword in SURFACE | _APERTURES | {"OBDC", "SCBD", "HIDE"}:
+        raise line.error("belongs to a surface: expected spaces in front of it, behind the line SURF")
+    if line.keyword in _CONFIGURATION:
+        neutral, message = _CONFIGURATION[line.keyword]
+        if line.number(max(0, min(2, len(line.words) - 1))) != neutral:
+            raise line.error(f"{message}; found {line.text!r}")
+
+
+def check_aperture(line: Line) -> None:
+    """Check that a line of a surface that rays pass is no aperture but a centred circle; raises FileError."""
+    if line.keyword in _APERTURES:
+        raise line.error("only round clear apertures (CLAP, FLAP) are read")
+    if line.keyword == "OBDC":
+        _check_neutral(line)
+
+
+def _check_neutral(line: Line) -> None:
+    for index, (neutral, message) in _NEUTRAL.get(line.keyword, {}).items():
+        if index < len(line.words) and line.number(index) != neutral:
+            raise line.error(f"{message}; found {line.text!r}")
+
+
+def _unknown(line: Line) -> Exception:
+    return line.error(f"unknown keyword (with {line.text!r}), which may change rays; delete the line if it does not")

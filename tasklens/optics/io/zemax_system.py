@@ -1,0 +1,112 @@
+"""System data of Zemax lens files: units, aperture, fields and wavelengths."""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from tasklens.materials.zemax_text import Line
+from tasklens.optics.io.prescription import FIELDS
+from tasklens.runtime.files import FileError
+
+_UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
+_INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
+_APERTURES = ("ENPD", "FNUM", "FLOA")
+
+
+def read_unit(system: Mapping[str, Line]) -> float:
+    """Read the file's unit of length [mm]; raises FileError."""
+    if "UNIT" not in system:
+        return 1.0
+    unit = _UNITS.get((system["UNIT"].words or [""])[0])
+    if unit is None:
+        raise system["UNIT"].error(f"expected one of {', '.join(_UNITS)}, found {system['UNIT'].text!r}")
+    return unit
+
+
+def read_aperture(
+    system: Mapping[str, Line], unit: float, near: bool, path: Path
+) -> tuple[Line, tuple[str, float] | None]:
+    """Read the system aperture and its line; None for "float by stop size".
+
+    FNUM has a type: 0 is the F-number in image space, efl / D; 1 the paraxial working F-number 1 / (2 tan u) of the
+    marginal ray. With the object at infinity tan u = D / (2 efl), so that both are the same.
+
+    Args:
+        system: lines of the system by keyword.
+        unit: the file's unit of length [mm].
+        near: whether the object is at a finite distance.
+        path: the file, for error messages.
+
+    Raises:
+        FileError: no aperture, several, or one that is not read.
+    """
+    if "OBNA" in system:
+        raise system["OBNA"].error("an aperture in object space is not read; the apertures ENPD, FNUM and FLOA are")
+    found = [system[keyword] for keyword in _APERTURES if keyword in system]
+    if not found:
+        raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
+    if len(found) > 1:
+        raise found[1].error(f"the file has the aperture {found[0].keyword} as well; delete one of them")
+    line = found[0]
+    if line.keyword == "FLOA":
+        return line, None
+    value = line.number(0, unit if line.keyword == "ENPD" else 1.0)
+    if not value > 0:
+        raise line.error(f"expected a positive number, found {line.text!r}")
+    if line.keyword == "ENPD":
+        return line, ("entrance_pupil_diameter_mm", value)
+    kind = line.integer(1) if len(line.words) > 1 else 0
+    if kind not in (0, 1):
+        raise line.error(f"expected the type 0 (image space) or 1 (paraxial working), found {line.text!r}")
+    if kind == 1 and near:
+        raise line.error(
+            "the paraxial working F-number (type 1) of a near object is not read; give the diameter of the entrance "
+            "pupil (ENPD) or the F-number in image space (type 0)"
+        )
+    return line, ("f_number", value)
+
+
+def read_fields(system: Mapping[str, Line], unit: float, path: Path) -> tuple[str, tuple[tuple[float, float], ...]]:
+    """Read the kind of the fields and their points (x, y) [deg or mm]; raises FileError."""
+    for keyword in ("FTYP", "XFLN", "YFLN"):
+        if keyword not in system:
+            raise FileError(f"{path}: no fields: {keyword} is missing")
+    line = system["FTYP"]  # type, telecentric, number of fields, number of wavelengths
+    kind, count = line.integer(0), line.integer(2)
+    if not 0 <= kind < len(FIELDS) or count < 1:
+        raise line.error(f"expected a type 0 .. {len(FIELDS) - 1} and at least one field, found {line.text!r}")
+    scale = 1.0 if FIELDS[kind] == "angle_deg" else unit
+    points = ((system["XFLN"].number(i, scale), system["YFLN"].number(i, scale)) for i in range(count))
+    return FIELDS[kind], tuple(points)
+
+
+def read_wavelengths(system: Mapping[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
+    """Read the wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
+    if "FTYP" not in system:
+        raise FileError(f"{path}: no numbers of fields and wavelengths: FTYP is missing")
+    count = system["FTYP"].integer(3)
+    listed = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
+    words: Iterable[tuple[Line, int]]
+    if count > 0 and all(f"WAVM {i}" in system for i in range(1, count + 1)):
+        words = ((system[f"WAVM {i}"], 1) for i in range(1, count + 1))
+    elif count > 0 and listed is not None:
+        words = ((listed, i) for i in range(count))
+    else:
+        raise system["FTYP"].error(f"expected {max(count, 1)} wavelengths in WAVM, WAVL or WAVN, found fewer")
+    found = []
+    for line, i in words:
+        found.append(line.number(i))
+        if not found[-1] > 0:
+            raise line.error(f"expected positive wavelengths in um, found {found[-1]}")
+    primary = system["PWAV"].integer(0) if "PWAV" in system else 1
+    if not 1 <= primary <= count:
+        raise system["PWAV"].error(f"expected one of the {count} wavelengths, found {primary}")
+    return tuple(found), primary - 1
+
+
+def read_object_distance(line: Line, unit: float) -> float:
+    """Read the distance from the object to the first surface [mm], infinite beyond Zemax's limit; raises FileError."""
+    distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
+    if not distance > 0:
+        raise line.error(f"expected INFINITY or a positive distance of the object, found {line.text!r}")
+    return unit * distance if distance < _INFINITY else math.inf

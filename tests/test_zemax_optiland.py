@@ -1,0 +1,35 @@
+"""Optiland, another ray tracer, reads the Zemax files that we write, but for surfaces that it does not have."""
+
+import math
+
+import pytest
+from test_zemax_files import FILES, reading_of
+
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.io import zemax
+
+optiland = pytest.importorskip("optiland.fileio")
+WITHOUT_SURFACE = {"US-12078784-B2-e6", "US20210165194A1"}  # extended aspheres
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_optiland_reads_what_we_write(tmp_path, path):
+    """Surfaces, stop, aperture, fields and wavelengths as they are, the focal length as far as it knows the glasses."""
+    shown = reading_of(path)[0]
+    zemax.write(tmp_path / "lens.zmx", shown)
+    if path.stem in WITHOUT_SURFACE:
+        with pytest.raises(ValueError, match="xasphere"):
+            optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
+        return
+    found = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
+    lens = shown.lens
+    assert [float(r) for r in found.surfaces.radii[1:-1]] == [1 / c if c else math.inf for c in lens.curvature.tolist()]
+    assert found.surfaces.stop_index == lens.stop + 1
+    kinds = {"entrance_pupil_diameter_mm": "EPD", "f_number": "imageFNO"}
+    if shown.aperture is not None:
+        assert (found.aperture.ap_type, float(found.aperture.value)) == (kinds[shown.aperture[0]], shown.aperture[1])
+    assert sorted((float(f.x), float(f.y)) for f in found.fields) == sorted(shown.fields[1])
+    assert tuple(float(w.value) for w in found.wavelengths) == shown.wavelengths_um
+    efl = float(paraxial(lens, shown.wavelengths_um[shown.primary]).efl)
+    assert float(found.paraxial.f2()) == pytest.approx(efl, rel=5e-4)

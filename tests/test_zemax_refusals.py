@@ -1,0 +1,218 @@
+"""What a Zemax file says about rays is read or refused with its line: flags, apertures, environment, numbers, text."""
+
+import codecs
+import math
+
+import pytest
+from test_zemax import TEXT, edited, read, tensors
+
+from tasklens.optics.io import zemax
+from tasklens.runtime.files import FileError
+
+
+def assert_refused(tmp_path, text: str, line: str, *words: str, encoding: str = "utf-8") -> None:
+    """Reading fails with the file, the number of the line that is exactly `line`, and `words`."""
+    number = text.split("\n").index(line) + 1
+    with pytest.raises(FileError) as error:
+        read(tmp_path, text, encoding=encoding)
+    message = str(error.value)
+    assert all(word in message for word in (f"lens.zmx, line {number}: {line.split()[0]}", *words)), message
+
+
+def test_the_paraxial_working_f_number(tmp_path):
+    """1 / (2 tan u) of the marginal ray; with the object at infinity that is the F-number in image space, efl / D."""
+    working, image = (read(tmp_path, edited(("ENPD 1.2", f"FNUM 2.8 {kind}"))) for kind in (1, 0))
+    assert working.aperture == image.aperture == ("f_number", 2.8)
+    assert all((a == b).all() for a, b in zip(tensors(working.lens), tensors(image.lens), strict=True))
+    near = edited(("ENPD 1.2", "FNUM 2.8 1"), ("DISZ INFINITY", "DISZ 350"))
+    assert_refused(tmp_path, near, "FNUM 2.8 1", "near object", "ENPD")
+    assert_refused(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 2")), "FNUM 2.8 2", "type")
+    assert read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8"))).aperture == image.aperture  # files that we wrote before
+
+
+SYSTEM = [  # a line of OpticStudio, in place of another, and words of the message
+    ("FTYP 0 1 2 3 0 0 0 2", "telecentric"),
+    ("FTYP 0 0 2 3 0 0 1 2", "afocal"),
+    ("ENVD 60 1 0", "20 deg C"),
+    ("ENVD 20 0 0", "1 atm"),
+    ("ENVD 20 1 1", "adjustment"),
+    ("GFAC 1 2", "apodis"),
+    ("OBNA 0.1 0", "object space"),
+    ("FNUM 2.8 0", "ENPD as well"),
+    ("TELE 1", "telecentric"),
+    ("AFOC 1", "afocal"),
+    ("TEMP 60", "20 deg C"),
+    ("PRES 0", "1 atm"),
+    ("WHAT 1 2", "unknown keyword", "delete the line"),
+]
+
+
+@pytest.mark.parametrize("line, words", [(line, words) for line, *words in SYSTEM])
+def test_settings_of_the_system_that_change_rays(tmp_path, line, words):
+    old = "FTYP 0 0 2 3 0 0 0 2" if line.startswith("FTYP") else "MODE SEQ"
+    text = edited((old, line if line.startswith("FTYP") else f"{old}\n{line}"))
+    assert_refused(tmp_path, text, line, *words)
+
+
+SURFACE = [
+    ("OBDC 0 0.5", "decentred"),
+    ("IGNR 1", "ignored"),
+    ("HIDE 0 0 0 0 0 0 0 0 0 1", "flags"),
+    ("SCBD 1 0 0 0 0 90 0 0", "tilted"),
+    ("ELOB 0.5 0.2", "round"),
+    ("USAP 1", "round"),
+    ("WHAT 1 2", "unknown keyword"),
+    ("CURV 0.3", "already"),
+    ("XDAT 1 0.5", "STANDARD"),
+    ("CLAP 0 -0.5 0", "radius"),
+]
+
+
+@pytest.mark.parametrize("line, word", SURFACE)
+def test_data_of_a_surface_that_change_rays(tmp_path, line, word):
+    assert_refused(tmp_path, edited(("  CURV -0.1", f"  CURV -0.1\n  {line}")), f"  {line}", word)
+
+
+@pytest.mark.parametrize("line, word", [pair for pair in SURFACE if pair[0].startswith(("OBDC", "SCBD", "CURV"))])
+def test_data_of_a_surface_behind_the_surfaces(tmp_path, line, word):
+    assert_refused(tmp_path, edited(("MNUM 1 1", f"{line}\nMNUM 1 1")), line, "belongs to a surface")
+
+
+@pytest.mark.parametrize(
+    "line, word",
+    [
+        ("IGNR   2   1 1 0 0 0 1 1", "ignored"),
+        ("TELE   0   1 1 0 0 0 1 1", "telecentric"),
+        ("AFOC   0   1 1 0 0 0 1 1", "afocal"),
+        ("TEMP   0   1 6.0E+1 0 0 0 1 1", "20 deg C"),
+        ("PRES   0   1 0 0 0 0 1 1", "1 atm"),
+    ],
+)
+def test_data_of_the_only_configuration_that_change_rays(tmp_path, line, word):
+    """The operands of Zemax's editor of configurations: keyword, surface or 0, configuration, value."""
+    assert_refused(tmp_path, edited(("MNUM 1 1", f"MNUM 1 1\n{line}")), line, word)
+
+
+def test_what_changes_no_ray_changes_nothing(tmp_path):
+    """Neutral values, drawing, solves whose value stands in the file, merit functions."""
+    system = "NOTE 0 text\nENVD 2.0E+1 1 0\nGFAC 0 0\nPUSH 1 2 3 0 0 0\nRAIM 0 2 1 1 0 0 0 0 0 1"
+    surface = "  HIDE 1 1 1 1 0 0 0 0 0 0\n  OBDC 0.0 0.0\n  IGNR 0\n  PZUP 1 1 0 0\n  COAT AR\n  MIRR 2 0\n  FIMP \n"
+    end = "WFNO 0 0 0 0 0 0 0 0 0 0\nMNUM 1 1\nIGNR   2   1 0 0 0 0 1 1\nTEMP   0   1 2.0E+1 0 0\n"
+    changes = ("MODE SEQ", f"MODE SEQ\n{system}"), ("  CURV -0.1\n", f"  CURV -0.1\n{surface}"), ("MNUM 1 1\n", end)
+    found, plain = read(tmp_path, edited(*changes)), read(tmp_path)
+    assert all((a == b).all() for a, b in zip(tensors(found.lens), tensors(plain.lens), strict=True))
+
+
+NUMBERS = [
+    ("  PARM 2 -0.002", "  PARM 2 1e400", "range of float64"),
+    ("  PARM 2 -0.002", "  PARM 2 inf", "inf"),
+    ("  CURV -0.1", "  CURV nan", "nan"),
+    ("  DISZ 0.8", "  DISZ -1e999", "range of float64"),
+    ("  PARM 8 1e-06", "  PARM 9 1e-06", "8 terms"),
+    ("  PARM 8 1e-06", "  PARM 0 1e-06", "8 terms"),
+    ("  PARM 8 1e-06", "  PARM 1.5 1e-06", "integer"),
+    ("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 2.5 3 0 0 0 2", "integer"),
+    ("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 -2 3 0 0 0 2", "at least one field"),
+    ("WAVM 2 0.5893 1", "WAVM 2 -0.5893 1", "positive wavelengths"),
+]
+
+
+@pytest.mark.parametrize("old, new, word", NUMBERS)
+def test_numbers_out_of_range(tmp_path, old, new, word):
+    assert_refused(tmp_path, edited((old + "\n", new + "\n")), new, word)
+
+
+@pytest.mark.parametrize(
+    "line", ["  DISZ 1e308", "  PARM 8 1e300", "  PARM 8 1e-290", "  FLAP 0 1e308 0", "YFLN 0 1e308"]
+)
+def test_numbers_that_leave_the_range_in_mm(tmp_path, line):
+    """A length must not become infinite, nor a coefficient zero, when metres become millimetres."""
+    keyword = line.split()[0]
+    old = {"DISZ": "  DISZ 0.8", "PARM": "  PARM 8 1e-06", "FLAP": "  FLAP 0 1.1 0", "YFLN": "YFLN 0 20"}[keyword]
+    text = edited((old, line), ("UNIT MM", "UNIT METER"), ("FTYP 0 0", "FTYP 1 0"))
+    if line == "  PARM 8 1e300":
+        assert math.isfinite(read(tmp_path, text).lens.alpha[0, 7])
+    else:
+        assert_refused(tmp_path, text, line)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [("CURV 0.25", "CURV 1e308"), ("CURV -0.1", "CURV 1e308")],
+        [("CURV 0.25", "CURV 1e200"), ("DISZ 0.8", "DISZ 1e200")],
+        [("CURV 0.25", "CURV 0"), ("CURV -0.1", "CURV 0"), ("  CURV 0.1\n", "  CURV 0\n"), ("PARM 1 0.01", "PARM 1 0")],
+    ],
+)
+def test_a_lens_without_a_finite_stop(tmp_path, changes):
+    """Powers that overflow, and a plane-parallel plate of which an F-number is asked."""
+    line = "FNUM 2.8 0"
+    assert_refused(tmp_path, edited(*changes, ("ENPD 1.2", line)), line, "radius of the stop")
+
+
+def extended(*lines: str) -> str:
+    """The text with an extended asphere of these numbers."""
+    numbers = "\n".join(f"  XDAT {line}" for line in lines)
+    return edited(("EVENASPH", "XASPHERE"), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", numbers))
+
+
+@pytest.mark.parametrize(
+    "lines, row, words",
+    [
+        (["1 -3", "2 1"], 0, ["0 .. 240 terms", "-3"]),
+        (["1 2.5", "2 1", "3 1"], 0, ["integer", "2.5"]),
+        (["1 241", "2 1"], 0, ["0 .. 240 terms", "241"]),
+        (["1 1e300", "2 1"], 0, ["0 .. 240 terms", "1e300"]),
+        (["1 1e400", "2 1"], 0, ["float64", "1e400"]),
+        (["1", "2 1"], 0, ["2 values"]),
+        (["1 2", "2 0", "3 1"], 1, ["positive normalisation radius", "0"]),
+        (["1 2", "2 -1", "3 1"], 1, ["positive normalisation radius", "-1"]),
+        (["1 2", "2 1", "5 0.1"], 2, ["2 terms"]),
+        (["2 1", "3 0.1"], 1, ["0 terms"]),
+        (["1 240", "2 1000", "242 0.1"], 2, ["float64"]),
+        (["1 240", "2 0.001", "242 0.1"], 2, ["float64"]),
+        (["1 99999999999999999999", "2 1"], 0, ["0 .. 240 terms"]),
+    ],
+)
+def test_terms_of_an_extended_asphere(tmp_path, lines, row, words):
+    assert_refused(tmp_path, extended(*lines), f"  XDAT {lines[row]}", *words)
+
+
+def test_all_terms_of_an_extended_asphere(tmp_path):
+    found = read(tmp_path, extended("1 240", "2 1", "242 1e-300")).lens
+    assert found.alpha.shape[1] == 240 and float(found.alpha[0, 239]) == 1e-300
+    assert not read(tmp_path, extended("1 0")).lens.alpha.any()
+
+
+ENCODINGS = {"utf-16-le": b"", "utf-16-be": b"", "utf-32": b"", "utf-16-be with a mark": codecs.BOM_UTF16_BE}
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_encodings_without_a_mark_and_rare_ones(tmp_path, encoding):
+    text = edited(("A doublet", "Ø 30 µm – 透镜"))
+    content = ENCODINGS[encoding] + text.encode(encoding.split()[0])
+    (tmp_path / "lens.zmx").write_bytes(content)
+    assert zemax.read(tmp_path / "lens.zmx").title == "Ø 30 µm – 透镜"
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        (codecs.BOM_UTF16_LE + TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
+        (TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
+        (codecs.BOM_UTF8 + TEXT.encode() + b"\xff", ["line 55", "UTF-8"]),
+        (TEXT.replace("A doublet", "A\0doublet").encode(), ["line 3", r"'\x00'"]),
+        (TEXT.replace("A doublet", "A\0doublet").encode("utf-16"), ["line 3", r"'\x00'"]),
+        (TEXT.replace("DISZ 0.8", "DISZ 0\x1b8").encode(), ["line 26", r"'\x1b'"]),
+        (codecs.BOM_UTF16_LE + TEXT.encode("utf-16-le").replace(b"d\0o\0", b"\0\xd8o\0"), ["line 3", "UTF-16"]),
+        (bytes(range(256)), ["line 1"]),
+        (b"\x89PNG\r\n\x1a\n\0\0", ["line 2", "text file"]),
+        (b"", ["SURF"]),
+        (codecs.BOM_UTF16_LE, ["SURF"]),
+    ],
+)
+def test_damaged_text(tmp_path, content, words):
+    (tmp_path / "lens.zmx").write_bytes(content)
+    with pytest.raises(FileError) as error:
+        zemax.read(tmp_path / "lens.zmx")
+    assert all(word in str(error.value) for word in ["lens.zmx", *words]), error.value
