@@ -15,6 +15,8 @@ from tasklens.optics.analysis.spots import (
     rms_spot_radius,
     trace_fields,
 )
+from tasklens.optics.analysis.wavefront import wavefront
+from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
@@ -53,7 +55,8 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
     Rays are traced through `rays` pupil points per field and wavelength. Energies are fractions of the launched rays:
     `valid_fraction` of them are valid, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF
     starts at the valid fraction; `energy_in_window` is a fraction of those that are not vignetted, as in a PSF. RMS
-    radii are of the valid rays. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are
+    radii are of the valid rays. `rms_wavefront_waves` is of their optical path differences at the middle wavelength,
+    without piston and tilt. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are
     totals at the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
     """
     lens = lens.detached()
@@ -71,6 +74,8 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
         "f_number": f_number,
         "entrance_pupil_z_mm": float(first_order.entrance_pupil_z),
         "entrance_pupil_diameter_mm": float(2 * first_order.entrance_pupil_radius),
+        "exit_pupil_z_mm": float(first_order.exit_pupil_z),
+        "exit_pupil_diameter_mm": float(2 * first_order.exit_pupil_radius),
         "airy_radius_um": airy_radius(f_number, view.reference),
         "diffraction_cutoff_per_mm": diffraction_cutoff(f_number, view.reference),
         "nyquist_per_mm": _nyquist(view),
@@ -89,7 +94,8 @@ def _nyquist(view: View) -> float:
 
 
 def _by_field(lens: Lens, view: View, rays: int) -> dict:
-    traced, chief_ray = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_rays(lens, view)
+    pupil = sobol_disc(rays, seed=0)
+    traced, chief_ray = trace_fields(lens, view, pupil), chief_rays(lens, view)
     middle, chief = centroid(traced), torch.cat([chief_ray.x[:, 0], chief_ray.y[:, 0]], -1)
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
     inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch / 2e3)
@@ -102,6 +108,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
         "energy_in_window": inside.double().sum((1, 2)) / (~traced.vignetted).double().sum((1, 2)).clamp(min=1),
         "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
         "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
+        "rms_wavefront_waves": rms_wavefront_error(wavefront(lens, view.in_reference(), pupil).opd[:, 0], pupil),
         "radius_50_um": 1e3 * encircled_energy_radius(traced, middle, 0.5),
         "radius_80_um": 1e3 * encircled_energy_radius(traced, middle, 0.8),
         "mtf_tangential_quarter_nyquist": mtf_tangential[:, 0],
