@@ -31,8 +31,8 @@ class Wavefront:
 
     Attributes:
         opd: (F, W, N) optical path difference W of each ray [waves of its wavelength].
-        towards: (F, W, N, 2) direction cosines, x and y, of the sphere's normal at the ray, which points along the light:
-            for a pupil in front of the image it leads to the centre. They are the pupil of a diffraction integral.
+        towards: (F, W, N, 2) direction cosines, x and y, of the sphere's normal at the ray, along the light: for a
+            pupil in front of the image it leads to the centre. They are the pupil of a diffraction integral.
         centre: (F, W, 2) centre (x, y) of the sphere on the image plane [mm].
         curvature: (F, W) 1 / radius of the sphere [1/mm], positive for an exit pupil in front of the image plane.
     """

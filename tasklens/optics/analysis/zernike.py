@@ -43,11 +43,9 @@ def zernike(pupil: Tensor, count: int) -> Tensor:
 
 
 def _radial(n: int, m: int) -> list[int]:
-    """Return the coefficients of R_n^m from r^n to r^m: (-1)^k (n - k)! / (k! ((n + m) / 2 - k)! ((n - m) / 2 - k)!)."""
+    """Return the coefficients (-1)^k (n - k)! / (k! ((n + m) / 2 - k)! ((n - m) / 2 - k)!) of r^(n - 2k) in R_n^m."""
     f = math.factorial
-    return [
-        (-1) ** k * f(n - k) // (f(k) * f((n + m) // 2 - k) * f((n - m) // 2 - k)) for k in range((n - m) // 2 + 1)
-    ]
+    return [(-1) ** k * f(n - k) // (f(k) * f((n + m) // 2 - k) * f((n - m) // 2 - k)) for k in range((n - m) // 2 + 1)]
 
 
 def zernike_coefficients(opd: Tensor, pupil: Tensor, count: int) -> Tensor:
