@@ -1,6 +1,7 @@
 """The figures of a lens in its file, and the table made of them: every number says what the rays say."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -18,6 +19,7 @@ from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View
 from tasklens.report import certificate
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
 RAYS = 512
@@ -122,7 +124,19 @@ def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_p
         ({"kernel_size": ...}, "has no kernel_size"),
         ({"fields_mm": [[0, 1, 2]]}, "cannot be used"),
         ({"fields_mm": []}, "no fields"),
+        ({"fields_mm": [[0, math.nan]]}, "fields_mm: expected a number, found nan"),
         ({"wavelengths_um": [0.5, 2.5]}, r"2\.5 um"),
+        ({"wavelengths_um": 0.5}, "wavelengths_um: expected a list"),
+        ({"wavelengths_um": [0.5, -0.5]}, r"wavelengths_um: expected a positive number, found -0\.5"),
+        *(
+            ({key: value}, rf"{key}: expected a (positive )?number, found {value}; correct|{key}.* found (nan|inf)")
+            for key in ("efl_mm", "pixel_pitch_um")
+            for value in (0, -1.8, math.nan, math.inf)
+        ),
+        *(
+            ({"kernel_size": v}, f"kernel_size: expected an odd number of pixels.* found {v}")
+            for v in (50, 1, -31, 30.5)
+        ),
     ],
 )
 def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
@@ -133,6 +147,20 @@ def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
     with pytest.raises(FileError, match=words) as error:
         view_of(lens, content, "some/lens.yaml")
     assert str(error.value).startswith("some/lens.yaml: ")
+
+
+@pytest.mark.parametrize("radius", [0.0, -0.3, math.nan, math.inf])
+def test_a_lens_whose_stop_is_no_disc_has_no_figures(lens, radius):
+    """Through a point every lens is perfect: refused with the surface and the radius, in a file with its name."""
+    lens, looks = lens
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[lens.stop] = radius
+    lens = replace(lens, semi_diameter=semi_diameter)
+    words = f"surface 0: semi_diameter: the radius of the stop is {radius} mm"
+    with pytest.raises(InputError, match=words):
+        figures(lens, looks, 16)
+    with pytest.raises(FileError, match=f"^lens.yaml: {words}"):
+        view_of(lens, {"spec": spec_of(looks)}, "lens.yaml")
 
 
 def test_certificate_shows_the_numbers_of_the_file(lens, found):

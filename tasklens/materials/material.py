@@ -123,8 +123,8 @@ class Material:
             raise InputError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
         if not LEAST_INDEX <= index < math.inf:
             raise InputError(
-                f"{self.name}: its coefficients give the index {index:.6g} at {wavelength} um; expected a finite one of "
-                "at least 1, relative to air: correct the coefficients"
+                f"{self.name}: its coefficients give the index {index:.6g} at {wavelength} um; expected a finite one of"
+                " at least 1, relative to air: correct the coefficients"
             )
         return index
 
