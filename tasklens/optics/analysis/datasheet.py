@@ -86,8 +86,8 @@ def check_stop(lens: Lens) -> None:
     radius = float(lens.semi_diameter[lens.stop])
     if not 0 < radius < math.inf:
         raise InputError(
-            f"surface {lens.stop}: semi_diameter: the radius of the stop is {radius} mm; expected a positive, finite one: "
-            "correct it"
+            f"surface {lens.stop}: semi_diameter: the radius of the stop is {radius} mm; expected a positive and finite"
+            " one; correct it"
         )
 
 
