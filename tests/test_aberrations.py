@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, make_lens, random_lens
+from examples import WAVELENGTHS, difference, f64, make_lens, random_lens
 
 from tasklens.optics.analysis.aberrations import SeidelSums, field_curvature, seidel_sums
 from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray
@@ -205,3 +205,23 @@ def test_a_lost_chief_ray_has_no_focus_and_parallel_neighbours_an_infinite_one()
     assert chief_rays(lens, looking([0.6])).valid.sum() == 0
     plate = make_lens([0.0, 0.0], [1.0, 2.0], ("COC", "air"), semi_diameter=[0.1, torch.inf])
     assert all(v.isinf().all() for v in field_curvature(plate, looking([0.0, 0.4])))
+
+
+@pytest.mark.parametrize("stop", [0, 2])
+@pytest.mark.parametrize("name", ["curvature", "conic", "alpha", "thickness"])
+def test_gradients_of_the_foci_are_those_of_differences(name, stop):
+    """The chief ray moves with the lens; a field whose chief ray is lost changes no gradient."""
+    lens = focused(replace(random_lens(1), stop=stop), 0.2)
+    lens.semi_diameter[4] = 1.0
+    looks = looking([0.0, 0.1, 0.3, 2.0])
+    assert chief_rays(lens, looks).valid[:, 0, 0].tolist() == [True, True, True, False]
+
+    def foci(values: torch.Tensor) -> torch.Tensor:
+        return torch.stack(field_curvature(replace(lens, **{name: values}), looks))[:, :3]
+
+    values = getattr(lens, name).clone().requires_grad_()
+    found = foci(values)
+    gradient = torch.stack([torch.autograd.grad(v, values, retain_graph=True)[0] for v in found.flatten()])
+    expected = difference(lambda v: foci(v).flatten(), values.detach(), 1e-4)
+    assert float(expected.abs().max()) > 1e-3
+    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6)

@@ -201,6 +201,34 @@ def test_analyse_needs_the_spec_and_a_number_of_rays(lenses, capsys):
 
 
 @pytest.mark.parametrize(
+    "keys, value, words",
+    [
+        (["spec", "pixel_pitch_um"], 0, ["pixel_pitch_um", "positive", "found 0"]),
+        (["spec", "pixel_pitch_um"], -1.8, ["pixel_pitch_um", "positive", "-1.8"]),
+        (["spec", "kernel_size"], 10, ["kernel_size", "odd", "10"]),
+        (["spec", "efl_mm"], 0.0, ["efl_mm", "positive", "0.0"]),
+        (["surfaces", 0, "semi_diameter"], 0.0, ["surface 0", "semi_diameter", "stop", "0.0"]),
+        (["surfaces", 0, "semi_diameter"], None, ["surface 0", "semi_diameter", "stop", "inf"]),
+        (["materials", "COC", "coefficients", 0], -1.0, ["COC", "no index"]),
+        (["materials", "COC", "coefficients", 0], 0.5, ["COC", "index 0.7", "um", "at least 1"]),
+    ],
+)
+def test_nonsense_in_a_lens_file_is_refused(lenses, capsys, keys, value, words):
+    """Analysed, none of it exits 0 or prints a table: one message that names the file, the key and the value."""
+    content = lens_content("singlet-imaging1")
+    entry = content
+    for key in keys[:-1]:
+        entry = entry[key]
+    entry[keys[-1]] = value
+    (lenses / "nonsense.yaml").write_text(yaml.safe_dump(content))
+    capsys.readouterr()
+    assert cli.main(["analyse", "nonsense.yaml", "--rays", "64"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and len(printed.err.splitlines()) == 1
+    assert all(word in printed.err for word in ["tasklens: nonsense.yaml: ", *words]), printed.err
+
+
+@pytest.mark.parametrize(
     "arguments, words",
     [
         (["design", "doublet-imaging1"], ["doublet-imaging1", "singlet-imaging1"]),

@@ -1,6 +1,7 @@
 """The figures of a lens in its file, and the table made of them: every number says what the rays say."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,11 +11,15 @@ from examples import f64, make_lens, seen_lens
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
 from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, view_of
 from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.wavefront import wavefront
+from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View
 from tasklens.report import certificate
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
 RAYS = 512
@@ -56,6 +61,8 @@ def test_figures_agree_with_the_psf_and_the_rays(lens, found):
     mtf = geometric_mtf(rays, looks.directions, [nyquist / 4, nyquist / 2])
     names = [[f"mtf_{d}_{f}_nyquist" for f in ("quarter", "half")] for d in ("tangential", "sagittal")]
     torch.testing.assert_close(f64([[found[name] for name in row] for row in names]), torch.stack(mtf).mT)
+    opd = wavefront(lens, looks.in_reference(), sobol_disc(RAYS, 0)).opd[:, 0]
+    torch.testing.assert_close(f64(found["rms_wavefront_waves"]), rms_wavefront_error(opd, sobol_disc(RAYS, 0)))
     foci = torch.stack(field_curvature(lens, looks))
     torch.testing.assert_close(f64([found["focus_tangential_um"], found["focus_sagittal_um"]]), 1e3 * foci)
     assert all(a <= b for a, b in zip(found["rms_centroid_um"], found["rms_chief_ray_um"], strict=True))
@@ -66,6 +73,9 @@ def test_figures_of_the_whole_lens(lens, found):
     lens, looks = lens
     assert found["track_mm"] == pytest.approx(float(lens.thickness.sum()))
     assert found["entrance_pupil_diameter_mm"] == pytest.approx(0.6)
+    first_order = paraxial(lens, looks.reference)
+    assert found["exit_pupil_z_mm"] == float(first_order.exit_pupil_z)
+    assert found["exit_pupil_diameter_mm"] == 2 * float(first_order.exit_pupil_radius)
     assert found["f_number"] == pytest.approx(found["efl_mm"] / 0.6)
     cutoff = found["diffraction_cutoff_per_mm"]
     assert cutoff == pytest.approx(1e3 / (looks.reference * abs(found["f_number"])))
@@ -87,7 +97,8 @@ def test_a_lost_field_has_no_good_figure():
     found = figures(lens, View(f64([[0.0, 0.0], [0.0, 2.0]]), 2.0, (0.5893,), 1.8, 31), 64)
     for name in ("rms_centroid_um", "radius_50_um", "radius_80_um"):
         assert math.isfinite(found[name][0]) and found[name][1] == math.inf, name
-    for name in ("rms_chief_ray_um", "distortion_percent", "focus_tangential_um", "focus_sagittal_um"):
+    about_chief = ("rms_chief_ray_um", "rms_wavefront_waves", "distortion_percent")
+    for name in (*about_chief, "focus_tangential_um", "focus_sagittal_um"):
         assert math.isfinite(found[name][0]) and math.isnan(found[name][1]), name
     mtf = [name for name in found if name.startswith("mtf_")]
     for name in ("valid_fraction", "energy_in_window", "relative_illumination", *mtf):
@@ -113,7 +124,19 @@ def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_p
         ({"kernel_size": ...}, "has no kernel_size"),
         ({"fields_mm": [[0, 1, 2]]}, "cannot be used"),
         ({"fields_mm": []}, "no fields"),
+        ({"fields_mm": [[0, math.nan]]}, "fields_mm: expected a number, found nan"),
         ({"wavelengths_um": [0.5, 2.5]}, r"2\.5 um"),
+        ({"wavelengths_um": 0.5}, "wavelengths_um: expected a list"),
+        ({"wavelengths_um": [0.5, -0.5]}, r"wavelengths_um: expected a positive number, found -0\.5"),
+        *(
+            ({key: value}, rf"{key}: expected a (positive )?number, found {value}; correct|{key}.* found (nan|inf)")
+            for key in ("efl_mm", "pixel_pitch_um")
+            for value in (0, -1.8, math.nan, math.inf)
+        ),
+        *(
+            ({"kernel_size": v}, f"kernel_size: expected an odd number of pixels.* found {v}")
+            for v in (50, 1, -31, 30.5)
+        ),
     ],
 )
 def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
@@ -126,6 +149,20 @@ def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
     assert str(error.value).startswith("some/lens.yaml: ")
 
 
+@pytest.mark.parametrize("radius", [0.0, -0.3, math.nan, math.inf])
+def test_a_lens_whose_stop_is_no_disc_has_no_figures(lens, radius):
+    """Through a point every lens is perfect: refused with the surface and the radius, in a file with its name."""
+    lens, looks = lens
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[lens.stop] = radius
+    lens = replace(lens, semi_diameter=semi_diameter)
+    words = f"surface 0: semi_diameter: the radius of the stop is {radius} mm"
+    with pytest.raises(InputError, match=words):
+        figures(lens, looks, 16)
+    with pytest.raises(FileError, match=f"^lens.yaml: {words}"):
+        view_of(lens, {"spec": spec_of(looks)}, "lens.yaml")
+
+
 def test_certificate_shows_the_numbers_of_the_file(lens, found):
     """A row per field and per surface with their figures, the totals last, the worst margin where it is known."""
     lens, looks = lens
@@ -136,11 +173,12 @@ def test_certificate_shows_the_numbers_of_the_file(lens, found):
     pairs = dict(line for line in lines if len(line) == 2)
     assert float(pairs["focal length [mm]"]) == pytest.approx(found["efl_mm"], abs=1e-4)
     assert pairs["worst margin"] == "-0.0123 (max_slope)"
-    header, _, *fields = [line for line in lines if len(line) == 16]
+    header, _, *fields = [line for line in lines if len(line) == 17]
     assert len(fields) == 3
     for f, row in enumerate(fields):
         row = dict(zip(header, row, strict=True))
         assert float(row["EE80 [um]"]) == pytest.approx(found["radius_80_um"][f], abs=5e-3)
+        assert float(row["RMS wavefront [waves]"]) == pytest.approx(found["rms_wavefront_waves"][f], abs=5e-4)
         assert float(row["MTF S 1/2"]) == pytest.approx(found["mtf_sagittal_half_nyquist"][f], abs=5e-4)
     header, _, *surfaces = [line for line in lines if len(line) == 8]
     assert header == ["surface", "S_I", "S_II", "S_III", "S_IV", "S_V", "C_I", "C_II"]

@@ -6,11 +6,13 @@ from itertools import pairwise
 
 import pytest
 import yaml
+from examples import make_lens
 from reference_files import SHARED, reference_files
 
 from tasklens.materials import catalogues
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, G_LINE, Material, from_definitions, model_glass
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
 CATALOGUES = {path.stem: catalogues.read(path) for path in reference_files("glass/*.AGF")}
@@ -222,3 +224,36 @@ def test_a_material_can_be_a_key():
     assert {builtin("COC"): 1}[builtin("COC")] == 1
     with pytest.raises(AttributeError):
         builtin("COC").name = "X"
+
+
+@pytest.mark.parametrize(
+    "coefficients, shown",
+    [
+        ((math.nan, 0.0, 0.0), "nan"),
+        ((math.inf, 0.0, 0.0), "inf"),
+        ((0.5, 0.0, 0.0), r"0\.5"),
+        ((-1.5, 0.0, 0.0), r"-1\.5"),
+    ],
+)
+def test_an_index_that_no_lens_medium_has_is_refused(coefficients, shown):
+    """Not a number, infinite, below one, negative: with the name, the index and the wavelength, in a lens too."""
+    odd = Material("odd", "conrady", coefficients, (0.4, 0.8))
+    words = rf"odd: .* {shown} at 0\.5893 um; expected .* at least 1"
+    with pytest.raises(InputError, match=words):
+        odd.refractive_index(0.5893)
+    with pytest.raises(InputError, match=words):
+        make_lens([0.1], [1.0], (odd,)).refractive_indices((0.5893,))
+
+
+def test_vacuum_is_a_medium():
+    """Relative to air, 1 / 1.00027."""
+    assert Material("vacuum", "conrady", (1 / 1.00027, 0.0, 0.0), (0.2, 2.0)).refractive_index(0.5) < 1
+
+
+def test_every_glass_of_the_catalogues_has_indices_in_its_range():
+    for glasses in CATALOGUES.values():
+        for glass in glasses.values():
+            low, high = glass.range_um
+            assert all(glass.refractive_index(min(low + k / 64 * (high - low), high)) > 1 for k in range(65)), (
+                glass.name
+            )

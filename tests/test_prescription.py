@@ -157,6 +157,7 @@ MISTAKES = [
     ),
     (put("surfaces", 3, "thickness", value=None), ["surface 3", "thickness", "None"]),
     (put("surfaces", 3, "semi_diameter", value=-1.0), ["surface 3", "semi_diameter", "-1.0"]),
+    *((put("surfaces", 0, "semi_diameter", value=v), ["surface 0", "stop", "positive", str(v)]) for v in (0, 0.0)),
     (put("surfaces", 1, "radius", value=3.0), ["surface 1", "radius"]),
     *(
         (put("surfaces", 1, key, value=3.0), ["surface 1", key])
@@ -173,6 +174,8 @@ MISTAKES = [
     (put("aperture", value={"f_number": "fast"}), ["aperture", "fast"]),
     (put("fields", value={"angle_deg": [[0, 1], [3]]}), ["fields", "[3]"]),
     (put("fields", value={"angle_deg": [[0, "x"]]}), ["fields", "x"]),
+    *((put("aperture", value={"f_number": v}), ["aperture: f_number", "positive", str(v)]) for v in (0, -2.8)),
+    *((put("wavelengths_um", value=[v, 0.5, 0.6]), ["wavelengths_um", "positive", str(v)]) for v in (0, -0.5)),
     (put("wavelengths_um", value=0.5), ["wavelengths_um", "0.5"]),
     (put("wavelengths_um", value=[0.5, None]), ["wavelengths_um", "None"]),
     (put("primary", value=3), ["primary", "3"]),

@@ -8,9 +8,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, number
 
 G_LINE, F_LINE, D_LINE, C_LINE = 0.4358343, 0.4861327, 0.5875618, 0.6562725  # [um]
+LEAST_INDEX = 0.9995  # indices are relative to air, in which vacuum has 0.9997: no lens is made of less
 
 Index = Callable[[tuple[float, ...], float], float]
 
@@ -106,18 +108,25 @@ class Material:
         return self.range_um[0] <= wavelength <= self.range_um[1]
 
     def refractive_index(self, wavelength: float) -> float:
-        """Compute the refractive index at `wavelength` [um].
+        """Compute the refractive index at `wavelength` [um], relative to air.
 
         Raises:
-            ValueError: the wavelength is outside the fitted range, or the coefficients give no index there.
+            InputError: the wavelength is outside the fitted range, or the coefficients give no index there, or one that
+                is not finite or below 1 (`LEAST_INDEX`: vacuum passes).
         """
         if not self.covers(wavelength):
             low, high = self.range_um
-            raise ValueError(f"{self.name}: wavelength {wavelength} um is outside the fitted range {low} to {high} um")
+            raise InputError(f"{self.name}: wavelength {wavelength} um is outside the fitted range {low} to {high} um")
         try:
-            return FORMULAS[self.formula][1](self.coefficients, wavelength)
+            index = FORMULAS[self.formula][1](self.coefficients, wavelength)
         except (ValueError, ArithmeticError):
-            raise ValueError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
+            raise InputError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
+        if not LEAST_INDEX <= index < math.inf:
+            raise InputError(
+                f"{self.name}: its coefficients give the index {index:.6g} at {wavelength} um; expected a finite one of"
+                " at least 1, relative to air: correct the coefficients"
+            )
+        return index
 
     def definition(self) -> dict:
         """Return the entry of the material in a YAML file, without its name."""

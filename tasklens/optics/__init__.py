@@ -9,6 +9,8 @@ Conventions:
   a collimated bundle with direction tangents (X / f, Y / f). Images and PSFs are in sensor coordinates: columns run
   along x, rows along y.
 - Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
+- A wavefront is ahead of its reference where W > 0: the ray's optical path is shorter than that of the chief ray.
+  Zernike coefficients are in Noll's order, in waves RMS.
 - Energies and MTF are fractions of the launched rays: lost rays lower them. RMS radii are of the valid rays only.
   Cached PSFs are normalised to the light that passes the clear apertures: exposure compensates vignetting.
 """

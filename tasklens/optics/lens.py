@@ -68,7 +68,7 @@ class Lens:
         """Return (S + 1, W) refractive indices before the lens and behind each surface, at W wavelengths [um].
 
         Raises:
-            ValueError: a medium has no index at a wavelength.
+            InputError: a medium has no index at a wavelength, or one that is not finite or below 1.
         """
         rows = [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *self.media)]
         return torch.tensor(rows, dtype=self.dtype)

@@ -13,6 +13,7 @@ _FIELDS = (
     ("energy_in_window", "in window", 3),
     ("rms_centroid_um", "RMS centroid [um]", 2),
     ("rms_chief_ray_um", "RMS chief [um]", 2),
+    ("rms_wavefront_waves", "RMS wavefront [waves]", 3),
     ("radius_50_um", "EE50 [um]", 2),
     ("radius_80_um", "EE80 [um]", 2),
     ("mtf_tangential_quarter_nyquist", "MTF T 1/4", 3),
@@ -35,7 +36,8 @@ _SEIDEL = {
 }
 _NOTE = """\
 {rays} rays per field and colour. Valid, EE50, EE80 and MTF are of all launched rays, so that lost light counts
-against them; in window leaves out what clear apertures stop; the RMS is of the rays that arrive. The MTF is
+against them; in window leaves out what clear apertures stop; the RMS is of the rays that arrive, that of the
+wavefront at the middle wavelength about the image point that fits best (without piston and tilt). The MTF is
 geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist frequency): diffraction comes
 on top and ends every MTF at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus: of rays next to
 the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of the pupil
@@ -85,6 +87,8 @@ def _lens(content: Mapping) -> dict[str, str]:
         "F-number": f"{figures['f_number']:.3f}",
         "entrance pupil, from the first surface [mm]": f"{figures['entrance_pupil_z_mm']:.4f}",
         "entrance pupil diameter [mm]": f"{figures['entrance_pupil_diameter_mm']:.4f}",
+        "exit pupil, from the last surface [mm]": f"{figures['exit_pupil_z_mm']:.4f}",
+        "exit pupil diameter [mm]": f"{figures['exit_pupil_diameter_mm']:.4f}",
         "Airy radius [um]": f"{figures['airy_radius_um']:.2f}",
         "diffraction cut-off [cycles/mm]": f"{figures['diffraction_cutoff_per_mm']:.0f}",
     }

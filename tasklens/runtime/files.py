@@ -44,6 +44,14 @@ def number(value: object, where: str) -> float:
     return float(text)
 
 
+def positive(value: object, where: str) -> float:
+    """Convert a value of a file to a positive number as `number` does; raises FileError."""
+    found = number(value, where)
+    if not found > 0:
+        raise FileError(f"{where}: expected a positive number, found {value!r}; correct it")
+    return found
+
+
 def temporary_of(path: Path) -> Path:
     """Return the temporary path of `path` while it is written."""
     return path.with_name(f".{path.name}.part")

@@ -90,7 +90,8 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
         sagittal:   h' = h,                    n' w' = n w - h c_s K,           K = n' cos(i') - n cos(i)
 
     and h + w D over the distance D to the next surface. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2))
-    are the curvatures of the surface in and across the meridian, where the chief ray meets it.
+    are the curvatures of the surface in and across the meridian, where the chief ray meets it. Differentiable once in
+    the lens: the chief ray is followed with a graph, from the intersections that a trace without one has found.
 
     Returns:
         (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
@@ -100,31 +101,47 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
     """
     turned = view.in_meridian()
     image, behind_each = chief_rays_full(lens, turned)
+    arrives = image.valid[:, 0, 0]
+    tangent = turned.tangents[arrives, 1].to(lens.dtype)
     index = lens.refractive_indices((view.reference,))[:, 0]
-    n = torch.rsqrt(1 + turned.tangents[:, 1].square())
-    m = turned.tangents[:, 1] * n
+    n = torch.rsqrt(1 + tangent.square())
+    m = tangent * n
+    y, z = -tangent * paraxial(lens, view.reference).entrance_pupil_z, torch.zeros_like(n)
     tangential = sagittal = (torch.ones_like(n), torch.zeros_like(n))
-    z = torch.zeros_like(n)  # of the previous point, from the vertex of the surface
     for i, rays in enumerate(behind_each):
-        distance = (rays.z[:, 0, 0] - z) / n
-        y = rays.y[:, 0, 0]
+        distance = _distance(lens, i, rays.y[arrives, 0, 0], (y, z, m, n))
+        y, z = y + distance * m, z + distance * n
         along, across, cosine = _local_curvatures(lens, i, y)
         before = (n - m * across * y) * cosine
-        m, n = rays.m[:, 0, 0], rays.n[:, 0, 0]
-        behind = (n - m * across * y) * cosine
+        behind = torch.sqrt(1 - (index[i] / index[i + 1]) ** 2 * (1 - before.square()))
         strength = index[i + 1] * behind - index[i] * before
         h, w = _moved(tangential, distance)
         w = (index[i] * w * before / behind - h * along * strength / (before * behind)) / index[i + 1]
         tangential = (h * behind / before, w)
         h, w = _moved(sagittal, distance)
         sagittal = (h, (index[i] * w - h * across * cosine * strength) / index[i + 1])
-        z = rays.z[:, 0, 0] - lens.thickness[i]
+        # Snell's law as vectors: n' D' = n D + K N, with the normal N = (-s', 1) / sqrt(1 + s'^2)
+        m = (index[i] * m - strength * across * y * cosine) / index[i + 1]
+        n = (index[i] * n + strength * cosine) / index[i + 1]
+        z = z - lens.thickness[i]
 
     def focus(ray: tuple[Tensor, Tensor]) -> Tensor:
         h, w = _moved(ray, -z / n)
-        return torch.where(image.valid[:, 0, 0], -h / w * n, torch.nan)
+        lost = torch.full(arrives.shape, torch.nan, dtype=lens.dtype)
+        return lost.masked_scatter(arrives, -h / w * n)
 
     return focus(tangential), focus(sagittal)
+
+
+def _distance(lens: Lens, surface: int, found: Tensor, ray: tuple[Tensor, ...]) -> Tensor:
+    """Compute the distance of a ray (y, z, m, n) to the surface, which it meets at the height `found` [mm].
+
+    It meets the tangent there, s + s' (y - found), in the same point; to first order for a changed ray or surface too.
+    """
+    y, z, m, n = ray
+    s, slope, _ = sag(found * found, lens.curvature[surface], lens.conic[surface], lens.alpha[surface])
+    steepness = 2 * found * slope
+    return (s + steepness * (y - found) - z) / (n - steepness * m)
 
 
 def _moved(ray: tuple[Tensor, Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,5 +1,8 @@
 """Optical figures of a finished lens as plain numbers, for its file and its table."""
 
+import math
+from typing import Any
+
 import torch
 
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
@@ -15,36 +18,77 @@ from tasklens.optics.analysis.spots import (
     rms_spot_radius,
     trace_fields,
 )
+from tasklens.optics.analysis.wavefront import wavefront
+from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.files import FileError
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError, number, positive
 
 
 def view_of(lens: Lens, content: dict, name: str) -> View:
     """Return the view described by the `spec` of a lens file.
 
     Raises:
-        FileError: the spec is absent or invalid, or a medium has no index at a wavelength; `name` begins the message.
+        FileError: the spec is absent or invalid, the stop has no radius, or a medium has no index at a wavelength;
+            `name` begins the message.
     """
     spec = content.get("spec")
     if not isinstance(spec, dict):
         raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel_size)")
     try:
         view = View(
-            torch.tensor(spec["fields_mm"], dtype=torch.float64).reshape(-1, 2),
-            float(spec["efl_mm"]),
-            tuple(map(float, spec["wavelengths_um"])),
-            float(spec["pixel_pitch_um"]),
-            int(spec["kernel_size"]),
+            torch.tensor(_fields(spec["fields_mm"]), dtype=torch.float64).reshape(-1, 2),
+            positive(spec["efl_mm"], "efl_mm"),
+            tuple(positive(value, "wavelengths_um") for value in _list(spec["wavelengths_um"], "wavelengths_um")),
+            positive(spec["pixel_pitch_um"], "pixel_pitch_um"),
+            _odd(spec["kernel_size"], "kernel_size"),
         )
         lens.refractive_indices(view.wavelengths)
     except KeyError as error:
         raise FileError(f"{name}: its spec has no {error.args[0]}") from error
-    except (TypeError, ValueError, RuntimeError) as error:
+    except InputError as error:
         raise FileError(f"{name}: its spec cannot be used: {error}") from error
     if not len(view.fields) or not view.wavelengths:
         raise FileError(f"{name}: its spec has no fields or no wavelengths")
+    try:
+        check_stop(lens)
+    except InputError as error:
+        raise FileError(f"{name}: {error}") from error
     return view
+
+
+def _fields(value: Any) -> list[list[float]]:
+    points = _list(value, "fields_mm")
+    if not all(isinstance(point, list) and len(point) == 2 for point in points):
+        raise InputError(f"fields_mm: expected a list of [x, y], found {value!r}; correct it")
+    return [[number(v, "fields_mm") for v in point] for point in points]
+
+
+def _list(value: Any, key: str) -> list:
+    if not isinstance(value, list):
+        raise InputError(f"{key}: expected a list, found {value!r}; correct it")
+    return value
+
+
+def _odd(value: Any, key: str) -> int:
+    found = number(value, key)
+    if not (found >= 3 and found % 2 == 1):
+        raise InputError(f"{key}: expected an odd number of pixels, at least 3, found {value!r}; correct it")
+    return int(found)
+
+
+def check_stop(lens: Lens) -> None:
+    """Check that the stop lets light through and limits it; raises InputError.
+
+    Every ray of a stop of radius 0 is the chief ray: the lens would be perfect.
+    """
+    radius = float(lens.semi_diameter[lens.stop])
+    if not 0 < radius < math.inf:
+        raise InputError(
+            f"surface {lens.stop}: semi_diameter: the radius of the stop is {radius} mm; expected a positive and finite"
+            " one; correct it"
+        )
 
 
 def figures(lens: Lens, view: View, rays: int) -> dict:
@@ -53,9 +97,14 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
     Rays are traced through `rays` pupil points per field and wavelength. Energies are fractions of the launched rays:
     `valid_fraction` of them are valid, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF
     starts at the valid fraction; `energy_in_window` is a fraction of those that are not vignetted, as in a PSF. RMS
-    radii are of the valid rays. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are
+    radii are of the valid rays. `rms_wavefront_waves` is of their optical path differences at the middle wavelength,
+    without piston and tilt. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are
     totals at the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
+
+    Raises:
+        InputError: the radius of the stop is not positive and finite.
     """
+    check_stop(lens)
     lens = lens.detached()
     return _of_the_lens(lens, view) | {"rays": rays} | _by_field(lens, view, rays)
 
@@ -71,6 +120,8 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
         "f_number": f_number,
         "entrance_pupil_z_mm": float(first_order.entrance_pupil_z),
         "entrance_pupil_diameter_mm": float(2 * first_order.entrance_pupil_radius),
+        "exit_pupil_z_mm": float(first_order.exit_pupil_z),
+        "exit_pupil_diameter_mm": float(2 * first_order.exit_pupil_radius),
         "airy_radius_um": airy_radius(f_number, view.reference),
         "diffraction_cutoff_per_mm": diffraction_cutoff(f_number, view.reference),
         "nyquist_per_mm": _nyquist(view),
@@ -89,7 +140,8 @@ def _nyquist(view: View) -> float:
 
 
 def _by_field(lens: Lens, view: View, rays: int) -> dict:
-    traced, chief_ray = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_rays(lens, view)
+    pupil = sobol_disc(rays, seed=0)
+    traced, chief_ray = trace_fields(lens, view, pupil), chief_rays(lens, view)
     middle, chief = centroid(traced), torch.cat([chief_ray.x[:, 0], chief_ray.y[:, 0]], -1)
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
     inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch / 2e3)
@@ -102,6 +154,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
         "energy_in_window": inside.double().sum((1, 2)) / (~traced.vignetted).double().sum((1, 2)).clamp(min=1),
         "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
         "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
+        "rms_wavefront_waves": rms_wavefront_error(wavefront(lens, view.in_reference(), pupil).opd[:, 0], pupil),
         "radius_50_um": 1e3 * encircled_energy_radius(traced, middle, 0.5),
         "radius_80_um": 1e3 * encircled_energy_radius(traced, middle, 0.8),
         "mtf_tangential_quarter_nyquist": mtf_tangential[:, 0],

@@ -21,6 +21,10 @@ class Paraxial:
         bfl: distance from the last vertex to the paraxial focus.
         entrance_pupil_z: position of the entrance pupil, from the first vertex.
         entrance_pupil_radius: radius of the entrance pupil.
+        exit_pupil_z: position of the exit pupil, from the last vertex; infinite for an image-space telecentric lens.
+        exit_pupil_radius: radius of the exit pupil.
+        pupil_vergence: 1 / distance from the exit pupil to the image plane [1/mm], positive for a pupil in front of the
+            image; also finite and differentiable for a telecentric lens.
     """
 
     power: Tensor
@@ -28,6 +32,9 @@ class Paraxial:
     bfl: Tensor
     entrance_pupil_z: Tensor
     entrance_pupil_radius: Tensor
+    exit_pupil_z: Tensor
+    exit_pupil_radius: Tensor
+    pupil_vergence: Tensor
 
 
 def vertex_curvature(lens: Lens) -> Tensor:
@@ -65,4 +72,17 @@ def paraxial(lens: Lens, wavelength: float) -> Paraxial:
     height, angle = heights[-1, 0], angles[-1, 0]
     a, b = heights[lens.stop]
     # A ray through the centre of the stop has a y0 + b u0 = 0 and crosses the axis at z = -y0 / u0 = b / a.
-    return Paraxial(-angle, -1 / angle, -height / (angle / n[-1]), b / a, lens.semi_diameter[lens.stop] / a.abs())
+    # Behind the lens the same ray, (y0, n u0) = (b, -a) and so of n u = -1 at the stop, crosses it at -y / u.
+    chief_height, chief_angle = (b * v[-1, 0] - a * v[-1, 1] for v in (heights, angles))
+    chief_slope = chief_angle / n[-1]
+    radius = lens.semi_diameter[lens.stop]
+    return Paraxial(
+        power=-angle,
+        efl=-1 / angle,
+        bfl=-height / (angle / n[-1]),
+        entrance_pupil_z=b / a,
+        entrance_pupil_radius=radius / a.abs(),
+        exit_pupil_z=-chief_height / chief_slope,
+        exit_pupil_radius=radius / chief_angle.abs(),
+        pupil_vergence=chief_slope / (chief_height + chief_slope * lens.thickness[-1]),
+    )

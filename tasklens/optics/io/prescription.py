@@ -11,7 +11,7 @@ import yaml
 
 from tasklens.materials.material import AIR, Material, from_definitions
 from tasklens.optics.lens import Lens
-from tasklens.runtime.files import FileError, number, write_text
+from tasklens.runtime.files import FileError, number, positive, write_text
 
 FORMAT = 2
 APERTURES = ("entrance_pupil_diameter_mm", "f_number")
@@ -112,6 +112,11 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
         raise FileError(f"{name}: surfaces: expected at least one")
     stop = _index(_part(content, "stop", int, name), len(surfaces), f"{name}: stop")
     read = [_surface(surface, f"{name}: surface {i}") for i, surface in enumerate(surfaces)]
+    if not read[stop]["semi_diameter"] > 0:
+        raise FileError(
+            f"{name}: surface {stop}: semi_diameter: the radius of the stop: expected a positive number, "
+            f"found {surfaces[stop]['semi_diameter']!r}; correct it, or name another stop"
+        )
     orders = max((j for surface in read for j in surface if isinstance(j, int)), default=0)
     media = []
     for i, surface in enumerate(surfaces):
@@ -184,7 +189,7 @@ def _use(content: Mapping, name: str) -> dict:
             found[key] = next(iter(entry.items()))
     if "aperture" in found:
         kind, value = found["aperture"]
-        found["aperture"] = kind, number(value, f"{name}: aperture")
+        found["aperture"] = kind, positive(value, f"{name}: aperture: {kind}")
     if "fields" in found:
         kind, points = found["fields"]
         if not isinstance(points, list) or not all(isinstance(point, list) and len(point) == 2 for point in points):
@@ -192,13 +197,10 @@ def _use(content: Mapping, name: str) -> dict:
         found["fields"] = kind, tuple(tuple(number(v, f"{name}: fields") for v in point) for point in points)
     if "wavelengths_um" in content:
         wavelengths = _part(content, "wavelengths_um", list, name)
-        found["wavelengths_um"] = tuple(number(value, f"{name}: wavelengths_um") for value in wavelengths)
+        found["wavelengths_um"] = tuple(positive(value, f"{name}: wavelengths_um") for value in wavelengths)
         found["primary"] = _index(_part(content, "primary", int, name), len(wavelengths), f"{name}: primary")
     if "object_distance_mm" in content:
-        distance = number(content["object_distance_mm"], f"{name}: object_distance_mm")
-        if not distance > 0:
-            raise FileError(f"{name}: object_distance_mm: expected a positive number, found {distance}")
-        found["object_distance_mm"] = distance
+        found["object_distance_mm"] = positive(content["object_distance_mm"], f"{name}: object_distance_mm")
     return found
 
 

@@ -1,0 +1,102 @@
+"""The wavefront at the exit pupil: optical path differences from a reference sphere, for objects at infinity.
+
+Conventions:
+
+- The exit pupil is paraxial, at the middle wavelength: the point of the axis where the image of the stop lies.
+- The reference sphere has its centre on the image plane, by default where the chief ray of each wavelength meets it (as
+  in Optiland), and goes through the exit pupil's point on the axis. Where this lies behind the image plane, so does the
+  sphere; where it is at infinity, the sphere is a plane.
+- W is the optical path of the chief ray from the object to the sphere less that of the ray: it is zero for the chief
+  ray and positive where the wavefront is ahead of the sphere, as that of `seidel_sums`.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import collimated_rays
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import View
+
+_CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of the chief ray
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """The wavefront of F fields and W wavelengths on its reference spheres; NaN where a ray is lost.
+
+    Attributes:
+        opd: (F, W, N) optical path difference W of each ray [waves of its wavelength].
+        towards: (F, W, N, 2) direction cosines, x and y, of the sphere's normal at the ray, along the light: for a
+            pupil in front of the image it leads to the centre. They are the pupil of a diffraction integral.
+        centre: (F, W, 2) centre (x, y) of the sphere on the image plane [mm].
+        curvature: (F, W) 1 / radius of the sphere [1/mm], positive for an exit pupil in front of the image plane.
+    """
+
+    opd: Tensor
+    towards: Tensor
+    centre: Tensor
+    curvature: Tensor
+
+
+def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = None) -> Wavefront:
+    """Compute the optical path differences from the reference sphere, differentiable in the lens.
+
+    W = (L_chief - L) / wavelength,  L = n x0.D0 + path - n' t
+
+    x0.D0 is the phase of the plane wave where the ray is launched, `path` leads from there to the point d of the image
+    plane, relative to the centre, and t back along the direction D to the sphere of the radius R = 1 / c:
+
+    t - R = d.D + c q / (1 + sqrt(1 + c^2 q)),  q = (d.D)^2 - d.d
+
+    Args:
+        lens: its clear apertures and its stop vignette.
+        view: fields and wavelengths.
+        pupil: (N, 2) points of the paraxial entrance pupil, the unit disc.
+        centre: (F, 2) or (F, W, 2) centres of the spheres [mm]; by default the chief ray's image point at each
+            wavelength. `chief_points`, those at the middle wavelength, make lateral colour a tilt.
+
+    Returns:
+        The wavefront; NaN for lost rays, for all rays of a field and wavelength whose chief ray is lost, for rays that
+        miss the sphere, and for an exit pupil on the image plane.
+
+    Source: Welford, Aberrations of Optical Systems (1986), chapter 7.
+    """
+    start = collimated_rays(lens, view.tangents, torch.cat([_CENTRE, pupil]), view.wavelengths)
+    indices = lens.refractive_indices(view.wavelengths)
+    rays = trace(lens, start, indices)
+    if centre is None:
+        centre = torch.stack([rays.x[..., 0], rays.y[..., 0]], -1)
+    elif centre.dim() == 2:
+        centre = centre[:, None].expand(-1, len(view.wavelengths), -1)
+    vergence = paraxial(lens, view.reference).pupil_vergence
+    curvature = vergence / torch.sqrt(1 + vergence**2 * centre.square().sum(-1))
+    behind, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
+    phase = indices[0, :, None] * (start.x * start.l + start.y * start.m + start.z * start.n)
+    length = phase + rays.path - indices[-1, :, None] * behind
+    waves = (length[..., :1] - length) / (1e-3 * torch.tensor(view.wavelengths, dtype=lens.dtype)[:, None])
+    valid = meets & meets[..., :1]
+    waves, towards = torch.where(valid, waves, torch.nan), torch.where(valid[..., None], towards, torch.nan)
+    return Wavefront(waves[..., 1:], towards[..., 1:, :], centre, curvature)
+
+
+def _to_sphere(rays: Rays, centre: Tensor, curvature: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Follow rays from the image plane back to the sphere of radius R = 1 / c around `centre`.
+
+    Returns:
+        t - R [mm]; x and y of the sphere's normal c (t D - d), (..., 2); and whether the ray is valid and meets the
+        sphere.
+    """
+    dx, dy = (torch.where(rays.valid, v, 0.0) for v in (rays.x - centre[..., 0], rays.y - centre[..., 1]))
+    along = dx * rays.l + dy * rays.m
+    q = along.square() - dx.square() - dy.square()
+    squared = 1 + curvature.square() * q
+    meets = rays.valid & (squared > 0) & curvature.isfinite()
+    root = torch.sqrt(torch.where(meets, squared, 1.0))
+    beyond = along + curvature * q / (1 + root)
+    scaled = curvature * along + root  # c t
+    return beyond, torch.stack([scaled * rays.l - curvature * dx, scaled * rays.m - curvature * dy], -1), meets

@@ -1,0 +1,234 @@
+"""The wavefront at the exit pupil: perfect and defocused lenses, third-order theory, lateral colour, lost rays."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+from reference_files import SHIPPED
+
+from tasklens.optics.analysis.aberrations import seidel_sums
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_points, trace_fields
+from tasklens.optics.analysis.wavefront import wavefront
+from tasklens.optics.analysis.zernike import rms_wavefront_error, zernike_coefficients
+from tasklens.optics.io import zemax
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+
+REFERENCE = WAVELENGTHS[1]
+PUPIL = sobol_disc(128, seed=0)
+
+
+def looking(fields, wavelengths=(REFERENCE,)) -> View:
+    """Fields (x, y) as tangents, for a pinhole of 1 mm."""
+    return View(f64(fields), 1.0, wavelengths, 9.0, 31)
+
+
+def hyperboloid(shift: float = 0.0, f: float = 50.0, radius: float = 0.5) -> Lens:
+    """A plano-hyperboloid, k = -n^2, that images the axis perfectly at `shift` in front of the image plane."""
+    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
+    curvature, thickness = [0.0, -1 / (f * (n - 1))], [1.0, f + shift]
+    return make_lens(curvature, thickness, ("COC", "air"), conic=[0, -(n**2)], semi_diameter=[radius, torch.inf])
+
+
+def ellipsoid() -> Lens:
+    """An ellipsoid, k = -1 / n^2, that images the axis perfectly inside its glass."""
+    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
+    return make_lens([0.2], [5 * n / (n - 1)], ("COC",), conic=[-1 / n**2], semi_diameter=[3.0])
+
+
+def stopped(lens: Lens, radius: float, stop: int = 0) -> Lens:
+    """The lens in focus, with an entrance pupil of this radius and without other apertures."""
+    lens = replace(lens, stop=stop, semi_diameter=torch.ones_like(lens.semi_diameter))
+    found = paraxial(lens, REFERENCE)
+    semi = torch.full_like(lens.semi_diameter, torch.inf)
+    semi[stop] = radius / found.entrance_pupil_radius
+    return replace(lens, thickness=torch.cat([lens.thickness[:-1], found.bfl[None]]), semi_diameter=semi)
+
+
+@pytest.mark.parametrize("lens", [hyperboloid(radius=20.0), ellipsoid()], ids=["hyperboloid", "ellipsoid"])
+def test_a_perfect_lens_has_no_path_difference(lens):
+    """F/1.5 in air, and an image in glass of half angle 13 degrees: less than a billionth of a wave."""
+    found = wavefront(lens, looking([[0.0, 0.0]]), PUPIL)
+    assert float(found.opd.abs().max()) < 1e-9 and found.centre.abs().max() < 1e-12
+    assert float(found.towards.norm(dim=-1).max()) > 0.2
+
+
+def test_defocus_is_the_fourth_coefficient():
+    """W = d NA^2 p^2 / 2 for an image at d in front of the plane: Z4 = d NA^2 / (4 sqrt(3)) and piston d NA^2 / 4."""
+    shift, aperture = 0.4, 0.5 / 50
+    opd = wavefront(hyperboloid(shift), looking([[0.0, 0.0]]), sobol_disc(1024, 0)).opd[0, 0]
+    expected = shift * aperture**2 / (1e-3 * REFERENCE) / 4
+    found = zernike_coefficients(opd, sobol_disc(1024, 0), 11)
+    assert float(found[3]) == pytest.approx(expected / math.sqrt(3), rel=1e-2)
+    assert float(found[0]) == pytest.approx(expected, rel=1e-2)
+    assert found[[1, 2, *range(4, 11)]].abs().max() < 1e-4
+    assert float(rms_wavefront_error(opd, sobol_disc(1024, 0))) == pytest.approx(float(found[3]), rel=1e-2)
+
+
+@pytest.mark.parametrize("stop", [0, 2, 4])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
+    """W about the paraxial image point, distortion too; what the sums leave falls with the sixth power of the scale."""
+    pupil = 0.8 * PUPIL
+    px, py = pupil.unbind(-1)
+    square = px**2 + py**2
+    left, size = [], []
+    for scale in (1.0, 0.5):
+        lens = stopped(random_lens(seed), 0.05 * scale, stop)
+        looks = looking(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]))
+        s1, s2, s3, s4, s5 = (v.sum() for v in list(vars(seidel_sums(lens, looks)).values())[:5])
+        h = (looks.radii / looks.radii.max())[:, None]
+        expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
+        expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
+        ideal = looks.tangents * paraxial(lens, REFERENCE).efl
+        found = 1e-3 * REFERENCE * wavefront(lens, looks, pupil, ideal).opd[:, 0]
+        left.append(float((found - expected).abs().max()))
+        size.append(float(found.abs().max()))
+    assert left[0] < 0.05 * size[0]
+    assert left[0] / left[1] == pytest.approx(64, rel=0.1)
+    assert size[0] / size[1] == pytest.approx(16, rel=0.1)
+
+
+def test_the_centre_of_the_sphere_is_a_tilt():
+    """Spheres about the chief ray of the middle wavelength instead of each its own: lateral colour, a plane in W.
+
+    Moving the centre by D adds n' D . (chief ray - ray), direction cosines on the sphere, up to second order in D.
+    """
+    lens, looks = stopped(random_lens(1), 0.2), looking([[0.0, 0.0], [0.2, 0.1]], WAVELENGTHS)
+    own, common = wavefront(lens, looks, PUPIL), wavefront(lens, looks, PUPIL, chief_points(lens, looks))
+    assert common.centre.shape == own.centre.shape == (2, 3, 2)
+    torch.testing.assert_close(own.opd[:, 1], common.opd[:, 1], rtol=0, atol=0, equal_nan=True)
+    moved = common.centre - own.centre
+    assert 5e-3 < float(moved[1, 2].norm()) < 2e-2 and moved[0].abs().max() < 1e-15
+    chief = wavefront(lens, looks, 0 * PUPIL[:1]).towards
+    turned = (moved[:, :, None] * (chief - own.towards)).sum(-1) / (1e-3 * f64(WAVELENGTHS)[:, None])
+    assert float(turned.nan_to_num().abs().max()) > 0.3
+    torch.testing.assert_close(common.opd - own.opd, turned, rtol=0, atol=5e-3, equal_nan=True)
+
+
+def test_the_exit_pupil_is_the_image_of_the_stop():
+    """A stop at d in front of a thin lens of focal length f: at -d f / (f - d) behind it, larger by f / (f - d)."""
+    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
+    f, d, radius = 4.0, 1.5, 0.6
+    media, semi = ("air", "COC", "air"), [radius, torch.inf, torch.inf]
+    lens = make_lens([0.0, 1 / f / (n - 1), 0.0], [d, 0.0, 3.5], media, semi_diameter=semi)
+    found = paraxial(lens, REFERENCE)
+    assert float(found.exit_pupil_z) == pytest.approx(-d * f / (f - d), rel=1e-13)
+    assert float(found.exit_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
+    assert float(found.pupil_vergence) == pytest.approx(1 / (3.5 + d * f / (f - d)), rel=1e-13)
+    behind = paraxial(replace(random_lens(1), stop=4, semi_diameter=f64([1.0] * 4 + [0.7])), REFERENCE)
+    assert float(behind.exit_pupil_z) == 0.0 and float(behind.exit_pupil_radius) == pytest.approx(0.7, rel=1e-13)
+
+
+def test_a_telecentric_lens_has_a_plane_reference():
+    """The stop in the front focus: finite gradients, and paths between those of a pupil far in front and far behind."""
+    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
+    semi, looks = [0.5, torch.inf, torch.inf], looking([[0.0, 0.1]])
+
+    def lens(distance: torch.Tensor) -> Lens:
+        made = make_lens([0.0, 1 / (4 * (n - 1)), 0.0], [0, 0, 4.0], ("air", "COC", "air"), semi_diameter=semi)
+        return replace(made, thickness=torch.stack([distance, f64(0.0), f64(4.0)]))
+
+    distance = f64(4.0).requires_grad_()
+    found = wavefront(lens(distance), looks, PUPIL)
+    assert abs(float(found.curvature.detach())) < 1e-15
+    assert torch.autograd.grad(found.opd.square().sum(), distance)[0].isfinite()
+    nearer, farther = (wavefront(lens(f64(4.0 + by)), looks, PUPIL) for by in (-1e-5, 1e-5))
+    assert float(nearer.curvature) > 0 > float(farther.curvature)
+    torch.testing.assert_close(found.opd.detach(), (nearer.opd + farther.opd) / 2, rtol=0, atol=1e-6)
+
+
+def test_lost_rays_are_nan_and_those_of_a_lost_chief_ray_too():
+    lens = make_lens([0.0, 0.3], [1.0, 5.0], ("air", "COC"), semi_diameter=[0.1, 0.5])
+    looks = looking([[0.0, 0.0], [0.0, 0.45], [0.0, 0.52], [0.0, 1.0]], WAVELENGTHS)
+    found = wavefront(lens, looks, PUPIL)
+    valid = trace_fields(lens, looks, PUPIL).valid
+    assert valid[1].any() and valid[2].any() and not (valid[1].all() or valid[3].any())
+    assert torch.equal(found.opd[:2].isnan(), ~valid[:2]) and found.opd[2:].isnan().all()
+    assert torch.equal(found.towards.isnan().any(-1), found.opd.isnan())
+    curvature = lens.curvature.clone().requires_grad_()
+    opd = wavefront(replace(lens, curvature=curvature), looks, PUPIL).opd
+    gradient = torch.autograd.grad(rms_wavefront_error(opd, PUPIL)[:2].sum(), curvature)[0]
+    assert gradient.isfinite().all() and gradient[1] != 0
+
+
+def test_an_exit_pupil_on_the_image_has_no_wavefront():
+    lens = make_lens([0.0], [0.0], ("air",), semi_diameter=[0.1])
+    assert wavefront(lens, looking([[0.0, 0.0], [0.1, 0.2]]), PUPIL).opd.isnan().all()
+
+
+@pytest.mark.parametrize("stop", [0, 2])
+@pytest.mark.parametrize("name", ["curvature", "conic", "alpha", "thickness"])
+def test_gradients_are_those_of_differences(name, stop):
+    """Of coefficients and RMS at two fields and two colours, in every parameter of the lens."""
+    lens = stopped(random_lens(1), 0.2, stop)
+    looks, pupil = looking([[0.0, 0.05], [0.2, 0.1]], WAVELENGTHS[:2]), 0.8 * PUPIL
+
+    def numbers(values: torch.Tensor) -> torch.Tensor:
+        opd = wavefront(replace(lens, **{name: values}), looks, pupil).opd
+        return torch.cat([zernike_coefficients(opd, pupil, 8), rms_wavefront_error(opd, pupil)[..., None]], -1)
+
+    values = getattr(lens, name).clone().requires_grad_()
+    found = numbers(values).flatten()
+    assert found.isfinite().all()
+    gradient = torch.stack([torch.autograd.grad(v, values, retain_graph=True)[0] for v in found])
+    expected = difference(lambda v: numbers(v).flatten(), values.detach(), 2e-5)
+    torch.testing.assert_close(gradient, expected, rtol=1e-5, atol=1e-5)
+
+
+# ---- what Optiland 0.6.3 says, in waves: `Wavefront` with its chief-ray strategy, indices ours, no clear apertures
+
+POINTS = f64([[0.0, 0.5], [0.0, -0.9], [0.6, 0.3], [-0.4, 0.0]])
+TRIPLET = [  # 50 mm, at (0, 0) and (6, 9) mm: C, d and F lines
+    [
+        [-1.650603009, -4.743167667, -2.840958957, -1.078364404],
+        [-1.727204395, -4.951472157, -2.969496380, -1.129049229],
+        [-2.015206644, -5.850432359, -3.477732318, -1.315389097],
+    ],
+    [
+        [-1.517476696, -4.702156977, -2.770437317, -0.854929444],
+        [-1.568348226, -4.865169217, -2.869501209, -0.877307132],
+        [-1.779887328, -5.609106088, -3.269466033, -0.999015166],
+    ],
+]
+ASPHERES = [  # random_lens(3) without r^2 terms behind a stop of 0.3 mm, at tangents (0.1, 0.2)
+    [-7.946226116, -31.343249116, -14.369060621, -6.224730275],
+    [-8.798009466, -34.821079734, -15.905877420, -6.913991397],
+    [-10.496661992, -41.930624943, -18.965391366, -8.321052464],
+]
+PHONE = [  # US-12078784-B2-e6, at tangents (0.15, 0.25): F, d and C lines
+    [0.181050374, 0.719258220, 0.287125157, 0.141129788],
+    [0.084676015, 0.140627575, 0.150337311, 0.038639860],
+    [0.043530615, -0.061189967, 0.085958837, 0.001616349],
+]
+
+
+def aspheres() -> tuple[Lens, View]:
+    lens = random_lens(3)
+    alpha = lens.alpha * f64([0.0, 1.0, 1.0, 1.0, 1.0])
+    lens = replace(lens, alpha=alpha, semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    return lens, looking([[0.1, 0.2]], WAVELENGTHS)
+
+
+def phone() -> tuple[Lens, View]:
+    path = SHIPPED / "lenses" / "cellphone" / "source" / "US-12078784-B2-e6.zmx"
+    found = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
+    return found.lens, looking([[0.15, 0.25]], found.wavelengths_um)
+
+
+def triplet() -> tuple[Lens, View]:
+    return cooke_triplet(), View(f64([[0.0, 0.0], [6.0, 9.0]]), 50.0, WAVELENGTHS, 1.8, 51)
+
+
+@pytest.mark.parametrize(
+    "made, expected",
+    [(triplet, TRIPLET), (aspheres, [ASPHERES]), (phone, [PHONE])],
+    ids=["triplet", "aspheres", "phone"],
+)
+def test_path_differences_are_those_of_optiland(made, expected):
+    """On and off axis, in three colours, to less than 1e-8 waves."""
+    torch.testing.assert_close(wavefront(*made(), POINTS).opd, f64(expected), rtol=0, atol=1e-8)
