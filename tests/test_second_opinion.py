@@ -4,13 +4,14 @@ Optiland launches the rays itself, from field angles and the aperture, so that t
 tracing. Refractive indices are ours in both.
 """
 
+import math
 import os
 from dataclasses import replace
 
 import numpy
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, materials, random_lens
+from examples import WAVELENGTHS, cooke_triplet, f64, materials, random_lens
 
 from tasklens.design import least_squares
 from tasklens.design.problem import Problem
@@ -92,3 +93,22 @@ def test_a_finished_design():
     lens, _ = least_squares.design(start, Problem(view_of_spec(spec), limits, 0), settings)
     assert lens.alpha.any()
     assert_same_image_points(lens, view_of_spec(spec))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 10.0, 20.0])
+def test_rays_aimed_at_a_stop_inside(degrees):
+    """The Cooke triplet at its middle wavelength: the same image points as with Optiland's ray aiming."""
+    lens, tangent = cooke_triplet(), math.tan(math.radians(degrees))
+    view = View(f64([[0, tangent], [0, math.tan(math.radians(20))]]), 1.0, WAVELENGTHS[1:2], 1.8, 51)
+    pupil = sobol_disc(RAYS, seed=0)
+    ours = trace_fields(lens, view, pupil)
+    assert ours.valid.all()
+    optic, fields = in_optiland(lens, view, WAVELENGTHS[1])
+    # By the diameter of the stop: with that of the entrance pupil its aiming takes the stop of a real marginal ray.
+    radius = float(lens.semi_diameter[lens.stop])
+    optic.set_aperture("float_by_stop_size", 2 * radius)
+    optic.surfaces[lens.stop + 1].set_semi_aperture(radius)
+    optic.ray_tracer.set_aiming("iterative", max_iter=30, tol=1e-11)
+    theirs = optic.trace_generic(*(numpy.full(RAYS, h) for h in fields[0]), *pupil.T.numpy(), WAVELENGTHS[1])
+    for a, b in ((ours.x, theirs.x), (ours.y, theirs.y)):
+        torch.testing.assert_close(a[0, 0], f64(b), rtol=0, atol=1e-11)

@@ -1,6 +1,7 @@
 """Ray aiming: launch points from which rays meet a stop inside the lens at given points, differentiable in the lens."""
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 import torch.autograd.forward_ad as fwAD
@@ -44,9 +45,9 @@ def aim(
         entrance_pupil: (2,) radius and position of the paraxial entrance pupil [mm], where the search begins.
 
     Returns:
-        (F, W, N, 2) launch points [mm] on the first vertex plane, found in double precision, differentiable in the lens,
+        (F, W, N, 2) launch points [mm] on the first vertex plane in double precision, differentiable in the lens,
         `tangents` and `pupil`; `status` and `lost_at` (F, W, N) as of `Rays`. A ray that no launch point brings to its
-        pupil point is lost by what is in the way, or MISSED at the stop; its launch point is that of the nearest ray.
+        pupil point is lost by what is in the way, or MISSED at the stop; it starts where the nearest ray does.
     """
     if lens.dtype != torch.float64:  # or rays on the rim would not pass the stop
         pupil = pupil.double() * (1 - _ROUNDING * torch.finfo(lens.dtype).eps)
@@ -69,9 +70,17 @@ class _Solve(torch.autograd.Function):
     """Launch points x* of all rays and (dF/dx)^-1, which are constants in every kind of derivative."""
 
     @staticmethod
-    def forward(lens, differentiable, tangents, pupil, indices, entrance_pupil, *numbers):
-        numbers = {name: value.detach() for name, value in zip(_NUMBERS, numbers, strict=True)}
-        lens = replace(lens, **numbers)
+    def forward(  # type: ignore[override]
+        lens: Lens,
+        differentiable: bool,
+        tangents: Tensor,
+        pupil: Tensor,
+        indices: Tensor,
+        entrance_pupil: Tensor,
+        *numbers: Tensor,
+    ) -> tuple[Tensor, ...]:
+        detached: dict[str, Any] = {name: value.detach() for name, value in zip(_NUMBERS, numbers, strict=True)}
+        lens = replace(lens, **detached)
         tangents, pupil, indices, entrance_pupil = (v.detach() for v in (tangents, pupil, indices, entrance_pupil))
         found = solve_bundles(lens, tangents, pupil, indices, entrance_pupil)
         size = (len(tangents), indices.shape[1], len(pupil))
@@ -83,15 +92,15 @@ class _Solve(torch.autograd.Function):
         return point, slope, status, lost_at
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, ...]) -> None:
         ctx.mark_non_differentiable(*output)
 
     @staticmethod
-    def backward(ctx, *_):
+    def backward(ctx: Any, *_: Tensor | None) -> tuple[None, ...]:
         return (None,) * (6 + len(_NUMBERS))
 
     @staticmethod
-    def jvp(ctx, *_):
+    def jvp(ctx: Any, *_: Tensor | None) -> tuple[None, ...]:
         return (None,) * 4
 
 

@@ -18,7 +18,8 @@ def collimated(point: Tensor, tangents: Tensor) -> Rays:
     """Launch rays at `point` (..., 2) [mm] of the first vertex plane with direction tangents (..., 2)."""
     n = torch.rsqrt(1 + tangents.square().sum(-1))
     tx, ty = tangents.unbind(-1)
-    return launch(*point.unbind(-1), torch.zeros_like(n), tx * n, ty * n, n)
+    x, y = point.unbind(-1)
+    return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
 
 
 def rays_at_stop(lens: Lens, rays: Rays, indices: Tensor, curved: bool = True) -> Rays:
@@ -52,7 +53,8 @@ def points_at_stop(
     """Trace rays from `point` (..., W, N, 2) to the stop, without graph.
 
     Returns:
-        (..., W, N, 2) points (x, y) on the stop [mm], (..., W, N, 2, 2) their derivatives by the launch point, the rays.
+        (..., W, N, 2) points (x, y) on the stop [mm], (..., W, N, 2, 2) their derivatives by the launch point, and the
+        rays at the stop.
     """
     with torch.enable_grad():
         point = point.detach().requires_grad_()

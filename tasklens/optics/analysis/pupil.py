@@ -68,7 +68,8 @@ def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tu
     if stop_is_inside(lens):
         entrance_pupil = torch.stack([first_order.entrance_pupil_radius, first_order.entrance_pupil_z])
         point, status, lost_at = aim(lens, tangents, pupil, lens.refractive_indices(wavelengths), entrance_pupil)
-        rays = launch(*point.to(lens.dtype).unbind(-1), torch.zeros_like(n), tx * n, ty * n, n)
+        x, y = point.to(lens.dtype).unbind(-1)
+        rays = launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
         return replace(rays, status=status, lost_at=lost_at)
     x = pupil[:, 0] * first_order.entrance_pupil_radius - tx * first_order.entrance_pupil_z
     y = pupil[:, 1] * first_order.entrance_pupil_radius - ty * first_order.entrance_pupil_z
