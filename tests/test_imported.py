@@ -228,7 +228,7 @@ def test_a_phone_lens_close_to_the_specification(path):
 def test_every_phone_lens_serves(path):
     """Three to eight elements, stops in front and inside: an image of 8 um or better; the stop is filled.
 
-    Of a stop inside a few percent are lost behind it, where they miss a surface or are reflected, at the largest fields.
+    Of a stop inside a few percent are lost behind it by total reflection, at the largest fields.
     """
     spec = Spec()
     lens, _ = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
