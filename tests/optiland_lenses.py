@@ -6,6 +6,7 @@ import numpy
 from torch import Tensor
 
 from tasklens.materials.material import Material
+from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -59,7 +60,14 @@ def in_optiland(lens: Lens, looks: View) -> tuple[Optic, numpy.ndarray]:
         medium = {"material": OurMaterial(material), "thickness": thickness[i], "is_stop": i == lens.stop}
         optic.surfaces.add(index=i + 1, **shape, **medium)
     optic.surfaces.add(index=len(lens.media) + 1)
-    optic.set_aperture("EPD", 2 * float(paraxial(lens, looks.reference).entrance_pupil_radius))
+    if stop_is_inside(lens):
+        # By the diameter of the stop: with that of the entrance pupil its aiming takes the stop of a real marginal ray.
+        radius = float(lens.semi_diameter[lens.stop])
+        optic.set_aperture("float_by_stop_size", 2 * radius)
+        optic.surfaces[lens.stop + 1].set_semi_aperture(radius)
+        optic.ray_tracer.set_aiming("iterative", max_iter=30, tol=1e-11)
+    else:
+        optic.set_aperture("EPD", 2 * float(paraxial(lens, looks.reference).entrance_pupil_radius))
     optic.fields.set_type("angle")
     degrees = numpy.degrees(numpy.arctan(looks.tangents.numpy()))
     for x, y in degrees:

@@ -226,9 +226,13 @@ def test_a_phone_lens_close_to_the_specification(path):
 
 @pytest.mark.parametrize("path", PHONES, ids=lambda path: path.stem)
 def test_every_phone_lens_serves(path):
-    """Three to eight elements, stops in front and inside: an image of 8 um or better; a few rays miss an inner stop."""
+    """Three to eight elements, stops in front and inside: an image of 8 um or better; the stop is filled.
+
+    Of a stop inside a few percent are lost behind it by total reflection, at the largest fields.
+    """
     spec = Spec()
     lens, _ = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
     rays = trace_fields(lens, view_of_spec(spec), sobol_disc(256, 0))
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)
+    assert rays.valid[0].all() and (rays.lost_at[~rays.valid] > lens.stop).all()

@@ -17,8 +17,9 @@ import torch
 import yaml
 from examples import f64
 from reference_files import SHARED, reference_files
+from reference_lenses import LINES, with_indices
 
-from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
+from tasklens.materials.material import AIR, D_LINE
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
@@ -29,7 +30,6 @@ from tasklens.runtime.files import FileError
 
 FILES = [path for path in reference_files("lenses/*/source/*") if path.suffix.lower() == ".zmx"]
 CATALOGUES = reference_files("glass/*.AGF")
-LINES = {"F": F_LINE, "d": D_LINE, "C": C_LINE}
 
 # What `read` refuses as the file stands: words of the message.
 UNKNOWN_GLASS = {"lens2.zmx": ["GLAS", "L-BAL35", "SCHOTT.AGF"]}  # of a catalogue that is not here
@@ -38,16 +38,6 @@ NEAR_OBJECTS = {"3P_F2.5_FOV78.1_EFL2.8_IMH2.3_TTL4.33": 350.0, "4P_F2.2_FOV68.0
 
 def reference_of(path: Path) -> dict:
     return json.loads((path.parent.parent / f"{path.stem}.json").read_text())
-
-
-def with_indices(indices: dict | None, name: str = "reference") -> Material:
-    """A material with the given indices at the F, d and C lines."""
-    if indices is None:
-        return AIR
-    powers = f64([[1, w**2, w**-2] for w in LINES.values()])
-    squares = f64([indices[line] ** 2 for line in LINES])
-    coefficients = torch.linalg.solve(powers, squares).tolist()
-    return Material(name, "schott", (*coefficients, 0.0, 0.0, 0.0), (0.4, 0.8))
 
 
 @cache

@@ -86,12 +86,11 @@ def refocused(lens: Lens, view: View, rays: int) -> Lens:
 
 
 def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
-    """Check that the beam on the axis, except at the stop, and all chief rays are not lost; raises FileError."""
+    """Check that the beam on the axis, which fills the stop, and all chief rays are not lost; raises FileError."""
     on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
     beam = trace_fields(lens, on_axis, rim(64))
-    lost = ~beam.valid & (beam.lost_at != lens.stop)
-    if lost.any():
-        where = _loss(beam, lost)
+    if not beam.valid.all():
+        where = _loss(beam, ~beam.valid)
         raise FileError(f"{name}: not fast enough for F/{f_number:g}: the beam on the axis loses light {where}")
     chief = chief_rays(lens, view)
     if not chief.valid.all():

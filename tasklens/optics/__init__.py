@@ -8,6 +8,12 @@ Conventions:
 - A field is the point (X, Y) in mm on the image plane of a pinhole camera of the specified focal length f; its light is
   a collimated bundle with direction tangents (X / f, Y / f). Images and PSFs are in sensor coordinates: columns run
   along x, rows along y.
+- A pupil point is a point of the unit disc. Its rays meet the stop surface at (x, y) = pupil point times radius of the
+  stop, at every field and wavelength; the chief ray meets its centre. A stop in front of the lens is its own entrance
+  pupil. Rays are aimed at one behind a refracting surface; a ray that nothing brings there is lost.
+- Every launched ray has the same weight, that of a small area of the stop. Where the entrance pupil is a distorted
+  image of the stop, the energies of equal areas of the stop differ by the determinant of
+  d(launch x, y) / d(pupil x, y). Spots, PSFs and MTFs leave it out; relative illumination is exact.
 - Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
 - A wavefront is ahead of its reference where W > 0: the ray's optical path is shorter than that of the chief ray.
   Zernike coefficients are in Noll's order, in waves RMS.

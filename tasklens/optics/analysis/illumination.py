@@ -18,8 +18,9 @@ def relative_illumination(lens: Lens, view: View) -> Tensor:
 
     E / E0 = A / A0,  A = integral over the pupil of |d(l, m) / d(px, py)| over the valid rays
 
-    A is the area that the bundle covers in the plane of the direction cosines behind the lens, less vignetted rays. The
-    pupil is the paraxial entrance pupil: a lens whose real pupil grows with the field is brighter than this.
+    A is the area that the bundle covers in the plane of the direction cosines behind the lens, less vignetted rays. It
+    does not depend on how the pupil is parametrised: the pupil points are those of the real stop, at which rays are
+    aimed, so that a lens whose entrance pupil grows with the field is as bright as it is.
 
     Source: Rimmer 1986, Proc. SPIE 655, 99.
     """

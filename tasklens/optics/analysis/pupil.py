@@ -1,10 +1,12 @@
 """Pupil sampling, and collimated ray bundles of fields."""
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.aiming import aim, stop_is_inside
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
@@ -44,22 +46,31 @@ def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
 
 
 def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
-    """Launch collimated bundles that fill the paraxial entrance pupil, at the first vertex plane.
+    """Launch collimated bundles that fill the stop, at the first vertex plane.
+
+    A stop in front of the lens is filled as its paraxial entrance pupil, which it is itself. Rays are aimed at a stop
+    inside: each meets its surface at (x, y) = pupil point times radius of the stop, at every field and wavelength.
 
     Args:
-        lens: the lens; its stop sets the entrance pupil, at the middle wavelength.
+        lens: the lens.
         tangents: (F, 2) direction tangents (l / n, m / n) of the fields.
         pupil: (N, 2) points of the unit disc.
         wavelengths: W wavelengths [um].
 
     Returns:
-        Rays of shape (F, W, N).
+        Rays of shape (F, W, N). Those that cannot be aimed are lost.
     """
     first_order = paraxial(lens, wavelengths[len(wavelengths) // 2])
     tangents, pupil = tangents.to(lens.dtype), pupil.to(lens.dtype)
     n = torch.rsqrt(1 + tangents.square().sum(-1))
     tx, ty = tangents[:, 0, None, None], tangents[:, 1, None, None]
     n = n[:, None, None].expand(len(tangents), len(wavelengths), len(pupil))
+    if stop_is_inside(lens):
+        entrance_pupil = torch.stack([first_order.entrance_pupil_radius, first_order.entrance_pupil_z])
+        point, status, lost_at = aim(lens, tangents, pupil, lens.refractive_indices(wavelengths), entrance_pupil)
+        x, y = point.to(lens.dtype).unbind(-1)
+        rays = launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
+        return replace(rays, status=status, lost_at=lost_at)
     x = pupil[:, 0] * first_order.entrance_pupil_radius - tx * first_order.entrance_pupil_z
     y = pupil[:, 1] * first_order.entrance_pupil_radius - ty * first_order.entrance_pupil_z
     return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)

@@ -1,0 +1,117 @@
+"""Launch points of bundles of many rays that fill the stop, from a polynomial through a few of them."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.continuation import (
+    Aim,
+    Solution,
+    collimated,
+    follow,
+    rays_at_stop,
+    stop_is_curved,
+)
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import RayStatus
+
+_DEGREE = 9  # of the polynomial
+_RINGS, _ARMS = 7, 20  # of the rays that it is fitted to
+_STEPS = 4  # with the derivative of the polynomial
+_TOLERANCE = 2e-15  # estimated error behind such a step, over the track
+_BEST_RATIO = 0.1  # smallest ratio of errors behind and before a step that is believed
+
+
+def solve_bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor) -> Solution:
+    """Solve for the launch points of all rays (F, W, N), without graph.
+
+    Bundles of few rays are solved ray by ray (`continuation`). Of others a coarse set is, and launch points that are a
+    polynomial P of the pupil point are fitted to it. They start all rays, which steps by the derivative of P bring to
+    the stop, at the price of one trace each:  x <- x - dP r / R,  r the error at the stop and R the radius of the stop.
+    The error behind a step is estimated by how much smaller it was than the one before. What is still too far off is
+    solved ray by ray.
+
+    Args:
+        lens: a lens with its stop inside, in double precision as all arguments.
+        tangents: (F, 2) direction tangents.
+        pupil: (N, 2) points of the unit disc.
+        indices: (S + 1, W) refractive indices.
+        entrance_pupil: (2,) radius and position of the paraxial entrance pupil [mm].
+
+    Returns:
+        The launch points of F W N rays.
+    """
+    every = bundles(lens, tangents, pupil, indices, entrance_pupil)
+    coarse = _coarse_pupil()
+    if len(pupil) <= 2 * len(coarse):
+        return follow(every, every.paraxial)
+    few = bundles(lens, tangents, coarse, indices, entrance_pupil)
+    size = (len(tangents), indices.shape[1], len(pupil))
+    point, slope = _fit(follow(few, few.paraxial), coarse, pupil, size)
+    radius, track = lens.semi_diameter[lens.stop], lens.thickness.abs().sum()
+    before = torch.zeros(size, dtype=torch.float64)
+    for _ in range(_STEPS):
+        at = rays_at_stop(lens, collimated(point, tangents[:, None, None]), indices, every.curved)
+        error = torch.stack([at.x, at.y], -1) - pupil * radius
+        r = error.norm(dim=-1)
+        near = at.valid & (r * (r / before).clamp(_BEST_RATIO, 1) <= _TOLERANCE * track)
+        point = point - (slope @ error[..., None])[..., 0] / radius
+        before = r.clamp(min=_TOLERANCE * track)
+        if bool(near.all()):
+            break
+    near, point = near.flatten(), point.reshape(-1, 2)
+    status = torch.zeros(len(point), dtype=torch.int8)
+    lost_at = status - 1
+    far = (~near).nonzero()[:, 0]
+    if len(far):
+        rest = follow(every.part(far), point[far])
+        point[far], status[far], lost_at[far] = rest.point, rest.status, rest.lost_at
+    return Solution(point, status, lost_at)
+
+
+def bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor) -> Aim:
+    """List the rays (F, W, N) of F fields and W wavelengths through N pupil points."""
+    size = (len(tangents), indices.shape[1], len(pupil))
+    radius, z = entrance_pupil
+    return Aim(
+        lens,
+        indices[:, None, :, None].expand(-1, *size).flatten(1),
+        tangents[:, None, None].expand(*size, 2).reshape(-1, 2),
+        (pupil * lens.semi_diameter[lens.stop]).expand(*size, 2).reshape(-1, 2),
+        (pupil * radius - tangents[:, None, None] * z).expand(*size, 2).reshape(-1, 2),
+        stop_is_curved(lens),
+    )
+
+
+def _fit(known: Solution, coarse: Tensor, pupil: Tensor, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    """Fit polynomials to the rays that were aimed, by least squares; a bundle without any gets zeros.
+
+    Returns:
+        (F, W, N, 2) launch points at `pupil`, (F, W, N, 2, 2) their derivatives by the pupil point.
+    """
+    fields, colours, _ = size
+    aimed = (known.status == RayStatus.OK).reshape(fields * colours, -1, 1).double()
+    values = known.point.reshape(fields * colours, -1, 2)
+    coefficients = torch.linalg.lstsq(aimed * _powers(coarse)[0], aimed * values).solution
+    point, *slopes = ((terms @ coefficients).reshape(*size, 2) for terms in _powers(pupil))
+    return point, torch.stack(slopes, -1)
+
+
+def _powers(pupil: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute x^i y^j up to the degree i + j of the polynomial, (N, K), and their derivatives by x and by y."""
+    orders = torch.arange(_DEGREE + 1)
+    powers = pupil ** orders[:, None, None]
+    slopes = orders[:, None, None] * powers.roll(1, 0)
+    i, j = torch.cartesian_prod(orders, orders).T
+    i, j = i[i + j <= _DEGREE], j[i + j <= _DEGREE]
+    (x, y), (dx, dy) = powers.unbind(-1), slopes.unbind(-1)
+    return (x[i] * y[j]).T, (dx[i] * y[j]).T, (x[i] * dy[j]).T
+
+
+def _coarse_pupil() -> Tensor:
+    """Return points on rings that are dense towards the rim, and the centre."""
+    radius = torch.sin(torch.arange(1, _RINGS + 1, dtype=torch.float64) * (math.pi / 2 / _RINGS))
+    angle = torch.arange(_ARMS, dtype=torch.float64) * (2 * math.pi / _ARMS)
+    ring = torch.stack([torch.cos(angle), torch.sin(angle)], -1)
+    return torch.cat([(radius[:, None, None] * ring).reshape(-1, 2), torch.zeros(1, 2, dtype=torch.float64)])

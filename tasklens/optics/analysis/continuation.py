@@ -1,0 +1,183 @@
+"""Launch points of single rays that meet the stop at given points, by Newton's iteration and from the axis outward."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays, RayStatus, launch
+from tasklens.optics.tracing.trace import trace
+
+_NEWTON_STEPS = 8
+_TOLERANCE = 1e-11  # error at the stop over the track; the error behind a Newton step is of the order of its square
+_SHORTEST = 1 / 16  # shortest part of the way from the axis that is tried; 1 / 1024 aims no more rays
+
+
+def collimated(point: Tensor, tangents: Tensor) -> Rays:
+    """Launch rays at `point` (..., 2) [mm] of the first vertex plane with direction tangents (..., 2)."""
+    n = torch.rsqrt(1 + tangents.square().sum(-1))
+    tx, ty = tangents.unbind(-1)
+    x, y = point.unbind(-1)
+    return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
+
+
+def rays_at_stop(lens: Lens, rays: Rays, indices: Tensor, curved: bool = True) -> Rays:
+    """Trace rays (..., W, N) through the surfaces in front of the stop, whatever their apertures, to the stop surface.
+
+    Args:
+        lens: a lens with at least one surface in front of its stop.
+        rays: rays at the first vertex plane.
+        indices: (S + 1, W) refractive indices of the lens.
+        curved: whether to go on from the vertex plane of the stop to its surface, which depends on its curvature.
+
+    Returns:
+        The rays, z from the vertex of the stop, differentiable as `trace` is. A ray that misses a surface or is totally
+        reflected has its status and stays at its last point.
+    """
+    stop = lens.stop
+    shape = {name: getattr(lens, name)[:stop] for name in ("curvature", "conic", "alpha", "thickness")}
+    unlimited = torch.full((stop,), torch.inf, dtype=lens.dtype)
+    front = Lens(**shape, semi_diameter=unlimited, media=lens.media[:stop], stop=0)
+    rays = trace(front, rays, indices[: stop + 1])
+    if not curved:
+        return rays
+    at = replace(lens.surfaces[stop], semi_diameter=torch.inf).intersect(rays)
+    lost_at = torch.where(rays.valid & ~at.valid, torch.tensor(stop, dtype=torch.int8), rays.lost_at)
+    return replace(at, lost_at=lost_at)
+
+
+def points_at_stop(
+    lens: Lens, point: Tensor, tangents: Tensor, indices: Tensor, curved: bool
+) -> tuple[Tensor, Tensor, Rays]:
+    """Trace rays from `point` (..., W, N, 2) to the stop, without graph.
+
+    Returns:
+        (..., W, N, 2) points (x, y) on the stop [mm], (..., W, N, 2, 2) their derivatives by the launch point, and the
+        rays at the stop.
+    """
+    with torch.enable_grad():
+        point = point.detach().requires_grad_()
+        at = rays_at_stop(lens, collimated(point, tangents), indices, curved)
+        rows = [torch.autograd.grad(v.sum(), point, retain_graph=True)[0] for v in (at.x, at.y)]
+    return torch.stack([at.x, at.y], -1).detach(), torch.stack(rows, -2), at
+
+
+def stop_is_curved(lens: Lens) -> bool:
+    """Tell whether the stop surface is not a plane."""
+    return bool(lens.curvature[lens.stop] != 0) or bool(lens.alpha[lens.stop].any())
+
+
+@dataclass(frozen=True)
+class Aim:
+    """M rays and where they shall meet the stop, detached and in double precision.
+
+    Attributes:
+        lens: a lens with its stop inside.
+        indices: (S + 1, M) refractive indices for each ray.
+        tangents: (M, 2) direction tangents.
+        targets: (M, 2) points (x, y) on the stop [mm].
+        paraxial: (M, 2) launch points of paraxial optics [mm].
+        curved: whether the stop is curved.
+    """
+
+    lens: Lens
+    indices: Tensor
+    tangents: Tensor
+    targets: Tensor
+    paraxial: Tensor
+    curved: bool
+
+    def part(self, chosen: Tensor) -> "Aim":
+        """Return the rays with the numbers `chosen`."""
+        rays = {name: getattr(self, name)[chosen] for name in ("tangents", "targets", "paraxial")}
+        return replace(self, indices=self.indices[:, chosen], **rays)
+
+    def scaled(self, scale: Tensor) -> "Aim":
+        """Return the rays with tangents and targets times `scale` (M,): nearer to the axis, where rays are paraxial."""
+        rays = {name: scale[:, None] * getattr(self, name) for name in ("tangents", "targets", "paraxial")}
+        return replace(self, **rays)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Launch points of M rays, and what became of those that cannot be aimed.
+
+    Attributes:
+        point: (M, 2) launch points [mm]; of a ray that cannot be aimed that of the nearest one on the way to it.
+        status, lost_at: (M,) as of `Rays`: what was in the way, or MISSED at the stop where nothing was.
+    """
+
+    point: Tensor
+    status: Tensor
+    lost_at: Tensor
+
+
+def inverse(matrices: Tensor) -> Tensor:
+    """Invert matrices (..., 2, 2)."""
+    a, b, c, d = matrices.flatten(-2).unbind(-1)
+    return (torch.stack([d, -b, -c, a], -1) / (a * d - b * c)[..., None]).reshape(matrices.shape)
+
+
+def newton(aim: Aim, guess: Tensor) -> tuple[Solution, Tensor]:
+    """Solve for the launch points by Newton's iteration from `guess` (M, 2).
+
+    A ray whose error is not halved by a step has failed, and one whose derivative has a determinant that is not
+    positive, as it is in paraxial optics: what lies behind a fold of the pupil is not the solution.
+
+    Returns:
+        Launch points, statuses of those rays that failed, and (M,) whether the others are solutions.
+    """
+    tolerance = _TOLERANCE * float(aim.lens.thickness.abs().sum())
+    point, solved = guess.clone(), torch.zeros(len(guess), dtype=torch.bool)
+    status = torch.full((len(guess),), int(RayStatus.MISSED), dtype=torch.int8)
+    lost_at = torch.full_like(status, aim.lens.stop)
+    active, before = torch.arange(len(guess)), torch.full_like(guess[:, 0], torch.inf)
+    for _ in range(_NEWTON_STEPS):
+        part = aim.part(active)
+        launched, tangents = (v[None, :, None] for v in (point[active], part.tangents))
+        found, derivative, at = points_at_stop(aim.lens, launched, tangents, part.indices, aim.curved)
+        error, derivative, valid = found[0, :, 0] - part.targets, derivative[0, :, 0], at.valid[0, :, 0]
+        size = error.norm(dim=-1)
+        near = valid & (size <= tolerance)
+        steady = valid & (torch.det(derivative) > 0) & (near | (size < 0.5 * before))
+        solved[active] = near & steady
+        status[active[~valid]], lost_at[active[~valid]] = at.status[0, ~valid, 0], at.lost_at[0, ~valid, 0]
+        point[active[steady]] -= (inverse(derivative[steady]) @ error[steady, :, None])[..., 0]
+        left = steady & ~near
+        active, before = active[left], size[left]
+        if not len(active):
+            break
+    return Solution(point, status, lost_at), solved
+
+
+def follow(aim: Aim, guess: Tensor) -> Solution:
+    """Solve for the launch points of all rays that have one.
+
+    Newton's iteration begins at `guess` (M, 2). A ray for which it fails is followed from the axis outward: field and
+    pupil point are scaled by s from 0 to 1, a step in s that fails is halved, and the next launch point predicted by
+    third-order aberrations, x(s) = a s + b s^3, a from paraxial optics and b from the last solution.
+    """
+    count = len(guess)
+    reached, stride = guess.new_zeros(count), guess.new_ones(count)
+    point = torch.zeros_like(guess)
+    status = torch.zeros(count, dtype=torch.int8)
+    lost_at = status - 1
+    pending, start = torch.arange(count), guess
+    while True:
+        to = (reached[pending] + stride[pending]).clamp(max=1)
+        found, solved = newton(aim.part(pending).scaled(to), start)
+        moved, stuck = pending[solved], pending[~solved]
+        reached[moved], point[moved] = to[solved], found.point[solved]
+        status[stuck], lost_at[stuck] = found.status[~solved], found.lost_at[~solved]
+        stride[stuck] /= 2
+        pending = pending[(reached[pending] < 1) & (stride[pending] >= _SHORTEST)]
+        if not len(pending):
+            break
+        s, linear = reached[pending, None], aim.paraxial[pending]
+        b = torch.where(s > 0, (point[pending] / s - linear) / s**2, 0.0)
+        s = (s + stride[pending, None]).clamp(max=1)
+        start = linear * s + b * s**3
+    aimed = reached == 1
+    status[aimed], lost_at[aimed] = int(RayStatus.OK), -1
+    return Solution(point, status, lost_at)

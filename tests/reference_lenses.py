@@ -1,0 +1,67 @@
+"""Lenses of the reference data as they are in their JSON files."""
+
+import json
+import math
+from pathlib import Path
+
+import torch
+from examples import f64
+from reference_files import reference_files
+
+from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
+from tasklens.optics.io import zemax
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+
+LINES = {"F": F_LINE, "d": D_LINE, "C": C_LINE}
+LENS_FILES = reference_files("lenses/*/*.json")
+
+
+def with_indices(indices: dict | None, name: str = "reference") -> Material:
+    """A material with the given indices at the F, d and C lines."""
+    if indices is None:
+        return AIR
+    powers = f64([[1, w**2, w**-2] for w in LINES.values()])
+    squares = f64([indices[line] ** 2 for line in LINES])
+    coefficients = torch.linalg.solve(powers, squares).tolist()
+    return Material(name, "schott", (*coefficients, 0.0, 0.0, 0.0), (0.4, 0.8))
+
+
+def reference_lens(path: Path, apertures: bool = False) -> Lens:
+    """The lens of a file with the stop that its F-number asks for, clear apertures only where asked for."""
+    content = json.loads(path.read_text())
+    surfaces = content["surfaces"]
+    alpha = torch.zeros(len(surfaces), 10, dtype=torch.float64)
+    for i, surface in enumerate(surfaces):
+        for power, value in surface["even_asphere"].items():
+            alpha[i, int(power) // 2 - 1] = value
+    clear = [surface["semi_diameter"] if apertures else None for surface in surfaces]
+    (stop,) = (i for i, surface in enumerate(surfaces) if surface["stop"])
+    lens = Lens(
+        f64([surface["c"] for surface in surfaces]),
+        f64([surface["k"] for surface in surfaces]),
+        alpha,
+        f64([*(s["thickness_after"] for s in surfaces[:-1]), content["reference"]["image_distance"]]),
+        f64([value or math.inf for value in clear]),
+        tuple(with_indices(surface["n"]) for surface in surfaces),
+        stop,
+    )
+    radius = zemax.stop_radius(lens, ("entrance_pupil_diameter_mm", content["epd"]), D_LINE)
+    lens.semi_diameter[stop] = radius
+    return lens
+
+
+def reference_view(path: Path, fractions: tuple[float, ...]) -> View:
+    """Fields of a file along +y as fractions of its largest angle, in its three colours."""
+    content = json.loads(path.read_text())
+    angles = torch.deg2rad(content["half_field_deg"] * f64(fractions))
+    fields = torch.stack([torch.zeros_like(angles), angles.tan()], -1)
+    return View(fields, 1.0, tuple(LINES.values()), 1.8, 31)
+
+
+def stop_is_inside(lens: Lens) -> bool:
+    """Whether a refracting surface is in front of the stop."""
+    return min(lens.refracting_surfaces) < lens.stop
+
+
+INNER_STOPS = [path for path in LENS_FILES if stop_is_inside(reference_lens(path))]

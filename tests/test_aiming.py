@@ -1,0 +1,328 @@
+"""Rays aimed at a stop inside the lens: exact, differentiable, lost where nothing reaches the stop, else as before."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+import torch.autograd.forward_ad as fwAD
+from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_view, stop_is_inside
+
+from tasklens.materials.material import model_glass
+from tasklens.optics.analysis import aiming, pupil
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
+from tasklens.optics.analysis.spots import chief_rays_full, trace_fields
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays, RayStatus, launch
+from tasklens.optics.tracing.trace import trace, trace_full
+from tasklens.optics.view import View
+
+CENTRE = torch.zeros(1, 2, dtype=torch.float64)
+FEW = torch.cat([CENTRE, rim(16), sobol_disc(64, seed=1)])  # solved ray by ray
+MANY = torch.cat([CENTRE, rim(64), sobol_disc(448, seed=2)])  # started by a polynomial
+# Rays on a stop of this size are totally reflected in the first element at the full field of these lenses.
+TOO_WIDE = {"ef35mm_f2.0": 0.8, "ef85mm_f1.8": 0.9}
+
+
+def reverse_telephoto() -> Lens:
+    """A negative meniscus far in front of the stop, and a positive group: its pupil wanders far with the field."""
+    glass = model_glass(1.62, 60.0, 0.0)
+    stop = [torch.inf, torch.inf, 0.8, torch.inf, torch.inf]
+    media = (glass, "air", "air", glass, "air")
+    spaces, alpha = [1.5, 12, 0.3, 3, 12], torch.zeros(5, 2)
+    return make_lens([1 / 20, 1 / 8, 0, 1 / 20, -1 / 6], spaces, media, alpha=alpha, semi_diameter=stop, stop=2)
+
+
+def curved_stop() -> Lens:
+    """A triplet whose stop is an asphere, the front of its second element."""
+    lens = cooke_triplet(stop=2, semi_diameter=f64([torch.inf] * 2 + [4.0] + [torch.inf] * 6))
+    return replace(lens, alpha=1e-5 * torch.ones(9, 2, dtype=torch.float64), conic=0.1 * torch.ones(9).double())
+
+
+def tangents_of(*degrees: float) -> torch.Tensor:
+    """Fields across the diagonal of the sensor."""
+    return f64([[0.6 * math.tan(math.radians(a)), -0.8 * math.tan(math.radians(a))] for a in degrees])
+
+
+def assert_on_stop(lens: Lens, rays: Rays, points: torch.Tensor, wavelengths: tuple[float, ...]) -> None:
+    """Rays that were aimed pass the real stop at the points; those lost behind it included."""
+    image, behind = trace_full(lens, rays, lens.refractive_indices(wavelengths))
+    at, aimed = behind[lens.stop], rays.valid
+    assert not (aimed & (image.lost_at >= 0) & (image.lost_at <= lens.stop)).any()
+    expected = (points * lens.semi_diameter[lens.stop]).expand(*aimed.shape, 2)
+    # A ray that is lost behind the stop, or reflected at it, is still recorded where it met it.
+    found = torch.stack([at.x, at.y], -1)
+    torch.testing.assert_close(found[aimed], expected[aimed], rtol=0, atol=1e-12)
+
+
+# ---- exact
+
+
+@pytest.mark.parametrize("points", [FEW, MANY], ids=["few", "many"])
+@pytest.mark.parametrize("path", INNER_STOPS, ids=lambda path: path.stem)
+def test_rays_meet_the_stop_where_they_shall(path, points):
+    """On the axis, at 0.7 and at the full field, in three colours, within 1e-12 mm."""
+    lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
+    rays = collimated_rays(lens, view.tangents, points, view.wavelengths)
+    assert float(rays.valid.double().mean((1, 2)).min()) >= TOO_WIDE.get(path.stem, 1.0)
+    assert_on_stop(lens, rays, points, view.wavelengths)
+
+
+def test_lenses_of_every_kind_are_there():
+    assert len(INNER_STOPS) >= 7
+    assert {path.parent.name for path in INNER_STOPS} == {"cellphone", "classical"}
+
+
+@pytest.mark.parametrize("make", [reverse_telephoto, curved_stop])
+def test_stops_of_other_kinds(make):
+    lens, tangents = make(), tangents_of(0, 10, 20)
+    for points in (FEW, MANY):
+        rays = collimated_rays(lens, tangents, points, WAVELENGTHS)
+        assert rays.valid.all()
+        assert_on_stop(lens, rays, points, WAVELENGTHS)
+
+
+def test_a_wide_angle_lens_keeps_its_full_field():
+    """70 degrees off the axis the paraxial entrance pupil misses the real one altogether."""
+    lens, tangents = reverse_telephoto(), tangents_of(0, 30, 50, 60, 70)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    aimed = collimated_rays(lens, tangents, MANY, WAVELENGTHS)
+    assert_on_stop(lens, aimed, MANY, WAVELENGTHS)
+    assert trace(lens, aimed, indices).valid.all()
+    first_order = paraxial(lens, WAVELENGTHS[1])
+    point = MANY * first_order.entrance_pupil_radius - tangents[:, None, None] * first_order.entrance_pupil_z
+    unaimed = replace(aimed, x=point[..., 0].expand_as(aimed.x), y=point[..., 1].expand_as(aimed.x))
+    kept = trace(lens, unaimed, indices).valid.double().mean((1, 2)).tolist()
+    assert kept[0] > 0.9 and kept[2] < 0.6 and kept[4] == 0
+
+
+def test_the_chief_ray_passes_the_centre_of_the_stop():
+    lens = reverse_telephoto()
+    view = View(tangents_of(0, 30, 70), 1.0, WAVELENGTHS, 1.8, 31)
+    at = chief_rays_full(lens, view)[1][lens.stop]
+    assert float(torch.hypot(at.x, at.y).max()) < 1e-13
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
+@pytest.mark.parametrize("path", INNER_STOPS, ids=lambda path: path.stem)
+def test_rays_on_the_rim_pass_the_stop(path, dtype):
+    """Rounding to single precision included."""
+    lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
+    names = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
+    lens = replace(lens, **{name: getattr(lens, name).to(dtype) for name in names})
+    rays = collimated_rays(lens, view.tangents, rim(64), view.wavelengths)
+    assert rays.x.dtype == dtype
+    image = trace(lens, rays, lens.refractive_indices(view.wavelengths))
+    assert not (rays.valid & (image.lost_at >= 0) & (image.lost_at <= lens.stop)).any()
+
+
+def test_a_smaller_stop_is_the_inner_part_of_the_pupil():
+    lens, tangents = reverse_telephoto(), tangents_of(0, 50)
+    inner = collimated_rays(lens, tangents, 0.5 * FEW, WAVELENGTHS)
+    stopped = collimated_rays(lens.with_stop_scaled(0.5), tangents, FEW, WAVELENGTHS)
+    for name in ("x", "y"):
+        torch.testing.assert_close(getattr(stopped, name), getattr(inner, name), rtol=0, atol=1e-13)
+
+
+# ---- only where it is needed
+
+
+def unaimed(lens: Lens, tangents: torch.Tensor, points: torch.Tensor, wavelengths: tuple[float, ...]) -> Rays:
+    """Rays that fill the paraxial entrance pupil."""
+    first_order = paraxial(lens, wavelengths[len(wavelengths) // 2])
+    n = torch.rsqrt(1 + tangents.square().sum(-1))
+    tx, ty = tangents[:, 0, None, None], tangents[:, 1, None, None]
+    n = n[:, None, None].expand(len(tangents), len(wavelengths), len(points))
+    x = points[:, 0] * first_order.entrance_pupil_radius - tx * first_order.entrance_pupil_z
+    y = points[:, 1] * first_order.entrance_pupil_radius - ty * first_order.entrance_pupil_z
+    return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
+
+
+def test_a_stop_in_front_changes_nothing(monkeypatch):
+    """Bit for bit, and without a call: stops as first surface, behind planes in air, and on the first surface."""
+    monkeypatch.setattr(pupil, "aim", None)
+    in_air = make_lens([0, 0, 0.1, -0.1], [1.0, 0.5, 2.0, 9.0], ("air", "air", "COC", "air"), stop=1)
+    in_air.semi_diameter[1] = 0.7
+    lenses = [replace(random_lens(seed), semi_diameter=f64([0.3, *[torch.inf] * 4])) for seed in range(3)]
+    front = [reference_lens(path) for path in LENS_FILES if not stop_is_inside(reference_lens(path))]
+    assert len(front) >= 3
+    for lens in [*lenses, in_air, *front]:
+        wavelengths = (0.4861327, 0.5875618, 0.6562725)
+        expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
+        found = collimated_rays(lens, tangents_of(0, 2), FEW, wavelengths)
+        for name, value in vars(expected).items():
+            assert torch.equal(getattr(found, name), value), name
+
+
+# ---- differentiable
+
+PARAMETERS = ("curvature", "conic", "alpha", "thickness", "semi_diameter", "tangents", "pupil")
+
+
+def image_points(make, name: str):
+    """Image points of rays as a function of one parameter, and its value."""
+    lens = make()
+    tangents = tangents_of(10, 25)
+    points = torch.cat([FEW[:4], 0.8 * FEW[20:22]])
+    values = {"tangents": tangents, "pupil": points}
+    value = values[name] if name in values else getattr(lens, name)
+    if name == "semi_diameter":  # the others are infinite
+        value = value[lens.stop : lens.stop + 1]
+
+    def image(value: torch.Tensor) -> torch.Tensor:
+        given = dict(values)
+        changed = lens
+        if name == "semi_diameter":
+            radii = torch.full((len(lens.media),), torch.inf, dtype=torch.float64)
+            changed = replace(lens, semi_diameter=torch.where(torch.arange(len(radii)) == lens.stop, value, radii))
+        elif name in values:
+            given[name] = value
+        else:
+            changed = replace(lens, **{name: value})
+        rays = collimated_rays(changed, given["tangents"], given["pupil"], WAVELENGTHS)
+        # The rim of the stop is not an aperture here: a difference moves rays across it.
+        opened = replace(changed, semi_diameter=torch.full_like(changed.curvature.detach(), torch.inf))
+        rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
+        assert rays.valid.all()
+        return torch.stack([rays.x, rays.y])
+
+    return image, value.clone()
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("make", [reverse_telephoto, curved_stop])
+def test_derivatives_through_aiming(make, name):
+    """Reverse and forward mode against differences, relative to the largest derivative: 1e-7."""
+    image, value = image_points(make, name)
+    step = {"curvature": 1e-5, "alpha": 1e-8}.get(name, 1e-4)
+    expected = difference(image, value, step)
+    scale = float(expected.abs().max())
+    reverse = torch.autograd.functional.jacobian(image, value)
+    torch.testing.assert_close(reverse.reshape(expected.shape), expected, rtol=0, atol=1e-7 * scale)
+    generator = torch.Generator().manual_seed(5)
+    direction = torch.randn(value.shape, generator=generator, dtype=torch.float64)
+    along = (expected * direction).flatten(4).sum(-1)
+    forward = torch.func.jvp(image, (value,), (direction,))[1]
+    torch.testing.assert_close(forward, along, rtol=0, atol=1e-6 * scale)
+    with fwAD.dual_level():
+        dual = fwAD.unpack_dual(image(fwAD.make_dual(value, direction))).tangent
+    torch.testing.assert_close(dual, forward, rtol=0, atol=1e-12 * scale)
+
+
+def test_derivatives_of_bundles_that_a_polynomial_starts():
+    """The sum over many rays, by all curvatures and spaces at once."""
+    lens = reverse_telephoto()
+    generator = torch.Generator().manual_seed(6)
+    directions = {name: torch.randn(5, generator=generator, dtype=torch.float64) for name in ("curvature", "thickness")}
+
+    def merit(t: torch.Tensor) -> torch.Tensor:
+        changed = replace(lens, **{name: getattr(lens, name) + t * d for name, d in directions.items()})
+        rays = collimated_rays(changed, tangents_of(0, 40), MANY, WAVELENGTHS)
+        opened = replace(changed, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
+        rays = trace(opened, rays, lens.refractive_indices(WAVELENGTHS))
+        return (rays.x.square() + rays.y.square()).mean()
+
+    zero, one = f64([0.0]), f64([1.0])
+    found = float(torch.autograd.functional.jacobian(merit, zero))
+    assert found == pytest.approx(float(difference(merit, zero, 1e-5)), rel=1e-7)
+    assert float(torch.func.jvp(merit, (zero,), (one,))[1]) == pytest.approx(found, rel=1e-11)
+
+
+# ---- lost rays
+
+
+def test_what_no_ray_reaches_is_lost():
+    """A triplet far beyond its field: rays are reflected in its elements or miss them; finite, without gradient."""
+    lens = cooke_triplet(curvature=cooke_triplet().curvature.requires_grad_())
+    tangents = tangents_of(0, 20, 60, 80)
+    for points in (FEW, MANY):
+        rays = collimated_rays(lens, tangents, points, WAVELENGTHS)
+        assert rays.valid[:2].all() and not rays.valid[3].any()
+        image = trace(lens, rays, lens.refractive_indices(WAVELENGTHS))
+        lost = ~rays.valid
+        assert set(image.status[lost].tolist()) <= {RayStatus.MISSED, RayStatus.TOTAL_INTERNAL_REFLECTION}
+        assert torch.equal(image.status[lost], rays.status[lost])
+        assert ((image.lost_at[lost] >= 0) & (image.lost_at[lost] <= lens.stop)).all()
+        for value in vars(image).values():
+            assert value.isfinite().all()
+        (gradient,) = torch.autograd.grad(image.x[2:].sum() + image.y.sum(), lens.curvature)
+        assert gradient.isfinite().all() and gradient.any()
+        outside = trace_fields(lens, View(tangents[3:], 1.0, WAVELENGTHS, 1.8, 31), points)
+        (gradient,) = torch.autograd.grad(outside.x.sum(), lens.curvature)
+        assert not gradient.any()
+
+
+def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
+    """The same rays are launched, and those beyond the aperture end there."""
+    lens, tangents = cooke_triplet(), tangents_of(0, 20)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    clipped = replace(lens, semi_diameter=lens.semi_diameter.clone())
+    clipped.semi_diameter[0] = 8.0
+    rays = collimated_rays(lens, tangents, MANY, WAVELENGTHS)
+    same = collimated_rays(clipped, tangents, MANY, WAVELENGTHS)
+    assert torch.equal(rays.x, same.x) and torch.equal(rays.y, same.y)
+    behind = trace_full(lens, rays, indices)[1][0]
+    image = trace(clipped, same, indices)
+    assert torch.equal(image.vignetted, torch.hypot(behind.x, behind.y) > 8.0)
+    assert 0.3 < image.valid[1].double().mean() < 0.9 and (image.lost_at[image.vignetted] == 0).all()
+
+
+# ---- relative illumination
+
+
+def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_width: float, count: int) -> torch.Tensor:
+    """Illuminance of fields in the image: what all rays of a grid that pass the lens cover in direction cosines.
+
+    Rays start on a square of the first vertex plane, whatever the pupil; the cosines are differentiated by it.
+    """
+    axis = (torch.arange(count, dtype=torch.float64) + 0.5) * (2 * half_width / count) - half_width
+    grid = torch.cartesian_prod(axis, axis).T
+    indices = lens.refractive_indices((wavelength,))
+    x, y = grid[:, None]
+    one, zero = torch.ones_like(x), torch.zeros_like(x)
+    edge = torch.maximum(x.abs(), y.abs()) > half_width * (1 - 2 / count)
+
+    def cosines(tangent: torch.Tensor, centre: Rays, x: torch.Tensor, y: torch.Tensor):
+        n = torch.rsqrt(1 + tangent.square().sum())
+        start = launch(centre.x + x, centre.y + y, torch.zeros_like(x), tangent[0] * n, tangent[1] * n, n)
+        rays = trace(lens, start, indices)
+        return (rays.l, rays.m), rays.valid
+
+    areas = []
+    for tangent in tangents:
+        centre = collimated_rays(lens, tangent[None], CENTRE, (wavelength,))  # only places the square
+        behind = partial(cosines, tangent, centre)
+        _, (lx, mx), valid = torch.func.jvp(behind, (x, y), (one, zero), has_aux=True)
+        _, (ly, my), _ = torch.func.jvp(behind, (x, y), (zero, one), has_aux=True)
+        assert valid.any() and not (valid & edge).any()  # the square holds the whole pupil
+        areas.append(torch.where(valid, (lx * my - ly * mx).abs(), 0.0).sum())
+    return torch.stack(areas)
+
+
+WIDE = (reverse_telephoto, (0, 30, 60), 1.0)
+NORMAL = (cooke_triplet, (0, 10, 20), 7.0)
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+@pytest.mark.parametrize("make, angles, half_width", [WIDE, NORMAL])
+def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, clipped):
+    """Against 400 x 400 rays over the first surface; 4e-3 where an aperture cuts the pupil, 1e-3 else."""
+    lens, tangents = make(), tangents_of(*angles)
+    if clipped:  # less than the light of the largest field needs
+        rays = collimated_rays(lens, tangents, rim(64), WAVELENGTHS)
+        behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))[1][-2]
+        height = torch.hypot(behind.x, behind.y)[-1]
+        lens.semi_diameter[-2] = float(height.mean())
+    view = View(tangents, 1.0, WAVELENGTHS, 1.8, 31)
+    area = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
+    expected = area / area[0]
+    found = relative_illumination(lens, view)
+    torch.testing.assert_close(found, expected, rtol=0, atol=4e-3 if clipped else 1e-3)
+
+
+def test_it_tells_a_stop_inside():
+    assert aiming.stop_is_inside(cooke_triplet()) and not aiming.stop_is_inside(random_lens(0))
