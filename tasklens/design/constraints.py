@@ -15,8 +15,8 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
-_HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
-_BUFFER = 0.01  # margin that designs aim at [mm; a tenth of it for fractions], since a soft penalty ends short of it
+HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
+BUFFER = 0.01  # margin that designs aim at [mm; a tenth of it for fractions], since a soft penalty ends short of it
 
 
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
@@ -30,7 +30,7 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     """
     semi = semi_diameter.clamp(min=float(lens.semi_diameter[lens.stop]))
     element = torch.tensor([medium != AIR for medium in lens.media[:-1]])
-    shared = torch.maximum(semi[:-1], semi[1:])[:, None] * _HEIGHTS
+    shared = torch.maximum(semi[:-1], semi[1:])[:, None] * HEIGHTS
 
     def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:
         squares = torch.minimum(heights, semi[surfaces, None]) ** 2
@@ -38,8 +38,8 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
 
     gap = lens.thickness[:-1, None] + surface_sag(slice(1, None), shared) - surface_sag(slice(None, -1), shared)
     centre, edge = lens.thickness[:-1][element], gap[element]
-    last = surface_sag(slice(-1, None), semi[-1:, None] * _HEIGHTS)
-    slope = radial_slope(semi[:, None] * _HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None])
+    last = surface_sag(slice(-1, None), semi[-1:, None] * HEIGHTS)
+    slope = radial_slope(semi[:, None] * HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None])
     return {
         "min_centre_thickness": centre - limits.min_centre_thickness,
         "max_centre_thickness": limits.max_centre_thickness - centre,
@@ -66,10 +66,11 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tens
 
 def violation(margins: Mapping[str, Tensor]) -> Tensor:
     """Return the violation of all limits, with a buffer, as one vector; zero where a margin exceeds the buffer."""
-    return torch.cat([(_BUFFER * _scale(name) - margin).clamp(min=0) for name, margin in margins.items()])
+    return torch.cat([(BUFFER * buffer_scale(name) - margin).clamp(min=0) for name, margin in margins.items()])
 
 
-def _scale(name: str) -> float:
+def buffer_scale(name: str) -> float:
+    """Return the factor on the buffer of a limit: a fraction has a tenth of it."""
     return 0.1 if name in ("efl_tolerance", "distortion") else 1.0
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, violation
+from tasklens.design.linear_limits import LinearLimits
 from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
 from tasklens.optics.analysis.spots import trace_fields_full
 from tasklens.optics.lens import Lens
@@ -59,6 +59,7 @@ class Merit:
         self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
         self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # number of ray residuals, then limits
         self.per_mm = per_mm
+        self.launched: tuple[float, Rays] | None = None  # radius of the stop, and rays
 
     def residuals(self, lens: Lens) -> Tensor:
         """Compute the (R,) residuals [um]."""
@@ -72,22 +73,21 @@ class Merit:
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """Return residuals (R,) [um], and a function from V changes of the lens (as in `tracing`) to (R, V) columns."""
         view = self.view
-        start = collimated_rays(lens, view.tangents, self.pupil, view.wavelengths)
-        rays, behind, derivative = linearise(lens, start, lens.refractive_indices(view.wavelengths))
+        rays, behind, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
         valid = rays.valid[..., : len(self.weight)]
         errors = [
             torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share)
             for error in self._errors(rays.x, rays.y, valid, change=False)
         ]
         outermost = [_outermost(each) for each in behind]
-        leaves = {name: getattr(lens, name).clone().requires_grad_() for name in ("curvature", "alpha", "thickness")}
-        leaves["chief"] = torch.stack(
-            [v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)]
-        ).requires_grad_()
+        chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)])
         used = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
-        leaves["semi_diameter"] = (_APERTURE_RESERVE * used).requires_grad_()
-        operands = self._operands(leaves, lens)
-        values = torch.cat([*(error.flatten() for error in errors), operands.detach()])
+        operands = LinearLimits(
+            lens.detached(), self.limits, view, _APERTURE_RESERVE * used, chief, self.max_chief_ray_angle_deg
+        )
+        weight = self.per_mm * torch.ones(len(operands.values), dtype=lens.dtype)
+        weight[len(weight) - operands.angles :] = 1.0
+        values = torch.cat([*(error.flatten() for error in errors), weight * torch.from_numpy(operands.values)])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, _, dm, dn), changes_behind = derivative(changes)
@@ -101,11 +101,19 @@ class Merit:
                 for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, used, strict=True)
             ]
             apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
-            rows.append(_along(operands, leaves, {**changes, "chief": chief, "semi_diameter": apertures}))
+            along = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
+            rows.append((weight[:, None] * torch.from_numpy(along)).T)
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
         # A perturbed lens can have residuals that are not finite, which scipy does not accept.
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
+
+    def _launch(self, lens: Lens) -> Rays:
+        """Launch the rays, which are the same for all lenses with one stop in front."""
+        radius = float(lens.semi_diameter[lens.stop])
+        if self.launched is None or self.launched[0] != radius:
+            self.launched = radius, collimated_rays(lens, self.view.tangents, self.pupil, self.view.wavelengths)
+        return self.launched[1]
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
         """Compute errors in x, and in y about the reference, of the rays of the quadrature; or their change."""
@@ -120,41 +128,9 @@ class Merit:
                 centre = torch.zeros_like(self.view.fields[:, 1]) if change else self.view.fields[:, 1]
         return x[..., :count], y[..., :count] - centre[..., None, None]
 
-    def _operands(self, leaves: Mapping[str, Tensor], lens: Lens) -> Tensor:
-        """Compute one-sided residuals of limits, zero where a limit is kept."""
-        shape = {name: leaves[name] for name in ("curvature", "alpha", "thickness")}
-        lens = replace(lens, **shape)  # type: ignore[arg-type]
-        x, y, m, n = leaves["chief"]
-        margins = manufacturing_margins(lens, self.limits, leaves["semi_diameter"])
-        margins |= first_order_margins(lens, self.limits, self.view, torch.stack([x, y], -1))
-        operands = [self.per_mm * violation(margins)]
-        if self.max_chief_ray_angle_deg is not None:
-            angle = torch.rad2deg(torch.atan2(m.abs(), n))
-            operands.append((angle - self.max_chief_ray_angle_deg).clamp(min=0))
-        return torch.cat(operands)
-
 
 def _outermost(rays: Rays) -> tuple[Tensor, Tensor, int]:
     """Return the point (x, y) [mm] and the flat index of the ray farthest from the axis that is not lost."""
     heights = torch.where(rays.lost_at < 0, torch.hypot(rays.x, rays.y), 0.0).flatten()
     i = int(heights.argmax())
     return rays.x.flatten()[i], rays.y.flatten()[i], i
-
-
-def _along(operands: Tensor, leaves: Mapping[str, Tensor], changes: Mapping[str, Tensor]) -> Tensor:
-    """Compute (V, K) changes of K operands for V changes of the leaves; zero for operands that are zero."""
-    result = operands.new_zeros(len(changes["chief"]), len(operands))
-    positive = operands.detach().nonzero()[:, 0]
-    if len(positive):
-        names = [name for name in leaves if name in changes]
-        gradients = torch.autograd.grad(
-            operands[positive],
-            [leaves[name] for name in names],
-            torch.eye(len(positive), dtype=operands.dtype),
-            retain_graph=True,
-            is_grads_batched=True,
-            materialize_grads=True,
-        )
-        for name, gradient in zip(names, gradients, strict=True):
-            result[:, positive] += changes[name].flatten(1) @ gradient.flatten(1).T
-    return result

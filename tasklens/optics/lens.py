@@ -1,6 +1,7 @@
 """A lens: surfaces, distances and media."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -70,8 +71,7 @@ class Lens:
         Raises:
             InputError: a medium has no index at a wavelength, or one that is not finite or below 1.
         """
-        rows = [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *self.media)]
-        return torch.tensor(rows, dtype=self.dtype)
+        return torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
 
     def with_stop_scaled(self, scale: float) -> "Lens":
         """Return the lens with the radius of its stop multiplied by `scale`."""
@@ -94,3 +94,8 @@ class Lens:
         """Return the lens detached from autograd."""
         tensors: dict[str, Any] = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
         return replace(self, **tensors)
+
+
+@lru_cache(maxsize=256)
+def _indices(media: tuple[Material, ...], wavelengths: tuple[float, ...]) -> list[list[float]]:
+    return [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *media)]

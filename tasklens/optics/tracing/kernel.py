@@ -804,7 +804,7 @@ def forward(
             parks[i] = lost_at[block + i] if status[block + i] else len(surfaces)
         _retrace(tape, block, size, start, colours, lens, parks, distances)
         for change in range(len(begins)):
-            for i in range(ROWS * BLOCK):
+            for i in range(7 * BLOCK):
                 d[i] = 0
             if len(d_start) > 0:
                 for row in range(7):
@@ -818,8 +818,14 @@ def forward(
                         j = colours[i]
                         d[INDEX + i] = d_indices[change, k, j]
                         d[MU + i] = (d[INDEX + i] - s[MU + i] * d_indices[change, k + 1, j]) / indices[k + 1, j]
-                _horner(s, VALUE, values[3 : 3 + orders])
-                _horner(s, SLOPE, values[3 + orders :])
+                bends = False
+                for j in range(3, 3 + orders):
+                    bends |= values[j] != 0
+                if bends:
+                    _horner(s, VALUE, values[3 : 3 + orders])
+                    _horner(s, SLOPE, values[3 + orders :])
+                for i in range(BLOCK if not bends else 0):
+                    s[VALUE + i], s[SLOPE + i] = zero, zero
                 for i in range(BLOCK):
                     d[W + i], d[E + i] = values[0], values[1]
                 if posed[k]:
