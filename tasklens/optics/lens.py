@@ -1,4 +1,4 @@
-"""A lens: surfaces, distances and media."""
+"""A lens: surfaces, distances, media and poses."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tasklens.materials.material import AIR, Material
+from tasklens.optics.pose import Pose
 from tasklens.optics.surface import Surface
 
 
@@ -23,6 +24,8 @@ class Lens:
         semi_diameter: (S,) radius of the clear aperture [mm]; infinite where nothing clips.
         media: S materials, the medium behind each surface.
         stop: index of the stop; its semi-diameter is the radius of the stop.
+        pose: poses of the surfaces; None: all are nominal. Rays are traced with it; first-order data, the entrance
+            pupil and analyses that turn a field into the meridian are of the nominal lens.
     """
 
     curvature: Tensor
@@ -32,6 +35,7 @@ class Lens:
     semi_diameter: Tensor
     media: tuple[Material, ...]
     stop: int
+    pose: Pose | None = None
 
     def __post_init__(self) -> None:
         surfaces = len(self.media)
@@ -88,12 +92,35 @@ class Lens:
             alpha=self.alpha / factor**power,
             thickness=self.thickness * factor,
             semi_diameter=self.semi_diameter * factor,
+            pose=self.pose and replace(self.pose, position=self.pose.position * factor),
         )
+
+    def with_surface_moved(self, surface: int, decentre: Tensor, tilt: Tensor) -> "Lens":
+        """Return the lens with a surface shifted by `decentre` (2,) [mm] and turned by `tilt` (2,) [rad] about its vertex.
+
+        The axes turn by R = Rx(tilt_x) Ry(tilt_y), right-handed; the nominal vertices of others do not move.
+        """
+        pose = self.pose or Pose.nominal(len(self.media), self.dtype)
+        return replace(self, pose=pose.moved([surface], decentre, tilt, pose.position[[surface]]))
+
+    def with_element_moved(self, first: int, last: int, decentre: Tensor, tilt: Tensor) -> "Lens":
+        """Return the lens with the surfaces first .. last moved as one rigid body about the nominal vertex of the first.
+
+        Args:
+            decentre: (2,) shift along x and y [mm].
+            tilt: (2,) right-handed turns about x and y [rad], Rx(tilt_x) Ry(tilt_y).
+        """
+        pose = self.pose or Pose.nominal(len(self.media), self.dtype)
+        surfaces = list(range(first, last + 1))
+        along = self.vertices[first] - self.vertices[surfaces]
+        pivots = torch.stack([torch.zeros_like(along), torch.zeros_like(along), along], -1)
+        return replace(self, pose=pose.moved(surfaces, decentre, tilt, pivots))
 
     def detached(self) -> "Lens":
         """Return the lens detached from autograd."""
         tensors: dict[str, Any] = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
-        return replace(self, **tensors)
+        pose = self.pose and Pose(self.pose.rotation.detach(), self.pose.position.detach())
+        return replace(self, **tensors, pose=pose)
 
 
 @lru_cache(maxsize=256)

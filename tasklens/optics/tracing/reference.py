@@ -30,8 +30,10 @@ def reference_trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
     media = indices[..., None].unbind()
     for i, surface in enumerate(lens.surfaces):
         on_the_way = rays.valid
+        rays = lens.pose.to_surface(i, rays) if lens.pose else rays
         rays = surface.intersect(rays, media[i])
         rays = surface.refract(rays, media[i], media[i + 1])
+        rays = lens.pose.to_lens(i, rays) if lens.pose else rays
         lost_at = torch.where(on_the_way & ~rays.valid, i, rays.lost_at)
         rays = replace(rays, z=rays.z - lens.thickness[i], lost_at=lost_at)
     rays = Surface(curvature=0.0).intersect(rays, media[-1])  # the image plane

@@ -180,15 +180,12 @@ def _tables(inputs: _Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]
     polynomials[:, kernel.SLOPES, :orders] = j * alpha
     polynomials[:, kernel.CURVINGS, : max(0, orders - 1)] = ((j - 1) * j * alpha)[:, 1:]
     kernel.gentle_radii(surfaces, polynomials)
-    posed = len(inputs.rotation) > 0
-    rotations = inputs.rotation.detach().numpy() if posed else numpy.zeros((len(curvature), 3, 3), dtype)
-    positions = inputs.position.detach().numpy() if posed else numpy.zeros((len(curvature), 3), dtype)
-    moved = (
-        (rotations != numpy.eye(3, dtype=dtype)).any((1, 2)) | (positions != 0).any(1)
-        if posed
-        else rotations.any((1, 2))
-    )
-    return surfaces, polynomials, inputs.indices.detach().contiguous().numpy(), moved, rotations, positions
+    rotations = numpy.zeros((len(curvature), 3, 3), dtype) + numpy.eye(3, dtype=dtype)
+    positions = numpy.zeros((len(curvature), 3), dtype)
+    if len(inputs.rotation):
+        rotations[:], positions[:] = inputs.rotation.detach().numpy(), inputs.position.detach().numpy()
+    posed = numpy.full(len(curvature), len(inputs.rotation) > 0)
+    return surfaces, polynomials, inputs.indices.detach().contiguous().numpy(), posed, rotations, positions
 
 
 @cache
@@ -257,8 +254,9 @@ def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays
 
 
 def _inputs(lens: Lens, start: Tensor, indices: Tensor) -> _Inputs:
-    none = start.new_empty(0)
-    return _Inputs(start, indices.to(lens.dtype), lens.curvature, lens.conic, lens.thickness, lens.alpha, none, none)
+    shape = (lens.curvature, lens.conic, lens.thickness, lens.alpha)
+    pose = (lens.pose.rotation, lens.pose.position) if lens.pose else (start.new_empty(0), start.new_empty(0))
+    return _Inputs(start, indices.to(lens.dtype), *shape, *pose)
 
 
 class Derivative(NamedTuple):

@@ -1,0 +1,158 @@
+"""Decentred and tilted surfaces and elements: rays traced to 40 digits by another program, laws, derivatives."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+from examples import WAVELENGTHS, difference, f64, random_lens, random_rays
+from reference_files import SHIPPED, original_of
+from test_reference_rays import read
+
+from tasklens.optics.lens import Lens
+from tasklens.optics.pose import Pose
+from tasklens.optics.rays import Rays, launch
+from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.trace import linearise, trace, trace_full
+
+TILTED = SHIPPED / "reference" / "tilted.json"
+CASES = {
+    f"{entry['name']} {case['id']}": (entry, case)
+    for path in (TILTED, original_of(TILTED))
+    if path.exists()
+    for entry in json.loads(path.read_text())["lenses"]
+    for case in entry["cases"]
+}
+
+
+def exact(found, expected, atol):
+    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+
+
+def posed(entry: dict, case: dict) -> Lens:
+    """The lens of the file, moved by our own methods."""
+    lens = read(entry)
+    for i, surface in enumerate(case["surfaces"]):
+        if any(surface["decentre"]) or any(surface["tilt"]):
+            lens = moved(lens, "with_surface_moved", i, decentre=surface["decentre"], tilt=surface["tilt"])
+    for move in case["element_moves"]:
+        first, last = move["surfaces"][0], move["surfaces"][-1]
+        lens = moved(lens, "with_element_moved", first, last, decentre=move["decentre"], tilt=move["tilt"])
+    return lens
+
+
+def moved(lens: Lens, method: str, *surfaces: int, decentre, tilt) -> Lens:
+    after = getattr(lens, method)(*surfaces, f64(decentre), f64(tilt))
+    if hasattr(lens, "table"):
+        object.__setattr__(after, "table", lens.table)
+    return after
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_rays_through_moved_surfaces(name):
+    """Poses, points on every surface and on the image plane within 1e-12 mm, directions 1e-13, paths 1e-12 mm."""
+    entry, case = CASES[name]
+    lens = posed(entry, case)
+    for i, surface in enumerate(case["surfaces"]):
+        exact(lens.pose.rotation[i], [[float(v) for v in row] for row in surface["rotation"]], 1e-15)
+        nominal = f64([0.0, 0.0, lens.vertices[i]])
+        exact(lens.pose.position[i] + nominal, [float(v) for v in surface["position"]], 2e-14)
+    for reference in case["traces"]:
+        numbers = {k: f64([[float(v) for v in row] for row in reference[k]]) for k in ("origin", "image_xy")}
+        toward = f64([float(v) for v in reference["direction"]])
+        indices = lens.refractive_indices((reference["wavelength_um"],))
+        rays, record = trace_full(lens, launch(*numbers["origin"].T[:, None], *toward), indices)
+        assert rays.valid.all()
+        exact(torch.stack([rays.x[0], rays.y[0]], -1), numbers["image_xy"], 1e-12)
+        expected = [[float(v) for v in row] for row in reference["image_direction"]]
+        exact(torch.stack([rays.l[0], rays.m[0], rays.n[0]], -1), expected, 1e-13)
+        exact(rays.path[0], [float(v) for v in reference["optical_path"]], 1e-12)
+        if "surface_points" in reference:
+            expected = f64([[[float(v) for v in point] for point in ray] for ray in reference["surface_points"]])
+            z = lens.vertices
+            found = [torch.stack([r.x[0], r.y[0], r.z[0] + z[i]], -1) for i, r in enumerate(record)]
+            exact(torch.stack(found, 1), expected, 1e-12)
+
+
+def random_pose(seed: int) -> Lens:
+    """A lens with every surface decentred and tilted, and two of them once more as an element."""
+    generator = torch.Generator().manual_seed(seed)
+    lens = random_lens(seed)
+    for i in range(5):
+        decentre, tilt = 0.02 * torch.randn(2, 2, generator=generator, dtype=torch.float64)
+        lens = moved(lens, "with_surface_moved", i, decentre=decentre, tilt=tilt)
+    return moved(lens, "with_element_moved", 1, 2, decentre=[0.01, -0.02], tilt=[-0.01, 0.03])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_kernel_traces_as_the_reference_does(seed):
+    lens, start = random_pose(seed), random_rays(300, seed)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    fast, slow = trace(lens, start, indices), reference_trace(lens, start, indices)
+    assert torch.equal(fast.status, slow.status) and fast.valid.any()
+    for value in ("x", "y", "l", "m", "n", "path"):
+        exact(getattr(fast, value), getattr(slow, value), 1e-12)
+
+
+def test_nominal_poses_change_nothing():
+    """To rounding; and so does a move of the whole lens along with its rays, up to the image plane, which stays."""
+    lens, start = random_lens(1), random_rays(300, 1)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    plain = trace(lens, start, indices)
+    posed = trace(replace(lens, pose=Pose.nominal(5, torch.float64)), start, indices)
+    shifted = moved(lens, "with_element_moved", 0, 4, decentre=[0.1, -0.2], tilt=[0.0, 0.0])
+    along = trace(shifted, replace(start, x=start.x + 0.1, y=start.y - 0.2), indices)
+    exact(posed.x, plain.x, 1e-15)
+    exact(along.x - 0.1, plain.x, 1e-14)
+    exact(along.y + 0.2, plain.y, 1e-14)
+    assert torch.equal(posed.status, plain.status)
+
+
+def image(lens: Lens, start: Rays, indices, tracer, values) -> torch.Tensor:
+    decentre, tilt, curvature = values["decentre"], values["tilt"], values["curvature"]
+    lens = replace(lens, curvature=curvature).with_surface_moved(3, decentre, tilt)
+    lens = lens.with_element_moved(1, 2, 2 * tilt, decentre)
+    rays = tracer(lens, start, indices)
+    return torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n, rays.path])
+
+
+def test_derivatives_by_decentre_and_tilt():
+    """Reverse mode against differences; forward mode against reverse mode and the reference."""
+    lens, start = random_pose(2), random_rays(40, 5)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    generator = torch.Generator().manual_seed(3)
+    values = {"decentre": f64([0.01, 0.02]), "tilt": f64([-0.02, 0.01]), "curvature": lens.curvature}
+    function = partial(image, lens, start, indices, trace)
+    weights = torch.randn(function(values).shape, generator=generator, dtype=torch.float64)
+    gradient = torch.func.grad(lambda v: (weights * function(v)).sum())(values)
+    for name, value in values.items():
+        expected = difference(lambda v: (weights * function(values | {name: v})).sum(), value, 1e-3)  # noqa: B023
+        torch.testing.assert_close(gradient[name], expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+    changes = {k: torch.randn(v.shape, generator=generator, dtype=torch.float64) for k, v in values.items()}
+    along = torch.func.jvp(function, (values,), (changes,))[1]
+    slow = torch.func.jvp(partial(image, lens, start, indices, reference_trace), (values,), (changes,))[1]
+    exact(along, slow, 1e-10 * float(slow.abs().max()))
+    exact((weights * along).sum(), sum((gradient[k] * changes[k]).sum() for k in values), 1e-9)
+
+
+def test_a_posed_lens_can_be_linearised():
+    """Along its other parameters, as without a pose."""
+    lens, start = random_pose(0), random_rays(40, 1)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    change = torch.randn(5, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    found = linearise(lens, start, indices).derivative({"curvature": change[None]}).image[0][0]
+    expected = torch.func.jvp(
+        lambda c: trace(replace(lens, curvature=c), start, indices).x, (lens.curvature,), (change,)
+    )[1]
+    exact(found, expected, 1e-13)
+
+
+def test_a_lens_keeps_its_poses():
+    """When it is detached, and scaled, where displacements grow with the lens."""
+    lens = random_pose(0)
+    start = random_rays(20, 1)
+    indices = lens.refractive_indices(WAVELENGTHS)
+    assert torch.equal(trace(lens.detached(), start, indices).x, trace(lens, start, indices).x)
+    large = trace(lens.scaled(3.0), replace(start, x=3 * start.x, y=3 * start.y), indices)
+    exact(large.x, 3 * trace(lens, start, indices).x, 1e-13)
