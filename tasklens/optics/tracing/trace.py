@@ -40,6 +40,7 @@ class _Traced:
         self.lens = _tables(inputs, semi_diameter)
         self.orders = inputs.alpha.shape[1]
         self.status, self.lost_at = (v.expand(self.shape).flatten().numpy().copy() for v in (status, lost_at))
+        self.launched = self.status == 0
         surfaces, rays = len(semi_diameter), self.start.shape[1]
         self.image, self.distances = self.array(7, rays), self.array(surfaces, rays)
         self.record = self.array(surfaces if record else 0, 7, rays)
@@ -233,10 +234,10 @@ def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays
 
 def _recorded(traced: _Traced) -> list[Rays]:
     """Return the rays behind every surface, with their status there."""
-    status, lost_at = traced.of_rays(traced.status), traced.of_rays(traced.lost_at)
+    status, lost_at, launched = (traced.of_rays(v) for v in (traced.status, traced.lost_at, traced.launched))
     behind = []
     for i, values in enumerate(traced.of_rays(traced.record).unbind()):
-        later = lost_at > i
+        later = launched & (lost_at > i)
         behind.append(Rays(*values.unbind(), status.masked_fill(later, 0), lost_at.masked_fill(later, -1)))
     return behind
 

@@ -1,0 +1,206 @@
+"""Rays meet a surface where they first cross it, or there is no crossing: against dense scanning along each ray."""
+
+import math
+from dataclasses import replace
+
+import numpy
+import pytest
+import torch
+from examples import WAVELENGTHS, f64, make_lens
+from reference_lenses import LENS_FILES, reference_lens, reference_view
+
+from tasklens.optics import aspheres
+from tasklens.optics.analysis.pupil import collimated_rays, sobol_disc
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import GRAZING, Rays, RayStatus, launch
+from tasklens.optics.surface import Surface
+from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.trace import trace, trace_full
+
+SAMPLES = 3000
+
+
+def profile(surface: Surface, u: numpy.ndarray) -> tuple[numpy.ndarray, numpy.ndarray]:
+    """Sag and where it is defined, by the textbook's sum."""
+    c, k, alpha = float(surface.curvature), float(surface.conic), surface.alpha.tolist()
+    argument = 1 - (1 + k) * c * c * u
+    value = c * u / (1 + numpy.sqrt(numpy.maximum(argument, 0)))
+    return value + sum(a * u**j for j, a in enumerate(alpha, 1)), argument > aspheres.EDGE
+
+
+def scanned(surface: Surface, point: numpy.ndarray, way: numpy.ndarray, reach: float) -> tuple[float, float]:
+    """The first two samples (along the ray, signed) between which a ray crosses from its side, NaN without any.
+
+    From the ray's point, or where that is not above the surface, from the edge; forward in front of the surface and
+    backward behind it.
+    """
+
+    def gap(t):
+        x, y, z = (p + t * w for p, w in zip(point, way, strict=True))
+        sag, inside = profile(surface, x * x + y * y)
+        return numpy.where(inside, z - sag, numpy.nan)
+
+    for side in (1.0, -1.0):
+        t = side * numpy.linspace(0, reach, SAMPLES)
+        along = gap(t)
+        above = numpy.flatnonzero(~numpy.isnan(along))
+        if not len(above) or along[above[0]] * side > 0:
+            continue
+        leaves = above[0] + numpy.flatnonzero(numpy.isnan(along[above[0] :]))
+        piece = along[above[0] : leaves[0] if len(leaves) else None]
+        crossed = numpy.flatnonzero(piece * side > 0)
+        if not len(crossed):
+            return math.nan, math.nan
+        k = above[0] + crossed[0]
+        return t[k - 1], t[k]
+    return math.nan, math.nan
+
+
+def assert_first(surface: Surface, before: Rays, after: Rays, reach: float) -> tuple[int, int]:
+    """Every ray (N,) meets the surface where the scan says, or not later, and at a point of it. Returns met, missed."""
+    met = 0
+    numbers = {k: getattr(before, k).flatten().numpy() for k in "xyzlmn"}
+    found = {k: getattr(after, k).flatten().numpy() for k in "xyz"}
+    missed = (after.status.flatten() == RayStatus.MISSED).numpy()
+    for i in range(len(missed)):
+        point, way = numpy.array([numbers[k][i] for k in "xyz"]), numpy.array([numbers[k][i] for k in "lmn"])
+        last, first = scanned(surface, point, way, reach)
+        if missed[i]:
+            assert math.isnan(first) or grazes(surface, point, way, last, first), (i, point, way, first)
+            continue
+        met += 1
+        there = numpy.array([found[k][i] for k in "xyz"])
+        t = float((there - point) @ way)
+        sag, inside = profile(surface, numpy.array(there[0] ** 2 + there[1] ** 2))
+        assert inside and abs(there[2] - sag) < 1e-11 * max(1.0, reach), (i, point, way)
+        assert math.isnan(first) or abs(t) <= abs(first) + 1e-9, (i, point, way, t, first)
+    return met, int(missed.sum())
+
+
+def grazes(surface: Surface, point, way, last: float, first: float) -> bool:
+    """Between the two samples the ray leaves the surface at an angle that no tracer can tell from zero."""
+    t = f64(numpy.linspace(last, first, 1000))
+    x, y = point[0] + t * way[0], point[1] + t * way[1]
+    slope = aspheres.sag(x * x + y * y, surface.curvature, surface.conic, surface.alpha)[1]
+    return bool((way[2] - 2 * slope * (x * way[0] + y * way[1])).min() < 10 * GRAZING)
+
+
+@pytest.mark.parametrize("path", LENS_FILES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("apertures", [False, True], ids=["open", "clear apertures"])
+def test_published_lenses(path, apertures):
+    """Every ray of three fields at every surface, within the clear apertures and outside."""
+    lens, view = reference_lens(path, apertures), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
+    start = collimated_rays(lens, view.tangents, sobol_disc(60, seed=1), view.wavelengths)
+    _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths))
+    reach = 2 * float(lens.thickness.abs().max()) + 2 * float(lens.semi_diameter[lens.stop])
+    before, met = start, 0
+    for i, surface in enumerate(lens.surfaces):
+        at = record[i]
+        goes = (before.status == 0).flatten()
+        if bool(goes.any()):
+            part = [Rays(*(v.expand(at.x.shape).flatten()[goes] for v in vars(rays).values())) for rays in (before, at)]
+            met += assert_first(surface, *part, reach)[0]
+        before = replace(at, z=at.z - lens.thickness[i])
+    assert met > 60 * len(lens.media)
+
+
+def random_surface(generator: torch.Generator) -> Lens:
+    """A stop plane and one asphere behind it, from gentle to wild, with a conic of any kind."""
+    size, curvature, conic = torch.rand(3, generator=generator, dtype=torch.float64).tolist()
+    orders = f64([0.2, 0.3, 0.3, 0.2, 0.1, 0.05]) * 4**size
+    alpha = orders * torch.randn(6, generator=generator, dtype=torch.float64)
+    return make_lens(
+        [0.0, 2 * curvature - 1],
+        [0.7, 1.0],
+        ("air", "COC"),
+        conic=[0.0, 6 * conic - 3],
+        alpha=[[0.0] * 6, alpha.tolist()],
+    )
+
+
+@pytest.mark.parametrize("tracer", [trace, reference_trace])
+@pytest.mark.parametrize("seed", range(12))
+def test_random_aspheres(seed, tracer):
+    """Steep rays to heights where the polynomials turn over: met and missed rays, and rays that cross several times."""
+    generator = torch.Generator().manual_seed(seed)
+    lens = random_surface(generator)
+    x, y, tx, ty, z = 2 * torch.rand(5, 1, 150, generator=generator, dtype=torch.float64) - 1
+    n = torch.rsqrt(1 + tx**2 + ty**2)
+    start = launch(1.2 * x, 1.2 * y, 0.3 * z, tx * n, ty * n, n)
+    rays = tracer(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))
+    # The rays start on the stop's plane. Those that meet the asphere are on it before the image plane is.
+    begin = lens.surfaces[0].intersect(start)
+    begin = replace(begin, z=begin.z - lens.thickness[0])
+    at = lens.surfaces[1].intersect(begin) if tracer is reference_trace else behind(lens, start)
+    assert torch.equal(at.status == RayStatus.MISSED, rays.status == RayStatus.MISSED)
+    met, missed = assert_first(lens.surfaces[1], begin, at, reach=4.0)
+    assert met > 20 and met + missed == 150
+
+
+def behind(lens: Lens, start: Rays) -> Rays:
+    return trace_full(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))[1][-1]
+
+
+def test_random_aspheres_are_difficult():
+    """Among them are rays that miss, and rays whose second crossing a tracer could take for the first."""
+    missed = several = 0
+    for seed in range(12):
+        generator = torch.Generator().manual_seed(seed)
+        surface = random_surface(generator).surfaces[1]
+        x, y, tx, ty, _ = 2 * torch.rand(5, 150, generator=generator, dtype=torch.float64) - 1
+        n = torch.rsqrt(1 + tx**2 + ty**2)
+        for i in range(150):
+            point, way = numpy.array([1.2 * x[i], 1.2 * y[i], -0.7]), numpy.array([tx[i] * n[i], ty[i] * n[i], n[i]])
+            t = numpy.linspace(0, 4, SAMPLES)
+            sag, inside = profile(surface, (point[0] + t * way[0]) ** 2 + (point[1] + t * way[1]) ** 2)
+            crossings = numpy.diff(numpy.sign(point[2] + t * way[2] - sag)[inside]) != 0
+            missed, several = missed + (not crossings.any()), several + (crossings.sum() > 2)
+    assert missed > 100 and several > 15
+
+
+@pytest.mark.parametrize("tracer", [trace, reference_trace])
+def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
+    """Surface 9 of US 9,201,216 B2: on this ray the vertex plane and the base conic are outside the asphere's domain."""
+    path = next((path for path in LENS_FILES if path.stem == "US9201216B2"), None)
+    if path is None:
+        pytest.skip("this lens is not distributed")
+    lens = reference_lens(path)
+    keep = [8, 9]
+    lens = make_lens(
+        lens.curvature[keep],
+        [0.0, 1.0],
+        ("air", "COC"),
+        conic=lens.conic[keep],
+        alpha=lens.alpha[keep].tolist(),
+    )
+    lens = replace(lens, curvature=lens.curvature * f64([0, 1]), alpha=lens.alpha * f64([[0], [1]]))
+    way = f64([0.22995, 0.65083, 0.72356])
+    way = way / way.norm()
+    point = f64([-0.46101, 0.81768, -0.43576])
+    start = launch(*point.reshape(3, 1, 1), *way.reshape(3, 1, 1))
+    at = lens.surfaces[1].intersect(start)
+    assert at.valid.all() and float(at.path) == pytest.approx(0.2874, abs=1e-4)
+    zero = replace(start, z=start.z - start.z, x=start.x, y=start.y)  # launched on the plane of the first surface
+    shifted = replace(lens, thickness=torch.stack([-start.z.squeeze(), f64(1.0)]))
+    rays = tracer(shifted, zero, f64([[1.0], [1.0], [1.53]]))
+    assert int(rays.lost_at) != 1 or int(rays.status) != RayStatus.MISSED
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_ray_that_is_none_changes_no_other(bad):
+    """The stop, and everything else, acts on the others as without it; it is lost at once, and finite."""
+    lens = make_lens([0.0, 0.5], [0.5, 1.0], ("air", "COC"), semi_diameter=[0.4, math.inf])
+    n = torch.ones(1, 200, dtype=torch.float64)
+    x = torch.linspace(-0.8, 0.8, 200, dtype=torch.float64)[None]
+    indices = lens.refractive_indices(WAVELENGTHS)
+    plain = trace(lens, launch(x, 0 * x, 0 * x, 0 * x, 0 * x, n), indices)
+    spoilt = n.clone()
+    spoilt[0, 17] = bad
+    for name, spoil in {"n": {"n": spoilt}, "x": {"x": x * spoilt}, "l": {"l": 0 * x + spoilt - 1}}.items():
+        numbers = {"x": x, "y": 0 * x, "z": 0 * x, "l": 0 * x, "m": 0 * x, "n": n} | spoil
+        rays = trace(lens, launch(**numbers), indices)
+        others = torch.arange(200) != 17
+        assert torch.equal(rays.status[:, others], plain.status[:, others]), name
+        assert torch.equal(rays.x[:, others], plain.x[:, others])
+        assert (rays.status[:, 17] != 0).all()
+    assert {int(v) for v in plain.status.unique()} == {RayStatus.OK, RayStatus.VIGNETTED}
