@@ -49,7 +49,7 @@ def bounds(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: T
     """
     bending = (1 + conic) * curvature**2
     w = torch.rsqrt((1 - bending * u).clamp(EDGE, 1.0))
-    slope, second = 0.5 * abs(curvature) * w, 0.25 * abs(bending * curvature) * w**3
+    slope, second = 0.5 * abs(curvature * w), 0.25 * abs(bending * curvature * w**3)
     for j, coefficient in enumerate(alpha.abs().unbind(-1), 1):
         slope = slope + j * coefficient * u ** (j - 1)
         if j > 1:

@@ -91,7 +91,8 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
 
     and h + w D over the distance D to the next surface. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2))
     are the curvatures of the surface in and across the meridian, where the chief ray meets it. Differentiable once in
-    the lens: the chief ray is followed with a graph, from the intersections that a trace without one has found.
+    the lens: the chief ray is followed with a graph, from its launch point, which moves with the lens, through the
+    intersections that a trace without one has found.
 
     Returns:
         (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
@@ -99,14 +100,10 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
 
     Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
     """
-    turned = view.in_meridian()
-    image, behind_each = chief_rays_full(lens, turned)
+    start, image, behind_each = chief_rays_full(lens, view.in_meridian())
     arrives = image.valid[:, 0, 0]
-    tangent = turned.tangents[arrives, 1].to(lens.dtype)
     index = lens.refractive_indices((view.reference,))[:, 0]
-    n = torch.rsqrt(1 + tangent.square())
-    m = tangent * n
-    y, z = -tangent * paraxial(lens, view.reference).entrance_pupil_z, torch.zeros_like(n)
+    y, z, m, n = (values[arrives, 0, 0] for values in (start.y, start.z, start.m, start.n))
     tangential = sagittal = (torch.ones_like(n), torch.zeros_like(n))
     for i, rays in enumerate(behind_each):
         distance = _distance(lens, i, rays.y[arrives, 0, 0], (y, z, m, n))

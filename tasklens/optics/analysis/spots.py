@@ -38,9 +38,10 @@ def chief_rays(lens: Lens, view: View) -> Rays:
     return trace_fields(lens, view.in_reference(), _CENTRE)
 
 
-def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, list[Rays]]:
-    """Trace rays as `chief_rays` does; return also those behind every surface."""
-    return trace_fields_full(lens, view.in_reference(), _CENTRE)
+def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, Rays, list[Rays]]:
+    """Trace rays as `chief_rays` does; return them as launched, on the image plane, and behind every surface."""
+    rays = collimated_rays(lens, view.tangents, _CENTRE, (view.reference,))
+    return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference,)))
 
 
 def chief_points(lens: Lens, view: View) -> Tensor:

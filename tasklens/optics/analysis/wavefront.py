@@ -56,7 +56,7 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
     Args:
         lens: its clear apertures and its stop vignette.
         view: fields and wavelengths.
-        pupil: (N, 2) points of the paraxial entrance pupil, the unit disc.
+        pupil: (N, 2) points of the stop, the unit disc.
         centre: (F, 2) or (F, W, 2) centres of the spheres [mm]; by default the chief ray's image point at each
             wavelength. `chief_points`, those at the middle wavelength, make lateral colour a tilt.
 
