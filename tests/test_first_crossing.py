@@ -160,7 +160,7 @@ def test_random_aspheres_are_difficult():
 
 @pytest.mark.parametrize("tracer", [trace, reference_trace])
 def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
-    """Surface 9 of US 9,201,216 B2: on this ray the vertex plane and the base conic are outside the asphere's domain."""
+    """Surface 9 of US 9,201,216 B2: on this ray vertex plane and base conic are outside the asphere's domain."""
     path = next((path for path in LENS_FILES if path.stem == "US9201216B2"), None)
     if path is None:
         pytest.skip("this lens is not distributed")

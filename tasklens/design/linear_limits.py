@@ -45,7 +45,7 @@ class LinearLimits:
         smallest = float(lens.semi_diameter[lens.stop])
         self.semi = numpy.maximum(semi_diameter.numpy(), smallest)
         self.moves = semi_diameter.numpy() >= smallest
-        # Sags of the two surfaces of each space up to the larger of their radii, and of the last surface; beyond its own
+        # Sags of the two surfaces of each space up to the larger of their radii, and of the last one; beyond its own
         # radius a surface is flat.
         i = numpy.arange(surfaces - 1)
         larger = numpy.where(self.semi[:-1] >= self.semi[1:], i, i + 1)

@@ -96,15 +96,15 @@ class Lens:
         )
 
     def with_surface_moved(self, surface: int, decentre: Tensor, tilt: Tensor) -> "Lens":
-        """Return the lens with a surface shifted by `decentre` (2,) [mm] and turned by `tilt` (2,) [rad] about its vertex.
+        """Return the lens with a surface shifted by `decentre` (2,) [mm] and turned by `tilt` (2,) [rad].
 
-        The axes turn by R = Rx(tilt_x) Ry(tilt_y), right-handed; the nominal vertices of others do not move.
+        It turns about its vertex by R = Rx(tilt_x) Ry(tilt_y), right-handed; other surfaces do not move.
         """
         pose = self.pose or Pose.nominal(len(self.media), self.dtype)
         return replace(self, pose=pose.moved([surface], decentre, tilt, pose.position[[surface]]))
 
     def with_element_moved(self, first: int, last: int, decentre: Tensor, tilt: Tensor) -> "Lens":
-        """Return the lens with the surfaces first .. last moved as one rigid body about the nominal vertex of the first.
+        """Return the lens with the surfaces first .. last moved as one body about the nominal vertex of the first.
 
         Args:
             decentre: (2,) shift along x and y [mm].

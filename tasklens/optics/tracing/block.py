@@ -1,0 +1,106 @@
+"""Blocks of rays for the compiled tracer: arrays that stay in the cache, in loops that become vector instructions.
+
+A block is one flat array, whose rows, named here, hold one number for each of BLOCK rays. Only then does the compiler
+know that rows do not overlap, and turns a loop over a row into vector instructions.
+"""
+
+import hashlib
+import os
+from pathlib import Path
+
+import numba
+
+BLOCK = 128  # rays
+GROUP = 16 * BLOCK  # rays whose gradients are summed together, whatever the number of threads
+CHUNK = 8  # orders of an asphere that are evaluated in registers; coefficients are padded to a multiple
+ROWS = 25
+# The ray: position, direction and optical path; in derivatives their change or gradient.
+X, Y, Z, L, M, N, PATH = range(0, 7 * BLOCK, BLOCK)
+# The direction behind the surface; mu and the index in front; the distance t, and u at the surface
+L_OUT, M_OUT, N_OUT, MU, INDEX, T, U = range(7 * BLOCK, 14 * BLOCK, BLOCK)
+# w = 1 / sqrt(1 - (1 + k) c^2 u), e and b of `refraction`, and the three polynomials of the surface
+W, E, B, VALUE, SLOPE, CURVING = range(14 * BLOCK, 20 * BLOCK, BLOCK)
+# Of an intersection: u = A0 + 2 B0 t + C0 t^2; whether the ray meets the surface; the largest u on its way there
+A0, B0, C0, MEETS, WIDEST = range(20 * BLOCK, 25 * BLOCK, BLOCK)
+PASSES, GOES_ON = A0, B0  # of a refraction: the aperture lets the ray pass; it is not reflected
+POWER = A0  # of gradients: u^(j - 1)
+
+# Columns of the table of surfaces: c, (1 + k) c^2, distance to the next vertex, largest u of the clear aperture, and
+# a u up to which no slope is above 1, infinite for a plane
+CURVATURE, BENDING, THICKNESS, LIMIT, GENTLE = range(5)
+COLUMNS = 5
+VALUES, SLOPES, CURVINGS = range(3)  # polynomials of a surface: alpha_2j, j alpha_2j and j (j - 1) alpha_2j
+
+
+def _cache_folder() -> Path:
+    """Return the folder of compiled code: one for each text of these modules, since numba looks at one file only."""
+    text = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "tasklens" / hashlib.sha256(text).hexdigest()[:16]
+
+
+numba.config.CACHE_DIR = str(_cache_folder())
+# The compiler may contract products and sums, but reorders nothing but the sums of `add`.
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+inlined = numba.njit(forceinline=True, error_model="numpy", fastmath={"contract"})
+
+
+@numba.njit(fastmath={"contract", "reassoc", "nsz"})
+def add(total, value):
+    """Add to a sum over rays, in any order."""
+    return total + value
+
+
+@inlined
+def horner(s, row, coefficients):
+    """Fill a row with sum_j coefficients_j u^(j - 1)."""
+    zero = s.dtype.type(0)
+    for i in range(BLOCK):
+        s[row + i] = zero
+    for first in range(len(coefficients) - CHUNK, -1, -CHUNK):
+        a0, a1, a2, a3 = coefficients[first], coefficients[first + 1], coefficients[first + 2], coefficients[first + 3]
+        a4, a5, a6, a7 = (
+            coefficients[first + 4],
+            coefficients[first + 5],
+            coefficients[first + 6],
+            coefficients[first + 7],
+        )
+        for i in range(BLOCK):
+            u = s[U + i]
+            v = ((s[row + i] * u + a7) * u + a6) * u + a5
+            s[row + i] = ((((v * u + a4) * u + a3) * u + a2) * u + a1) * u + a0
+
+
+@inlined
+def load(s, start, block, size):
+    """Load rays into a block, and fill it up with rays on the axis."""
+    for row in range(7):
+        for i in range(size):
+            s[row * BLOCK + i] = start[row, block + i]
+        for i in range(size, BLOCK):
+            s[row * BLOCK + i] = row == 5
+
+
+@compiled
+def fill_colours(first, count, colours):
+    """Fill `colours` with the index of the wavelength of each ray of a block, and last, whether there are several."""
+    waves, each = count
+    k, left = (first // each) % waves, each - first % each
+    colours[BLOCK] = 2 if left < BLOCK and waves > 1 else 1
+    for i in range(BLOCK):
+        colours[i] = k
+        left -= 1
+        if left == 0:
+            left = each
+            k = k + 1 if k + 1 < waves else 0
+
+
+@inlined
+def fill_media(s, colours, index, behind):
+    """Fill the rows of the index in front of a surface and of mu from the indices (W,) of each colour."""
+    before, mu = index[colours[0]], index[colours[0]] / behind[colours[0]]
+    for i in range(BLOCK):
+        s[INDEX + i], s[MU + i] = before, mu
+    for i in range(BLOCK if colours[BLOCK] > 1 else 0):
+        k = colours[i]
+        s[INDEX + i], s[MU + i] = index[k], index[k] / behind[k]

@@ -1,0 +1,164 @@
+"""Rays traced through a lens, and their derivatives: the compiled tracer with tensors and threads around it."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import NamedTuple
+
+import numpy
+import torch
+from torch import Tensor
+
+from tasklens.optics.rays import RIM
+from tasklens.optics.tracing import block, derivatives, kernel
+from tasklens.optics.tracing.block import GROUP
+from tasklens.optics.tracing.crossing import gentle_radii
+
+
+class Inputs(NamedTuple):
+    """What a trace can be differentiated by: rays (7, ..., W, N), indices (S + 1, W), and tensors of the lens."""
+
+    start: Tensor
+    indices: Tensor
+    curvature: Tensor
+    conic: Tensor
+    thickness: Tensor
+    alpha: Tensor
+    rotation: Tensor  # (S, 3, 3) and (S, 3) of surfaces with a pose; of no surface where none has one
+    position: Tensor
+
+
+class Traced:
+    """Rays traced through a lens, and the derivatives of it: numpy arrays, as the kernel wants them."""
+
+    def __init__(self, inputs: Inputs, semi_diameter: Tensor, status: Tensor, lost_at: Tensor, record: bool):
+        self.shape = inputs.start.shape[1:]
+        self.start = inputs.start.detach().contiguous().numpy().reshape(7, -1)
+        self.lens = _tables(inputs, semi_diameter)
+        self.orders = inputs.alpha.shape[1]
+        self.status, self.lost_at = (v.expand(self.shape).flatten().numpy().copy() for v in (status, lost_at))
+        self.launched = self.status == 0
+        surfaces, rays = len(semi_diameter), self.start.shape[1]
+        self.image, self.distances = self.array(7, rays), self.array(surfaces, rays)
+        self.record = self.array(surfaces if record else 0, 7, rays)
+        self.start_of = (self.start, tuple(self.shape[-2:]), self.lens)
+        outputs = (self.image, self.status, self.lost_at, self.distances, self.record)
+        _in_parts(rays, lambda *part: kernel.trace(*part, *self.start_of, *outputs))
+
+    def array(self, *shape: int) -> numpy.ndarray:
+        """Return an empty array of the rays' data type."""
+        return numpy.empty(shape, self.start.dtype)
+
+    def of_rays(self, values: numpy.ndarray) -> Tensor:
+        """Return values (..., R) as a tensor of the rays' shape."""
+        return torch.from_numpy(values).reshape(*values.shape[:-1], *self.shape)
+
+    def reverse(self, gradient: Tensor, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """Compute the gradients of the wanted `Inputs` from that of the image, (7, ..., W, N)."""
+        surfaces, rays = self.distances.shape
+        groups = -(-rays // GROUP)
+        to_rays, to_indices, to_poses = wanted[0], wanted[1], any(wanted[6:]) or self.lens[3].any()
+        b_start = self.array(7 if to_rays else 0, rays)
+        b_lens = numpy.zeros((groups, surfaces, 3 + self.orders))
+        b_indices = numpy.zeros((groups, surfaces + 1 if to_indices else 0, self.shape[-2]))
+        b_poses = numpy.zeros((groups, surfaces if to_poses else 0, 4, 3))
+        b_image = gradient.contiguous().numpy().reshape(7, -1)
+        known = (*self.start_of, self.status, self.distances, b_image, b_start, b_lens, b_indices, b_poses)
+        _in_parts(rays, lambda *part: derivatives.reverse(*part, *known))
+        b_lens, b_poses = b_lens.sum(0), b_poses.sum(0)
+        found = (
+            b_start.reshape(-1, *self.shape),
+            b_indices.sum(0),
+            *(b_lens[:, k] for k in range(3)),
+            b_lens[:, 3:],
+            b_poses[:, :3],
+            b_poses[:, 3],
+        )
+        return [torch.from_numpy(v).to(gradient.dtype) if want else None for v, want in zip(found, wanted, strict=True)]
+
+    def forward(self, changes: Sequence[Tensor | None], record: bool = False) -> tuple[numpy.ndarray, numpy.ndarray]:
+        """Compute the changes of the image, (V, 7, R), for V changes of each of the `Inputs`, where None is no change.
+
+        Returns:
+            those, and with `record` those of x and y behind every surface, (V, S, 2, R).
+        """
+        surfaces, rays = self.distances.shape
+        count = next(len(v) for v in changes if v is not None)
+        d_start, d_indices, *d_lens, d_alpha, d_rotation, d_position = changes
+        d_rotation, d_position = (None if v is None or not v.numel() else v for v in (d_rotation, d_position))
+        moves = d_rotation is not None or d_position is not None
+        table = self.array(count, surfaces, 3 + 2 * self.lens[1].shape[2])
+        table[:] = 0
+        for k, values in enumerate(d_lens):
+            if values is not None:
+                table[..., k] = values.numpy()
+        if d_alpha is not None:
+            padded = self.lens[1].shape[2]
+            table[..., 3 : 3 + self.orders] = d_alpha.numpy()
+            table[..., 3 + padded : 3 + padded + self.orders] = d_alpha.numpy() * numpy.arange(1, self.orders + 1)
+        poses = numpy.zeros((count if moves else 0, surfaces, 4, 3), table.dtype)
+        if d_rotation is not None:
+            poses[:, :, :3] = d_rotation.numpy()
+        if d_position is not None:
+            poses[:, :, 3] = d_position.numpy()
+        begins = numpy.zeros(count, numpy.int64)
+        if d_start is None and d_indices is None and not moves:
+            begins[:] = (table != 0).any(2).argmax(1)
+        none = self.array(0, 0, 0)
+        d_rays = none if d_start is None else d_start.contiguous().numpy().reshape(count, 7, -1)
+        d_media = none if d_indices is None else d_indices.contiguous().numpy()
+        d_image = self.array(count, 7, rays)
+        d_record = numpy.zeros((count if record else 0, surfaces, 2, rays), table.dtype)
+        lost = (self.status, self.lost_at)
+        known = (*self.start_of, *lost, self.distances, begins, d_rays, table, d_media, poses)
+        _in_parts(rays, lambda *part: derivatives.forward(*part, *known, d_image, d_record))
+        return d_image, d_record
+
+    def image_change(self, changes: Sequence[Tensor | None]) -> Tensor:
+        """Compute the change of the image, (7, ..., W, N), for one change of the `Inputs`."""
+        return self.of_rays(self.forward([None if v is None else v[None] for v in changes])[0][0])
+
+
+def _tables(inputs: Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]:
+    """Return the tables of a lens for the kernel: surfaces, polynomials, indices, which are posed, and poses."""
+    dtype = inputs.start.detach().numpy().dtype
+    curvature, conic, thickness, alpha = (v.detach().numpy() for v in inputs[2:6])
+    surfaces = numpy.empty((len(curvature), block.COLUMNS), dtype)
+    surfaces[:, block.CURVATURE], surfaces[:, block.THICKNESS] = curvature, thickness
+    surfaces[:, block.BENDING] = (1 + conic) * curvature * curvature
+    limit = numpy.float64(semi_diameter.detach().numpy()) ** 2 * (1 + RIM)
+    surfaces[:, block.LIMIT] = numpy.minimum(limit, numpy.finfo(dtype).max)
+    orders = alpha.shape[1]
+    polynomials = numpy.zeros((len(curvature), 3, -(-orders // block.CHUNK) * block.CHUNK), dtype)
+    j = numpy.arange(1, orders + 1, dtype=dtype)
+    polynomials[:, block.VALUES, :orders] = alpha
+    polynomials[:, block.SLOPES, :orders] = j * alpha
+    polynomials[:, block.CURVINGS, : max(0, orders - 1)] = ((j - 1) * j * alpha)[:, 1:]
+    gentle_radii(surfaces, polynomials)
+    rotations = numpy.zeros((len(curvature), 3, 3), dtype) + numpy.eye(3, dtype=dtype)
+    positions = numpy.zeros((len(curvature), 3), dtype)
+    if len(inputs.rotation):
+        rotations[:], positions[:] = inputs.rotation.detach().numpy(), inputs.position.detach().numpy()
+    posed = numpy.full(len(curvature), len(inputs.rotation) > 0)
+    return surfaces, polynomials, inputs.indices.detach().contiguous().numpy(), posed, rotations, positions
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(torch.get_num_threads())
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
+
+
+def _in_parts(rays: int, work: Callable[[int, int], None]) -> None:
+    """Call work(first, last) on groups of rays, in as many threads as torch uses; rays do not know of each other."""
+    threads = min(torch.get_num_threads(), rays // GROUP)
+    if threads <= 1:
+        work(0, rays)
+        return
+    groups = -(-rays // GROUP)
+    ends = [min(rays, k * groups // threads * GROUP) for k in range(threads + 1)]
+    ends[-1] = rays
+    list(_pool().map(work, ends[:-1], ends[1:]))
