@@ -10,7 +10,7 @@ from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
 
 _STEPS = 400
 _CLOSE = 1e-9  # [mm] last step towards a surface; the error behind it is of the order of its square
-_FAR = 1e15  # [mm^2] largest r^2 at which a ray meets a surface
+_FAR = 1e7  # [mm] largest r at which a ray meets a surface
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Surface:
         x, y, z, l, m, n = (torch.where(able, v, k == "n").double() for k, v in vars(rays).items() if k in "xyzlmn")
         squared_sine = l * l + m * m
         bending = float((1 + self.conic) * self.curvature**2)
-        end = min((1 - aspheres.EDGE) / bending, _FAR) if bending > 0 else _FAR
+        end = min((1 - aspheres.EDGE) / bending, _FAR**2) if bending > 0 else _FAR**2
 
         def along(t: Tensor) -> tuple[Tensor, Tensor]:
             """Return u = r^2 and half its derivative at t."""

@@ -37,7 +37,7 @@ CELLS = 64  # of the radius, in a profile of slopes
 _NEWTON_STEPS = 8  # for all rays of a block; those that have not converged then are taken one by one
 _SAFE_STEPS = 400
 _SAFE_TOLERANCE = 1e-9  # [mm]; the error after a step is of the order of its square, and one more follows
-_FAR = 1e15  # [mm^2] largest u at which a ray meets a surface
+_FAR = 1e7  # [mm] largest height at which a ray meets a surface
 _MISSED = int(RayStatus.MISSED)
 
 
@@ -53,15 +53,14 @@ def intersect(s, surface, polynomials, slopes, fate):
         return 0
     missed = 0
     for i in range(BLOCK if _newton(s, surface, polynomials) > 0 else 0):
-        x, y, z, l, m, n = s[X + i], s[Y + i], s[Z + i], s[L + i], s[M + i], s[N + i]
-        if s[MEETS + i] > 0:
-            r = math.sqrt(s[WIDEST + i])
+        n, r = s[N + i], math.sqrt(s[WIDEST + i])
+        if s[MEETS + i] > 0 and 0 < r < _FAR:
             if not r < slopes[0]:
                 _fill_slopes(slopes, 1.25 * r, surface, polynomials[VALUES])
             steepest = slopes[1 + int(r / slopes[0] * CELLS)]
             if steepest * steepest * s[C0 + i] < n * n:
                 continue
-        t = first_crossing(float(x), float(y), float(z), float(l), float(m), float(n), surface, polynomials[VALUES])
+        t = first_crossing(s[X + i], s[Y + i], s[Z + i], s[L + i], s[M + i], n, surface, polynomials[VALUES])
         if math.isnan(t):
             fate[i] = _MISSED
             missed += 1
@@ -133,8 +132,10 @@ def first_crossing(x, y, z, l, m, n, surface, alpha):
     towards the surface. This is Newton's step where |F| is small, and a ray that meets nothing comes to the edge of the
     surface, where 1 - (1 + k) c^2 u is zero: a proof that there is no crossing.
     """
-    c, bending = float(surface[CURVATURE]), float(surface[BENDING])
-    u_end = min((1 - EDGE) / bending, _FAR) if bending > 0 else _FAR
+    x, y, z = numpy.float64(x), numpy.float64(y), numpy.float64(z)
+    l, m, n = numpy.float64(l), numpy.float64(m), numpy.float64(n)
+    c, bending = numpy.float64(surface[CURVATURE]), numpy.float64(surface[BENDING])
+    u_end = min((1 - EDGE) / bending, _FAR * _FAR) if bending > 0 else _FAR * _FAR
     u, h, c0 = x * x + y * y, x * l + y * m, l * l + m * m
     t = 0.0
     if not u < u_end:  # to the edge
@@ -182,7 +183,7 @@ def _bounded(u, u_most, c, bending, alpha):
     w = 1 / math.sqrt(max(min(1 - bending * u_most, 1.0), EDGE))
     value, slope, steepest, most = 0.0, 0.0, 0.0, 0.0
     for j in range(len(alpha), 0, -1):
-        a = float(alpha[j - 1])
+        a = numpy.float64(alpha[j - 1])
         slope = slope * u + value
         value = value * u + a
         steepest = steepest * u_most + j * abs(a)
@@ -201,7 +202,7 @@ def _fill_slopes(slopes, r_most, surface, alpha):
     """
     slopes[0] = r_most
     width, steepest, inner = r_most / CELLS, 0.0, 0.0
-    c, bending = float(surface[CURVATURE]), float(surface[BENDING])
+    c, bending = numpy.float64(surface[CURVATURE]), numpy.float64(surface[BENDING])
     for k in range(CELLS):
         r = (k + 1) * width
         u = r * r
@@ -210,7 +211,7 @@ def _fill_slopes(slopes, r_most, surface, alpha):
             return
         second, third = 0.0, 0.0
         for j in range(len(alpha), 1, -1):
-            a = j * (j - 1) * abs(float(alpha[j - 1]))
+            a = j * (j - 1) * abs(numpy.float64(alpha[j - 1]))
             second = second * u + a
             if j > 2:
                 third = third * u + (j - 2) * a
@@ -239,5 +240,5 @@ def gentle_radii(surfaces, polynomials):
 @compiled
 def _steepest(r, surface, alpha):
     """Return a bound of the slope |ds/dr| up to the radius r, infinite where the surface ends before."""
-    c, bending, u = float(surface[CURVATURE]), float(surface[BENDING]), r * r
+    c, bending, u = numpy.float64(surface[CURVATURE]), numpy.float64(surface[BENDING]), r * r
     return math.inf if bending * u >= 1 - EDGE else 2 * r * _bounded(u, u, c, bending, alpha)[2]

@@ -7,8 +7,9 @@ import numpy
 import torch
 from torch import Tensor
 
+from tasklens.materials.material import AIR
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Rays
+from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.traced import Inputs, Traced
 
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
@@ -106,6 +107,19 @@ def _inputs(lens: Lens, start: Tensor, indices: Tensor) -> Inputs:
     shape = (lens.curvature, lens.conic, lens.thickness, lens.alpha)
     pose = (lens.pose.rotation, lens.pose.position) if lens.pose else (start.new_empty(0), start.new_empty(0))
     return Inputs(start, indices.to(lens.dtype), *shape, *pose)
+
+
+def compile_tracer() -> None:
+    """Compile the tracer for double precision, or load it from the cache on disk; single precision waits for a use.
+
+    Without this, the first jobs of an installation would compile it at the same time, each for itself.
+    """
+    one = torch.ones(1, 1, dtype=torch.float64)
+    lens = Lens(one[0].clone().requires_grad_(), one[0], one, one[0], one[0], (AIR,), stop=0)
+    rays = launch(0.1 * one, 0 * one, 0 * one, 0 * one, 0 * one, one)
+    indices = torch.ones(2, 1, dtype=torch.float64)
+    trace(lens, rays, indices).x.sum().backward()
+    linearise(lens, rays, indices).derivative({"curvature": one})
 
 
 class Derivative(NamedTuple):

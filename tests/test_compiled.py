@@ -1,0 +1,96 @@
+"""The tracer's compilation: once for each installation and text of its modules, and the same rays without it."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from examples import WAVELENGTHS, random_lens, random_rays
+
+from tasklens.optics.tracing import block
+from tasklens.optics.tracing.trace import trace
+
+TRACE = """
+import sys; sys.path.insert(0, {tests!r})
+import torch
+from examples import WAVELENGTHS, random_lens, random_rays
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing import kernel
+lens, rays = random_lens(3), random_rays(9, 1, height=1.2, tangent=0.8)
+leaf = lens.alpha.clone().requires_grad_()
+from dataclasses import replace
+image = trace(replace(lens, alpha=leaf), rays, lens.refractive_indices(WAVELENGTHS))
+image.x.sum().backward()
+torch.save([image.x.detach(), image.path.detach(), image.status, leaf.grad], {out!r})
+print(hasattr(kernel.trace, "signatures"))
+"""
+
+
+def run(code: str, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], env=os.environ | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_plain_python_traces_the_same_rays(tmp_path):
+    """Where nothing can be compiled, NUMBA_DISABLE_JIT=1 runs the same text slowly."""
+    found = {}
+    for name, environment in {"compiled": {}, "plain": {"NUMBA_DISABLE_JIT": "1"}}.items():
+        out = str(tmp_path / name)
+        is_compiled = run(TRACE.format(tests=str(Path(__file__).parent), out=out), **environment)
+        assert is_compiled == str(name == "compiled")
+        found[name] = torch.load(out)
+    assert len(found["plain"][2].unique()) > 1
+    for plain, compiled in zip(found["plain"], found["compiled"], strict=True):
+        torch.testing.assert_close(plain, compiled, rtol=1e-12, atol=1e-14)
+
+
+def test_compiled_code_is_kept_on_disk(tmp_path):
+    """In a folder for this text of the modules; another process loads it."""
+    code = (
+        "from tasklens.optics.tracing.trace import compile_tracer; compile_tracer();"
+        "from tasklens.optics.tracing import kernel, derivatives;"
+        "print(sum(sum(f.stats.cache_hits.values()) for f in (kernel.trace, derivatives.reverse, derivatives.forward)))"
+    )
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    assert run(code, **environment) == "0"
+    (folder,) = (tmp_path / "tasklens").iterdir()
+    assert list(folder.rglob("kernel.trace-*.nbc"))
+    assert run(code, **environment) == "3"
+
+
+def test_the_folder_follows_every_module(tmp_path, monkeypatch):
+    """numba alone would look at the file of a function, not at those that it calls."""
+    before = block._cache_folder()
+    changed = tmp_path / "tracing"
+    changed.mkdir()
+    for path in Path(block.__file__).parent.glob("*.py"):
+        (changed / path.name).write_text(path.read_text())
+    monkeypatch.setattr(block, "__file__", str(changed / "block.py"))
+    assert block._cache_folder() == before
+    with (changed / "refraction.py").open("a") as file:
+        file.write("# other\n")
+    assert block._cache_folder() != before
+
+
+def test_a_folder_that_cannot_be_made_does_not_stop_it(tmp_path):
+    code = (
+        "import numpy; from tasklens.optics.tracing.crossing import gentle_radii;"
+        "gentle_radii(numpy.ones((1, 5)), numpy.ones((1, 3, 8))); print('compiled')"
+    )
+    (tmp_path / "file").write_text("")
+    assert run(code, NUMBA_CACHE_DIR=str(tmp_path / "file")) == "compiled"
+
+
+def test_single_precision():
+    """Agrees with double precision, and stays single."""
+    lens, rays = random_lens(0), random_rays(50, 0)
+    single = replace(lens, **{k: v.float() for k, v in vars(lens).items() if isinstance(v, torch.Tensor)})
+    indices = lens.refractive_indices(WAVELENGTHS)
+    low, high = trace(single, rays, indices.float()), trace(lens, rays, indices)
+    assert low.x.dtype == torch.float32
+    torch.testing.assert_close(low.x.double(), high.x, rtol=0, atol=1e-5)
