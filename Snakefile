@@ -94,8 +94,9 @@ onstart:
     # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
     files.write_if_changed(RESOLVED, loading.dump(study))
     running = list(workflow.dag.needrun_jobs())
-    networks = "--networks" if any(job.rule.name == "reference" for job in running) else ""
-    if networks or study.imported:
+    kinds = {job.rule.name for job in running}
+    networks = "--networks" if "reference" in kinds else ""
+    if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
         shell("tasklens check {RESOLVED} {networks} > /dev/null")
     found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself

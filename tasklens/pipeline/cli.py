@@ -33,8 +33,11 @@ _HELP: dict[str, dict[str, Any]] = {
 
 
 def check(args: argparse.Namespace) -> None:
-    """Check a study file and its imported lenses, and print a summary."""
+    """Check a study file and its imported lenses, compile the tracer where it is not yet, and print a summary."""
+    from tasklens.optics.tracing.trace import compile_tracer
+
     study = load(args.study)
+    compile_tracer()
     if study.imported:
         from tasklens.design import imported
         from tasklens.optics.view import view_of_spec
