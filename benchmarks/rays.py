@@ -49,6 +49,7 @@ SURFACES = (  # curvature, conic, thickness, indices behind, alpha_4 .. alpha_16
     ),
 )
 FIELDS_DEG = [(10.0 * i, 10.0 * j) for i in range(3) for j in range(3)]
+_CALLS = 8  # in each turn
 NAMES = ("curvature", "conic", "alpha", "thickness")
 
 
@@ -231,7 +232,7 @@ def main(argv: list[str] | None = None) -> None:
             label = "Optiland"
             if name.startswith("PSFs"):
                 versus, label = work["trace, forward and backward"], "trace alone"
-            times = alternate({"ours": function} | ({"other": versus} if versus else {}), options.rounds)
+            times = alternate({"ours": function} | ({"other": versus} if versus else {}), options.rounds, _CALLS)
             shown = [spread(times["ours"], 1e3)]
             shown += [label, spread(times["other"], 1e3), ratio(times["other"], times["ours"])] if versus else ["–"] * 3
             rows.append((name, precision, *shown))

@@ -22,16 +22,20 @@ torch.set_num_threads(1)
 RESULTS = Path(__file__).with_name("results")
 
 
-def alternate(work: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Processor times [s] of each entry of `work`, run in turn (A B A B ...) after one warm-up each."""
+def alternate(work: dict[str, Callable[[], object]], rounds: int, calls: int = 1) -> dict[str, list[float]]:
+    """Processor times [s] of a call of each entry of `work`, run in turn (A B A B ...) after one warm-up each.
+
+    With several calls in each turn, their mean: otherwise work of a millisecond is timed with caches full of the other's.
+    """
     for function in work.values():
         function()
     times: dict[str, list[float]] = {name: [] for name in work}
     for _ in range(rounds):
         for name, function in work.items():
             begin = time.process_time()
-            function()
-            times[name].append(time.process_time() - begin)
+            for _ in range(calls):
+                function()
+            times[name].append((time.process_time() - begin) / calls)
     return times
 
 

@@ -1,6 +1,5 @@
 """Optical figures of a finished lens as plain numbers, for its file and its table."""
 
-import math
 from typing import Any
 
 import torch
@@ -9,7 +8,7 @@ from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.pupil import check_stop, sobol_disc
 from tasklens.optics.analysis.spots import (
     centroid,
     chief_rays,
@@ -76,19 +75,6 @@ def _odd(value: Any, key: str) -> int:
     if not (found >= 3 and found % 2 == 1):
         raise InputError(f"{key}: expected an odd number of pixels, at least 3, found {value!r}; correct it")
     return int(found)
-
-
-def check_stop(lens: Lens) -> None:
-    """Check that the stop lets light through and limits it; raises InputError.
-
-    Every ray of a stop of radius 0 is the chief ray: the lens would be perfect.
-    """
-    radius = float(lens.semi_diameter[lens.stop])
-    if not 0 < radius < math.inf:
-        raise InputError(
-            f"surface {lens.stop}: semi_diameter: the radius of the stop is {radius} mm; expected a positive and finite"
-            " one; correct it"
-        )
 
 
 def figures(lens: Lens, view: View, rays: int) -> dict:

@@ -10,6 +10,7 @@ from tasklens.optics.analysis.aiming import aim, stop_is_inside
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
+from tasklens.runtime.errors import InputError
 
 
 def sobol_disc(count: int, seed: int) -> Tensor:
@@ -45,6 +46,19 @@ def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
     return points.reshape(-1, 2), weights.reshape(-1)
 
 
+def check_stop(lens: Lens) -> None:
+    """Check that the stop lets light through and limits it; raises InputError.
+
+    Every ray of a stop of radius 0 is the chief ray: the lens would be perfect.
+    """
+    radius = float(lens.semi_diameter[lens.stop].detach())
+    if not 0 < radius < math.inf:
+        raise InputError(
+            f"surface {lens.stop}: semi_diameter: the radius of the stop is {radius} mm; expected a positive and finite"
+            " one; correct it"
+        )
+
+
 def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
     """Launch collimated bundles that fill the stop, at the first vertex plane.
 
@@ -59,7 +73,11 @@ def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tu
 
     Returns:
         Rays of shape (F, W, N). Those that cannot be aimed are lost.
+
+    Raises:
+        InputError: the stop has no radius, or an infinite one.
     """
+    check_stop(lens)
     first_order = paraxial(lens, wavelengths[len(wavelengths) // 2])
     tangents, pupil = tangents.to(lens.dtype), pupil.to(lens.dtype)
     n = torch.rsqrt(1 + tangents.square().sum(-1))

@@ -33,7 +33,11 @@ from tasklens.optics.tracing.block import (
     inlined,
 )
 
-CELLS = 64  # of the radius, in a profile of slopes
+# A profile of slopes: bounds of |ds/dr| in cells of the radius, the radius that they reach, and the squared radius up
+# to which they are not above 1
+CELLS = 32
+REACH, GENTLE_HERE = CELLS, CELLS + 1
+PROFILE = CELLS + 2
 _NEWTON_STEPS = 8  # for all rays of a block; those that have not converged then are taken one by one
 _SAFE_STEPS = 400
 _SAFE_TOLERANCE = 1e-9  # [mm]; the error after a step is of the order of its square, and one more follows
@@ -52,12 +56,12 @@ def intersect(s, surface, polynomials, slopes, fate):
             s[T + i] = -s[Z + i] / s[N + i]
         return 0
     missed = 0
-    for i in range(BLOCK if _newton(s, surface, polynomials) > 0 else 0):
+    for i in range(BLOCK if _newton(s, surface, polynomials, slopes) > 0 else 0):
         n, r = s[N + i], math.sqrt(s[WIDEST + i])
         if s[MEETS + i] > 0 and 0 < r < _FAR:
-            if not r < slopes[0]:
+            if not r < slopes[REACH]:
                 _fill_slopes(slopes, 1.25 * r, surface, polynomials[VALUES])
-            steepest = slopes[1 + int(r / slopes[0] * CELLS)]
+            steepest = slopes[int(r / slopes[REACH] * CELLS)]
             if steepest * steepest * s[C0 + i] < n * n:
                 continue
         t = first_crossing(s[X + i], s[Y + i], s[Z + i], s[L + i], s[M + i], n, surface, polynomials[VALUES])
@@ -70,7 +74,7 @@ def intersect(s, surface, polynomials, slopes, fate):
 
 
 @inlined
-def _newton(s, surface, polynomials):
+def _newton(s, surface, polynomials, slopes):
     """Iterate the rays of a block by Newton's method from the vertex plane to the surface.
 
     F(t) = z + t n - s(u) = 0. The crossing is the first one where F' > 0 on the whole way from the ray's last point:
@@ -80,7 +84,8 @@ def _newton(s, surface, polynomials):
     """
     number = s.dtype.type
     zero, one, edge, grazing = number(0), number(1), number(EDGE), number(GRAZING)
-    c, bending, gentle = surface[CURVATURE], surface[BENDING], surface[GENTLE]
+    c, bending = surface[CURVATURE], surface[BENDING]
+    gentle = max(surface[GENTLE], number(slopes[GENTLE_HERE]))
     tolerance = number(math.sqrt(numpy.finfo(s.dtype).eps))
     for i in range(BLOCK):
         l, m, n = s[L + i], s[M + i], s[N + i]
@@ -196,18 +201,18 @@ def _bounded(u, u_most, c, bending, alpha):
 
 @compiled
 def _fill_slopes(slopes, r_most, surface, alpha):
-    """Fill a profile of slopes: its radius r_most, and bounds of |ds/dr| up to k + 1 of CELLS parts of it.
+    """Fill a profile of slopes, up to the radius r_most.
 
     In a cell of width w a function is at most w^2 / 8 max |f''| above its values at the ends; here f = ds/dr.
     """
-    slopes[0] = r_most
+    slopes[REACH], slopes[GENTLE_HERE] = r_most, 0.0
     width, steepest, inner = r_most / CELLS, 0.0, 0.0
     c, bending = numpy.float64(surface[CURVATURE]), numpy.float64(surface[BENDING])
     for k in range(CELLS):
         r = (k + 1) * width
         u = r * r
         if bending * u >= 1 - EDGE:
-            slopes[1 + k :] = math.inf
+            slopes[k:CELLS] = math.inf
             return
         second, third = 0.0, 0.0
         for j in range(len(alpha), 1, -1):
@@ -220,7 +225,9 @@ def _fill_slopes(slopes, r_most, surface, alpha):
         third += 0.375 * abs(c) * bending * bending * w**5
         outer = abs(2 * r * _bounded(u, u, c, bending, alpha)[1])
         steepest = max(steepest, max(inner, outer) + width * width / 8 * (12 * r * second + 8 * r * u * third))
-        slopes[1 + k], inner = steepest, outer
+        slopes[k], inner = steepest, outer
+        if steepest <= 1:
+            slopes[GENTLE_HERE] = u
 
 
 @compiled

@@ -10,6 +10,7 @@ from tasklens.optics.rays import GRAZING, RayStatus
 from tasklens.optics.tracing.block import (
     BLOCK,
     GOES_ON,
+    INDEX,
     L_OUT,
     PASSES,
     PATH,
@@ -31,7 +32,7 @@ from tasklens.optics.tracing.block import (
     inlined,
     load,
 )
-from tasklens.optics.tracing.crossing import CELLS, intersect
+from tasklens.optics.tracing.crossing import PROFILE, intersect
 from tasklens.optics.tracing.pose import into_pose, out_of_pose
 from tasklens.optics.tracing.refraction import refract, to_surface
 
@@ -56,7 +57,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
     surfaces, polynomials, indices, posed, rotations, positions = lens
     s = numpy.zeros(ROWS * BLOCK, start.dtype)
     colours, fate = numpy.zeros(BLOCK + 1, numpy.int64), numpy.zeros(BLOCK, numpy.int8)
-    slopes = numpy.zeros((len(surfaces), 1 + CELLS))
+    slopes = numpy.zeros((len(surfaces), PROFILE))
     for block in range(first, last, BLOCK):
         size = min(BLOCK, last - block)
         fill_colours(block, count, colours)
@@ -96,15 +97,16 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
                         record[k, row, block + i] = there
             for i in range(BLOCK):
                 s[Z + i] -= surface[THICKNESS]
-        for i in range(size):
-            if status[block + i] == 0:
-                t = -s[Z + i] / s[N + i]
-                s[X + i] += t * s[L + i]
-                s[Y + i] += t * s[M + i]
-                s[Z + i] = 0
-                s[PATH + i] += indices[-1, colours[i]] * t
-                for row in range(7):
-                    image[row, block + i] = s[row * BLOCK + i]
+        fill_media(s, colours, indices[-1], indices[-1])
+        for i in range(BLOCK):
+            t = -s[Z + i] / s[N + i]
+            s[X + i] += t * s[L + i]
+            s[Y + i] += t * s[M + i]
+            s[Z + i] = 0
+            s[PATH + i] += s[INDEX + i] * t
+        for row in range(7):
+            for i in range(size):
+                image[row, block + i] = image[row, block + i] if status[block + i] else s[row * BLOCK + i]
 
 
 @compiled

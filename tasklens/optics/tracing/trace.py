@@ -92,9 +92,9 @@ def _recorded(traced: Traced) -> list[Rays]:
 
 
 def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, Traced]:
-    dtype = lens.dtype
     size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # of torch it takes 20 times as long
-    start = torch.stack([v.expand(size).to(dtype) for v in (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)])
+    components = (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
+    start = torch.stack([v if v.shape == size else v.expand(size) for v in components]).to(lens.dtype)
     notes = _Notes(lens.semi_diameter, rays.status, rays.lost_at, record)
     image = _Trace.apply(notes, *_inputs(lens, start, indices))
     x, y, _, l, m, n, path = image.unbind()
