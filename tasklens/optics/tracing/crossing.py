@@ -13,10 +13,13 @@ from tasklens.optics.tracing.block import (
     BLOCK,
     C0,
     CURVATURE,
+    CURVINGS,
     GENTLE,
+    LIMIT,
     MEETS,
     SLOPE,
     SLOPES,
+    THICKNESS,
     VALUE,
     VALUES,
     WIDEST,
@@ -231,10 +234,16 @@ def _fill_slopes(slopes, r_most, surface, alpha):
 
 
 @compiled
-def gentle_radii(surfaces, polynomials):
-    """Fill the column GENTLE."""
+def prepare(curvature, conic, thickness, alpha, limit, surfaces, polynomials):
+    """Fill the table of surfaces and their polynomials, which are zero before."""
     for k in range(len(surfaces)):
         surface, polynomial = surfaces[k], polynomials[k]
+        surface[CURVATURE], surface[THICKNESS], surface[LIMIT] = curvature[k], thickness[k], limit[k]
+        surface[BENDING] = (1 + conic[k]) * curvature[k] * curvature[k]
+        for j in range(alpha.shape[1]):
+            polynomial[VALUES, j], polynomial[SLOPES, j] = alpha[k, j], (j + 1) * alpha[k, j]
+            if j > 0:
+                polynomial[CURVINGS, j - 1] = j * (j + 1) * alpha[k, j]
         low, high = 0.0, 1.0
         while high < 1e8 and _steepest(high, surface, polynomial[VALUES]) <= 1:
             low, high = high, 2 * high

@@ -13,7 +13,7 @@ from torch import Tensor
 from tasklens.optics.rays import RIM
 from tasklens.optics.tracing import block, derivatives, kernel
 from tasklens.optics.tracing.block import GROUP
-from tasklens.optics.tracing.crossing import gentle_radii
+from tasklens.optics.tracing.crossing import prepare
 
 
 class Inputs(NamedTuple):
@@ -66,16 +66,17 @@ class Traced:
         b_image = gradient.contiguous().numpy().reshape(7, -1)
         known = (*self.start_of, self.status, self.distances, b_image, b_start, b_lens, b_indices, b_poses)
         _in_parts(rays, lambda *part: derivatives.reverse(*part, *known))
-        b_lens, b_poses = b_lens.sum(0), b_poses.sum(0)
-        found = (
-            b_start.reshape(-1, *self.shape),
-            b_indices.sum(0),
-            *(b_lens[:, k] for k in range(3)),
-            b_lens[:, 3:],
-            b_poses[:, :3],
-            b_poses[:, 3],
+        dtype = self.start.dtype
+        lens, poses = b_lens.sum(0).astype(dtype), b_poses.sum(0).astype(dtype)
+        by_input = (
+            lambda: b_start.reshape(-1, *self.shape),
+            lambda: b_indices.sum(0).astype(dtype),
+            *(lambda k=k: lens[:, k] for k in range(3)),
+            lambda: lens[:, 3:],
+            lambda: poses[:, :3],
+            lambda: poses[:, 3],
         )
-        return [torch.from_numpy(v).to(gradient.dtype) if want else None for v, want in zip(found, wanted, strict=True)]
+        return [torch.from_numpy(found()) if want else None for found, want in zip(by_input, wanted, strict=True)]
 
     def forward(self, changes: Sequence[Tensor | None], record: bool = False) -> tuple[numpy.ndarray, numpy.ndarray]:
         """Compute the changes of the image, (V, 7, R), for V changes of each of the `Inputs`, where None is no change.
@@ -122,26 +123,17 @@ class Traced:
 
 def _tables(inputs: Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]:
     """Return the tables of a lens for the kernel: surfaces, polynomials, indices, which are posed, and poses."""
-    dtype = inputs.start.detach().numpy().dtype
-    curvature, conic, thickness, alpha = (v.detach().numpy() for v in inputs[2:6])
-    surfaces = numpy.empty((len(curvature), block.COLUMNS), dtype)
-    surfaces[:, block.CURVATURE], surfaces[:, block.THICKNESS] = curvature, thickness
-    surfaces[:, block.BENDING] = (1 + conic) * curvature * curvature
+    values = [v.detach().contiguous().numpy() for v in inputs]
+    dtype, (count, orders) = values[0].dtype, inputs.alpha.shape
+    surfaces = numpy.empty((count, block.COLUMNS), dtype)
+    polynomials = numpy.zeros((count, 3, -(-orders // block.CHUNK) * block.CHUNK), dtype)
     limit = numpy.float64(semi_diameter.detach().numpy()) ** 2 * (1 + RIM)
-    surfaces[:, block.LIMIT] = numpy.minimum(limit, numpy.finfo(dtype).max)
-    orders = alpha.shape[1]
-    polynomials = numpy.zeros((len(curvature), 3, -(-orders // block.CHUNK) * block.CHUNK), dtype)
-    j = numpy.arange(1, orders + 1, dtype=dtype)
-    polynomials[:, block.VALUES, :orders] = alpha
-    polynomials[:, block.SLOPES, :orders] = j * alpha
-    polynomials[:, block.CURVINGS, : max(0, orders - 1)] = ((j - 1) * j * alpha)[:, 1:]
-    gentle_radii(surfaces, polynomials)
-    rotations = numpy.zeros((len(curvature), 3, 3), dtype) + numpy.eye(3, dtype=dtype)
-    positions = numpy.zeros((len(curvature), 3), dtype)
-    if len(inputs.rotation):
-        rotations[:], positions[:] = inputs.rotation.detach().numpy(), inputs.position.detach().numpy()
-    posed = numpy.full(len(curvature), len(inputs.rotation) > 0)
-    return surfaces, polynomials, inputs.indices.detach().contiguous().numpy(), posed, rotations, positions
+    prepare(*values[2:6], numpy.minimum(limit, numpy.finfo(dtype).max), surfaces, polynomials)
+    posed = numpy.full(count, len(values[6]) > 0)
+    rotations, positions = (
+        values[6:] if posed[0] else (numpy.zeros((count, 3, 3), dtype), numpy.zeros((count, 3), dtype))
+    )
+    return surfaces, polynomials, values[1], posed, rotations, positions
 
 
 @cache
