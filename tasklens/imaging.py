@@ -6,7 +6,7 @@ The second term is the light outside the PSF window, modelled as a uniform veil,
 Borders are reflected.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import torch
@@ -44,7 +44,7 @@ class _Convolution(torch.autograd.Function):
         psf: Tensor,
         runs: list[_Run],
         shape: tuple[int, int],
-        spectrum: Callable[[int, int], Tensor],
+        kernels: list[Tensor],
     ) -> Tensor:
         """Render captures (N, 2, 3, H, W) of the pairs of each run in turn.
 
@@ -54,19 +54,18 @@ class _Convolution(torch.autograd.Function):
             psf: (F, 3, K, K), for its gradient.
             runs: what to render.
             shape: height and width of the captures.
-            spectrum: function from field and colour to the spectrum (n, m) of a PSF, divided by n m.
+            kernels: spectra (n, m) of the PSFs by field and colour, divided by n m.
         """
         captures = psf.new_empty(sum(run.stop - run.start for run in runs), 2, 3, *shape)
         window = _window(psf, shape)
         for field, colour, blocks in _schedule(runs, images):
-            kernel = spectrum(field, colour)
             for source, target in blocks:
-                product = images[colour, source] * kernel
+                product = images[colour, source] * kernels[3 * field + colour]
                 product[:, 0, 0] += mean[colour, source]
                 planes = torch.fft.ifft2(product, norm="forward")[window]
-                captures[target, :, colour] = torch.view_as_real(planes).movedim(-1, 1)
+                captures[target, 0, colour], captures[target, 1, colour] = planes.real, planes.imag
         ctx.save_for_backward(images, psf)
-        ctx.arguments = runs, shape, spectrum
+        ctx.arguments = runs, shape, kernels
         return captures
 
     @staticmethod
@@ -74,20 +73,20 @@ class _Convolution(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Compute the gradients at the spectra of images, their mean, and the PSFs."""
         images, psf = ctx.saved_tensors
-        runs, shape, spectrum = ctx.arguments
+        runs, shape, kernels = ctx.arguments
         at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
         at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
         conjugate = images.conj().resolve_conj()
         padded = torch.zeros_like(images[0])
-        window = torch.view_as_real(padded)[_window(psf, shape)]
+        window = padded[_window(psf, shape)]
         for field, colour, blocks in _schedule(runs, images):
             total = torch.zeros_like(padded[0])
             for source, target in blocks:
                 upstream = gradient[target, :, colour]
-                window[: len(upstream)] = upstream.movedim(1, -1)
+                torch.complex(upstream[:, 0], upstream[:, 1], out=window[: len(upstream)])
                 product = torch.fft.fft2(padded[: len(upstream)])
                 if at_images is not None:
-                    at_images[colour, source].addcmul_(product, spectrum(field, colour).conj())
+                    at_images[colour, source].addcmul_(product, kernels[3 * field + colour].conj())
                     at_mean[colour, source] += product[:, 0, 0]
                 for planes in zip(product, conjugate[colour, source], strict=True):
                     total.addcmul_(*planes)
@@ -101,8 +100,8 @@ def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[slice, ...]:
 
 
 def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, int, list[tuple[slice, slice]]]]:
-    """Yield field, colour, and their blocks: pairs that are transformed at once, a whole run on a GPU; captures."""
-    fit = max(1, _PLANE_BYTES // images[0, 0].nbytes) if images.device.type == "cpu" else images.shape[1]
+    """Yield field, colour, and their blocks: pairs that are transformed at once, and where their captures are."""
+    fit = _at_once(images)
     begin = 0
     for field, start, stop in runs:
         ends = [(first, min(first + fit, stop)) for first in range(start, stop, fit)]
@@ -110,6 +109,17 @@ def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, int, list
         for colour in range(3):
             yield field, colour, blocks
         begin += stop - start
+
+
+def _fast_size(pixels: int) -> int:
+    """Return the next size whose transform is fast: a multiple of four with small factors."""
+    return 4 * next_fast_len(-(-pixels // 4))
+
+
+def _at_once(planes: Tensor) -> int:
+    """Return how many of complex planes (..., n, m) are transformed at once: all on a GPU."""
+    count = planes[..., 0, 0].numel()
+    return max(1, _PLANE_BYTES * count // planes.nbytes) if planes.device.type == "cpu" else count
 
 
 class Camera:
@@ -126,7 +136,7 @@ class Camera:
             psf = psf / psf.sum((-2, -1), keepdim=True).clamp(min=1e-12)
         self.psf = psf.float()
         self.linear = colour == "linear"
-        self._spectra: dict[tuple[int, ...], Tensor] = {}
+        self._kernels: dict[tuple[int, int], list[Tensor]] = {}
 
     def grid(self, images: Tensor) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
@@ -142,8 +152,9 @@ class Camera:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
         order: list[int] = []  # of the images by field, an even number each
         runs = []
-        for field in fields.unique().tolist():
-            chosen = (fields == field).nonzero().flatten().tolist()
+        at = fields.tolist()
+        for field in sorted(set(at)):
+            chosen = [image for image, other in enumerate(at) if other == field]
             start = len(order) // 2
             order += chosen + chosen[: len(chosen) % 2]
             runs.append(_Run(field, start, len(order) // 2))
@@ -165,20 +176,16 @@ class Camera:
             images = rgb_to_linear_rgb(images)
         images = images.float().transpose(0, 2)  # colours first
         mean = images.mean((-2, -1), keepdim=True)
-        size = [4 * next_fast_len(-(-(side + 2 * half) // 4)) for side in (height, width)]
+        size = _fast_size(height + 2 * half), _fast_size(width + 2 * half)
         # Reflection fills the whole transform where it can: what lies beyond the border has no effect.
         far = [min(n - half - side, side - 1) for n, side in zip(size, (height, width), strict=True)]
         padded = F.pad(torch.complex(*(images - mean).unbind(1)), (half, far[1], half, far[0]), mode="reflect")
         means = torch.complex(*mean[..., 0, 0].unbind(1))
-
-        def spectrum(*at: int) -> Tensor:
-            if (*at, *size) not in self._spectra:
-                psf = self.psf[at].detach().to(padded.dtype)
-                self._spectra[*at, *size] = torch.fft.fft2(psf, size, norm="forward")
-            return self._spectra[*at, *size]
-
         spectra = torch.fft.fft2(padded, size)
-        captures = _Convolution.apply(spectra, means, self.psf, runs, (height, width), spectrum)
+        if size not in self._kernels:
+            blocks = self.psf.detach().to(spectra.dtype).flatten(0, 1).split(_at_once(spectra))
+            self._kernels[size] = [k for block in blocks for k in torch.fft.fft2(block, size, norm="forward")]
+        captures = _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
         return linear_rgb_to_rgb(captures) if self.linear else captures
 
 
