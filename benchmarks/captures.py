@@ -7,13 +7,12 @@ largest of the captures, and of the gradients relative to the largest gradient.
 """
 
 import math
-import statistics
-import time
 from collections.abc import Callable
 
 import timing
 import torch
 import torch.nn.functional as F
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from tasklens.imaging import Camera
@@ -59,39 +58,54 @@ def differences(render: Callable, other: Callable, psf: Tensor, images: Tensor, 
     return f"{value:.0e}, {gradient:.0e}"
 
 
-def floor_ms(count: int, pixels: int, fields: int, kernel: int) -> tuple[float, float]:
-    """Compute the least time of forward and backward, by arithmetic and by memory traffic [ms].
+def bare_work(count: int, pixels: int, fields: int, kernel: int, backward: bool) -> dict[str, Callable[[], object]]:
+    """Return the least work of captures: each part alone, on planes that stay in the cache.
 
-    Transforms of 2.5 N log2 N operations, of images, PSFs, captures and back again, at the rate of transforms of rows
-    in the cache; captures and their gradients go through memory once, at the rate of a copy.
+    Two real planes are one complex plane, or each has half a spectrum: the floor has the faster one. Transformed are
+    images, PSFs and captures; backward again captures and PSFs. Each capture has a product of spectra, and goes through
+    memory once; backward again.
     """
-    side = pixels + kernel - 1
-    length = 128 if side <= 128 else 256
-    rows, large = torch.randn(256, length), torch.randn(2**24)
-    copy = torch.empty_like(large)
+    side = 4 * next_fast_len(-(-(pixels + kernel - 1) // 4))
+    pairs, passes = math.ceil(count / 2), 1 + backward
+    transforms = 3 * (pairs + passes * fields * (1 + pairs))  # PSFs by themselves
+    fit = max(1, 2**19 // (8 * side**2))
+    planes, other = torch.randn(2, fit, side, side, dtype=torch.complex64)
+    real = torch.randn(2 * fit, side, side)
+    captures = torch.randn(fields, count, 3, pixels, pixels)
+    target, product = torch.empty_like(captures), torch.empty_like(planes)
 
-    def rate(amount: float, function: Callable[[], object]) -> float:
-        times = []
-        for _ in range(50):
-            begin = time.perf_counter()
-            function()
-            times.append(time.perf_counter() - begin)
-        return amount / statistics.median(times[10:])
+    def repeat(times: int, work: Callable[[], object]) -> Callable[[], None]:
+        def run() -> None:
+            for _ in range(times):
+                work()
 
-    per_second = rate(256 * 2.5 * length * math.log2(length), lambda: torch.fft.rfft(rows))
-    bytes_per_second = rate(8 * large.numel(), lambda: copy.copy_(large))
-    transforms = 3 * (count + 2 * fields + 2 * fields * count)
-    arithmetic = transforms * 2.5 * side**2 * math.log2(side**2) / per_second
-    traffic = 2 * 4 * 3 * fields * count * pixels**2 / bytes_per_second
-    return 1e3 * arithmetic, 1e3 * traffic
+        return run
+
+    transforms, products = (math.ceil(total / fit) for total in (transforms, 3 * passes * fields * pairs))
+    return {
+        "complex": repeat(transforms, lambda: torch.fft.fft2(planes)),
+        "real": repeat(transforms, lambda: torch.fft.rfft2(real)),
+        "products": repeat(products, lambda: torch.mul(planes, other, out=product)),
+        "memory": repeat(passes, lambda: target.copy_(captures)),
+    }
+
+
+def floors(camera_work: Callable[[], object], bare: dict[str, Callable[[], object]], rounds: int) -> tuple[str, ...]:
+    """Time captures and their least work in turn: parts, floor, Camera [ms], and Camera's time over the floor."""
+    times = timing.alternate({"camera": camera_work} | bare, rounds)
+    transforms = [min(pair) for pair in zip(times["complex"], times["real"], strict=True)]
+    floor = [sum(parts) for parts in zip(transforms, times["products"], times["memory"], strict=True)]
+    columns = (times["complex"], times["real"], times["products"], times["memory"], floor, times["camera"])
+    return *(timing.spread(column, 1e3) for column in columns), timing.ratio(times["camera"], floor)
 
 
 def main(arguments: list[str] | None = None) -> None:
     parser = timing.arguments(__doc__)
+    parser.add_argument("--floors", action="store_true", help="only the floors: seconds")
     parser.add_argument("--rounds", type=int, default=9, help="timed runs; the plain way has at most 2")
     options = parser.parse_args(arguments)
     fields, kernel, shapes = (2, 11, ((2, 16),)) if options.tiny else (9, 51, SHAPES)
-    rows, floors = [], []
+    rows, least = [], []
     generator = torch.Generator().manual_seed(0)
     for count, pixels in shapes:
         images = torch.rand(count, 3, pixels, pixels, generator=generator)
@@ -99,15 +113,15 @@ def main(arguments: list[str] | None = None) -> None:
         psf *= 0.8 / psf.sum((-2, -1), keepdim=True)
         upstream = torch.randn(fields, count, 3, pixels, pixels, generator=generator)
         leaf = psf.clone().requires_grad_()
-        for other in (plain, fastest):
+
+        def forward(way, psf=psf, images=images):
+            return lambda: way(psf, images)
+
+        def both(way, leaf=leaf, images=images, upstream=upstream):
+            return lambda: torch.autograd.grad(way(leaf, images), leaf, upstream)
+
+        for other in () if options.floors else (plain, fastest):
             difference = differences(camera, other, psf, images, upstream)
-
-            def forward(way, psf=psf, images=images):
-                return lambda: way(psf, images)
-
-            def both(way, leaf=leaf, images=images, upstream=upstream):
-                return lambda: torch.autograd.grad(way(leaf, images), leaf, upstream)
-
             slow = other is plain  # up to a minute each
             rounds = min(2, options.rounds) if slow else options.rounds
             for name, work in [("forward", forward)] * (not slow) + [("forward and backward", both)]:
@@ -117,8 +131,9 @@ def main(arguments: list[str] | None = None) -> None:
                 rows.append(
                     (f"{count} x {pixels} px", name, other.__name__, *milliseconds, timing.ratio(b, a), difference)
                 )
-        arithmetic, traffic = floor_ms(count, pixels, fields, kernel)
-        floors.append((f"{count} x {pixels} px", f"{arithmetic:.1f}", f"{traffic:.1f}"))
+        for name, work in (("forward", forward), ("forward and backward", both)):
+            bare = bare_work(count, pixels, fields, kernel, work is both)
+            least.append((f"{count} x {pixels} px", name, *floors(work(camera), bare, options.rounds)))
     columns = (
         "images",
         "work",
@@ -128,9 +143,20 @@ def main(arguments: list[str] | None = None) -> None:
         "times faster",
         "differences: values, gradients",
     )
-    timing.report(f"Captures at {fields} fields, PSFs of {kernel} x {kernel}", columns, rows, options.save)
-    columns = ("images", "arithmetic of the transforms [ms]", "captures and their gradients through memory [ms]")
-    timing.report("Floors of forward and backward", columns, floors, options.save)
+    if rows:
+        timing.report(f"Captures at {fields} fields, PSFs of {kernel} x {kernel}", columns, rows, options.save)
+    columns = (
+        "images",
+        "work",
+        "complex transforms [ms]",
+        "real transforms [ms]",
+        "products [ms]",
+        "memory [ms]",
+        "floor [ms]",
+        "Camera [ms]",
+        "Camera over floor",
+    )
+    timing.report("Floors: the least work, each part alone in the cache", columns, least, options.save)
 
 
 if __name__ == "__main__":

@@ -1,40 +1,129 @@
 """Rendering of captures from images and PSFs by FFT convolution, and PSNR.
 
-capture = image * PSF + (1 - sum(PSF)) mean(image)
+capture = image * PSF + (1 - sum(PSF)) mean(image) = (image - mean(image)) * PSF + mean(image)
 
 The second term is the light outside the PSF window, modelled as a uniform veil, so that the mean flux is conserved.
 Borders are reflected.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from scipy.fft import next_fast_len
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-_BLOCK = 8  # images that a CPU renders at once, so that their spectra and those of their captures fit the cache
+_IMAGES = 16  # images that a CPU prepares at once
+_PLANE_BYTES = 2**20  # spectra that a CPU transforms at once, so that they stay in its cache
 
 
-def _spectrum(planes: Tensor, size: tuple[int, int]) -> Tensor:
-    """Compute the 2D spectrum of real planes (..., h, w), zero-padded to `size`: (..., w / 2 + 1, h), transposed.
+class _Run(NamedTuple):
+    """Consecutive pairs of images, `start` to `stop`, that are rendered at one field."""
 
-    The transposition halves the cost of the inverse transform along the columns, which are contiguous.
+    field: int
+    start: int
+    stop: int
+
+
+class _Convolution(torch.autograd.Function):
+    """Captures of pairs of images, IFFT(FFT(image - mean) FFT(PSF)) + mean.
+
+    A pair is one complex image: PSFs are real, so that its parts do not mix, and one complex transform does the work of
+    two real ones without copies. Circular convolution wraps only into K - 1 rows and columns, which are cropped. The
+    gradient at a PSF is the correlation of images and gradients at captures: one inverse transform for all images.
     """
-    return torch.fft.fft(torch.fft.rfft(planes, size[1]).transpose(-1, -2), size[0])
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        images: Tensor,
+        mean: Tensor,
+        psf: Tensor,
+        runs: list[_Run],
+        shape: tuple[int, int],
+        kernels: list[Tensor],
+    ) -> Tensor:
+        """Render captures (N, 2, 3, H, W) of the pairs of each run in turn.
+
+        Args:
+            images: (3, P, n, m) spectra of pairs of images with borders, less their mean.
+            mean: (3, P) complex.
+            psf: (F, 3, K, K), for its gradient.
+            runs: what to render.
+            shape: height and width of the captures.
+            kernels: spectra (n, m) of the PSFs by field and colour, divided by n m.
+        """
+        captures = psf.new_empty(sum(run.stop - run.start for run in runs), 2, 3, *shape)
+        window = _window(psf, shape)
+        for field, colour, blocks in _schedule(runs, images):
+            for source, target in blocks:
+                product = images[colour, source] * kernels[3 * field + colour]
+                product[:, 0, 0] += mean[colour, source]
+                planes = torch.fft.ifft2(product, norm="forward")[window]
+                captures[target, 0, colour], captures[target, 1, colour] = planes.real, planes.imag
+        ctx.save_for_backward(images, psf)
+        ctx.arguments = runs, shape, kernels
+        return captures
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        """Compute the gradients at the spectra of images, their mean, and the PSFs."""
+        images, psf = ctx.saved_tensors
+        runs, shape, kernels = ctx.arguments
+        at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
+        at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
+        conjugate = images.conj().resolve_conj()
+        padded = torch.zeros_like(images[0])
+        window = padded[_window(psf, shape)]
+        for field, colour, blocks in _schedule(runs, images):
+            total = torch.zeros_like(padded[0])
+            for source, target in blocks:
+                upstream = gradient[target, :, colour]
+                torch.complex(upstream[:, 0], upstream[:, 1], out=window[: len(upstream)])
+                product = torch.fft.fft2(padded[: len(upstream)])
+                if at_images is not None:
+                    at_images[colour, source].addcmul_(product, kernels[3 * field + colour].conj())
+                    at_mean[colour, source] += product[:, 0, 0]
+                for planes in zip(product, conjugate[colour, source], strict=True):
+                    total.addcmul_(*planes)
+            at_psf[field, colour] += torch.fft.ifft2(total).real[: psf.shape[-2], : psf.shape[-1]]
+        return at_images, at_mean, at_psf, None, None, None
 
 
-def _at_once(images: Tensor) -> int:
-    """Return the number of images that are rendered at once: all on a GPU."""
-    return _BLOCK if images.device.type == "cpu" else len(images)
+def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[slice, ...]:
+    """Return the index of the captures in convolved planes (P, n, m)."""
+    return slice(None), *(slice(k - 1, k - 1 + side) for k, side in zip(psf.shape[-2:], shape, strict=True))
+
+
+def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, int, list[tuple[slice, slice]]]]:
+    """Yield field, colour, and their blocks: pairs that are transformed at once, and where their captures are."""
+    fit = _at_once(images)
+    begin = 0
+    for field, start, stop in runs:
+        ends = [(first, min(first + fit, stop)) for first in range(start, stop, fit)]
+        blocks = [(slice(a, b), slice(begin + a - start, begin + b - start)) for a, b in ends]
+        for colour in range(3):
+            yield field, colour, blocks
+        begin += stop - start
+
+
+def _fast_size(pixels: int) -> int:
+    """Return the next size whose transform is fast: a multiple of four with small factors."""
+    return 4 * next_fast_len(-(-pixels // 4))
+
+
+def _at_once(planes: Tensor) -> int:
+    """Return how many of complex planes (..., n, m) are transformed at once: all on a GPU."""
+    count = planes[..., 0, 0].numel()
+    return max(1, _PLANE_BYTES * count // planes.nbytes) if planes.device.type == "cpu" else count
 
 
 class Camera:
-    """A renderer of captures through a fixed set of PSFs.
-
-    The spectra of the PSFs are cached with their graph: PSFs that require a gradient need a new Camera per backward
-    pass.
+    """A renderer of captures through a fixed set of PSFs, whose spectra are cached.
 
     Args:
         psf: (F, 3, K, K) one PSF per field and colour, K odd.
@@ -43,36 +132,38 @@ class Camera:
     """
 
     def __init__(self, psf: Tensor, outside_window: str = "veil", colour: str = "srgb"):
-        energy = psf.sum((-2, -1), keepdim=True)
         if outside_window == "renormalise":
-            psf, energy = psf / energy.clamp(min=1e-12), torch.ones_like(energy)
+            psf = psf / psf.sum((-2, -1), keepdim=True).clamp(min=1e-12)
         self.psf = psf.float()
-        self.veil = (1 - energy).float()
         self.linear = colour == "linear"
-        self._spectra: dict[tuple[int, int], Tensor] = {}
+        self._kernels: dict[tuple[int, int], list[Tensor]] = {}
 
     def grid(self, images: Tensor) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
-        blocks = []
-        for block in images.split(_at_once(images)):
-            render, kernels = self._prepare(block)
-            blocks.append(torch.stack([render(*kernel) for kernel in zip(kernels, self.veil, strict=True)]))
-        return torch.cat(blocks, 1)
+        captures = []
+        for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
+            pairs = torch.cat([block, block[: len(block) % 2]]).unflatten(0, (-1, 2))
+            runs = [_Run(field, 0, len(pairs)) for field in range(len(self.psf))]
+            found = self._render(pairs, runs).unflatten(0, (len(runs), -1))
+            captures.append(found.flatten(1, 2)[:, : len(block)])
+        return captures[0] if len(captures) == 1 else torch.cat(captures, 1)
 
     def single(self, images: Tensor, fields: Tensor) -> Tensor:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
-        captures = []
-        for block, chosen in zip(images.split(_at_once(images)), fields.split(_at_once(images)), strict=True):
-            render, kernels = self._prepare(block)
-            captures.append(render(kernels[chosen], self.veil[chosen]))
-        return torch.cat(captures)
+        order: list[int] = []  # of the images by field, an even number each
+        runs = []
+        at = fields.tolist()
+        for field in sorted(set(at)):
+            chosen = [image for image, other in enumerate(at) if other == field]
+            start = len(order) // 2
+            order += chosen + chosen[: len(chosen) % 2]
+            runs.append(_Run(field, start, len(order) // 2))
+        captures = self._render(images[order].unflatten(0, (-1, 2)), runs).flatten(0, 1)
+        position = {image: place for place, image in enumerate(order)}
+        return captures[[position[image] for image in range(len(images))]]
 
-    def _prepare(self, images: Tensor) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
-        """Compute what all fields share.
-
-        Returns:
-            A function from spectra of PSFs and their veils, one for all images or one each, to captures (B, 3, H, W);
-            and the spectra of all PSFs (F, 3, w, h).
+    def _render(self, images: Tensor, runs: list[_Run]) -> Tensor:
+        """Render pairs of images (P, 2, 3, H, W) to captures (N, 2, 3, H, W), in the order of the runs.
 
         Raises:
             ValueError: the images are smaller than half of the PSF window.
@@ -83,20 +174,19 @@ class Camera:
             raise ValueError(f"images of {height} x {width} pixels are too small for a kernel of {2 * half + 1} pixels")
         if self.linear:
             images = rgb_to_linear_rgb(images)
-        size = (next_fast_len(height + 2 * half), next_fast_len(width + 2 * half))
-        if size not in self._spectra:
-            self._spectra[size] = _spectrum(self.psf, size)
-        spectra = _spectrum(F.pad(images.float(), (half,) * 4, mode="reflect"), size)
+        images = images.float().transpose(0, 2)  # colours first
         mean = images.mean((-2, -1), keepdim=True)
-
-        def render(kernel: Tensor, veil: Tensor) -> Tensor:
-            # Circular convolution wraps only into the border of 2 * half rows and columns that is cropped: rows before
-            # the second transform, which is then smaller.
-            rows = torch.fft.ifft(spectra * kernel)[..., 2 * half : 2 * half + height].transpose(-1, -2)
-            captures = torch.fft.irfft(rows, size[1])[..., 2 * half : 2 * half + width] + veil * mean
-            return linear_rgb_to_rgb(captures) if self.linear else captures
-
-        return render, self._spectra[size]
+        size = _fast_size(height + 2 * half), _fast_size(width + 2 * half)
+        # Reflection fills the whole transform where it can: what lies beyond the border has no effect.
+        far = [min(n - half - side, side - 1) for n, side in zip(size, (height, width), strict=True)]
+        padded = F.pad(torch.complex(*(images - mean).unbind(1)), (half, far[1], half, far[0]), mode="reflect")
+        means = torch.complex(*mean[..., 0, 0].unbind(1))
+        spectra = torch.fft.fft2(padded, size)
+        if size not in self._kernels:
+            blocks = self.psf.detach().to(spectra.dtype).flatten(0, 1).split(_at_once(spectra))
+            self._kernels[size] = [k for block in blocks for k in torch.fft.fft2(block, size, norm="forward")]
+        captures = _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
+        return linear_rgb_to_rgb(captures) if self.linear else captures
 
 
 def psnr(images: Tensor, reference: Tensor) -> Tensor:

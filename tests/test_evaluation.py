@@ -42,25 +42,30 @@ def test_evaluation_against_a_hand_count():
     assert not found
 
 
-def dimming(factors) -> Camera:
+class Dimming(Camera):
     """A camera whose fields scale the brightness: no lens does, but everything can be counted by hand."""
-    grid = torch.zeros(len(factors), 3, 3, 3)
-    grid[..., 1, 1] = torch.tensor(factors)[:, None]
-    camera = Camera(grid)
-    camera.veil.zero_()
-    return camera
+
+    def __init__(self, factors):
+        super().__init__(torch.zeros(len(factors), 3, 3, 3))
+        self.factors = torch.tensor(factors)[:, None, None, None, None]
+
+    def grid(self, images):
+        return self.factors * images
+
+    def single(self, images, fields):
+        return self.factors[fields, 0] * images
 
 
 def test_every_field_is_evaluated_on_every_image():
     """Field 1 halves the light: 240 is taken for medium there, and 120 for dark."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    correct, quality = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline(dimming([1.0, 0.5])))
+    correct, quality = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
     assert correct.shape == quality.shape == (2, 90)
     assert correct.double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(quality[1, :3], expected, rtol=0, atol=1e-3)
     rows, predictions_by_image = evaluation.measure(
-        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(dimming([1.0, 0.5]))
+        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     )
     assert predictions_by_image[:3] == [
         {"image": 0, "label": "dark", "field0": 1, "field1": 1},
@@ -80,7 +85,7 @@ def test_restoration_stands_between_camera_and_classifier():
             return 2 * captures
 
     dataset = grey_images([10, 240, 120], [0, 2, 1])
-    pipeline = evaluation.CapturePipeline(dimming([0.5, 0.5]), Double())
+    pipeline = evaluation.CapturePipeline(Dimming([0.5, 0.5]), Double())
     correct, quality = evaluation.evaluate(Brightness(), dataset, pipeline)
     assert correct.all() and (quality > 80).all()
     seen = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
@@ -89,7 +94,7 @@ def test_restoration_stands_between_camera_and_classifier():
 
 def test_training_sees_a_random_field_per_image():
     """Over many images each field is seen about equally often, drawn by the generator alone."""
-    pipeline, images = evaluation.CapturePipeline(dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
+    pipeline, images = evaluation.CapturePipeline(Dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
     seen = [pipeline.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
     assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
     counts = torch.bincount((10 * seen[0]).round().long(), minlength=5)[1:]
@@ -100,7 +105,7 @@ def test_the_worst_images_are_one_in_a_hundred():
     """Of 250 images of as many greys, halved in brightness, the three brightest lose most."""
     dataset = grey_images(list(range(1, 251)), [0] * 250)
     rows, _ = evaluation.measure(
-        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(dimming([0.5]))
+        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
     )
     found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
     lost = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
