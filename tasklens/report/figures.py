@@ -4,15 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import torch
-from torch import Tensor
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.figure import SubFigure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Circle
+from torch import Tensor
 
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -48,12 +44,11 @@ class Panel:
 
 def draw(path: Path, panels: Sequence[Panel]) -> None:
     """Draw one lens, or several one above the other, and write a PNG file."""
-    whole = plt.figure(figsize=(13, 6 * len(panels)), layout="constrained")
+    whole = Figure(figsize=(13, 6 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     with replacing(path) as temporary:
         whole.savefig(temporary, dpi=110, format="png")
-    plt.close(whole)
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:
