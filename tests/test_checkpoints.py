@@ -46,7 +46,7 @@ def workplace(tmp_path_factory):
     (folder / "study.yaml").write_text(yaml.safe_dump(STUDY))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for job in (["images"], JOBS["reference"], JOBS["spot"], ["psf", "singlet-imaging1"]):
+        for job in (["images"], JOBS["reference"], JOBS["spot"]):
             assert run(*job) == 0
         yield folder
 

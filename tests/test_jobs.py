@@ -92,8 +92,8 @@ def measured(*measured_names: str):
 READERS = [
     ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] == "fine_tune"),
     ("images.seed", 5, lambda job: job == ("images",)),
-    ("evaluation_rays", 128, lambda job: job[0] in ("psf", "tail", "design")),
-    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf", "tail", "design")),
+    ("evaluation_rays", 128, lambda job: job[0] in ("psf_tail", "design")),
+    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
@@ -176,10 +176,8 @@ def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs
     else:
         others = (stage.output(study, "csv") for stage in (jobs.verdicts, jobs.psf_tail))
         found = needed(study, jobs.table.output(study, "csv", table=made), *others)
-        assert {job[1] for job in found if job[0] == "tail"} == set(contents.lenses)
     expected = set(map("-".join, itertools.product(elements, designs)))
     assert {job[1] for job in found if job[0] == "design"} == expected
-    assert {job[1] for job in found if job[0] == "psf"} == expected
     assert {job[1] for job in found if job[0] == "reference"} == {"resnet"}
     assert len({job for job in found if job[0] == "restore"}) == restorations
 
@@ -230,12 +228,12 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
-    """Other designs, PSFs and focal lengths to verify for doublets, which are no baselines of singlets then."""
+    """Other designs, tails and focal lengths to verify for doublets, which are no baselines of singlets then."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     found = {job for job in before if before[job] != after[job]}
-    doublets = {job for job in before if job[0] in ("design", "psf", "tail") and job[1].startswith("doublet")}
-    assert found == doublets | {("verdicts",), ("verify",)}
+    doublets = {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
+    assert found == doublets | {("psf_tail",), ("verdicts",), ("verify",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     efl_mm = jobs.verify.plan(both).settings.efl_mm
     assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]
@@ -326,6 +324,7 @@ def test_a_job_is_given_its_slice_its_files_and_a_checkpoint_of_its_own(tmp_path
     assert vars(outputs) == {
         "lens": Path(f"results/tiny/lenses/{lens}/seed4/lens.yaml"),
         "history": Path(f"results/tiny/lenses/{lens}/seed4/history.csv"),
+        "psf": Path(f"results/tiny/lenses/{lens}/seed4/psf.safetensors"),
     }
     assert fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", checkpoint.path.name)
     assert list(folder.iterdir()) == [another]

@@ -281,9 +281,9 @@ def edited(tmp_path, monkeypatch):
 
 READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
 JUDGE = {"verdicts", "regimes", "ablation"}
-FIGURES = {"figure", "comparison"}
+FIGURES = {"certificate", "comparison"}
 MEASUREMENTS = {"table", "verify", *JUDGE, *FIGURES}
-OPTICS = {"design", "psf", "tail", "certificate", *FIGURES}
+OPTICS = {"design", "psf_tail", *FIGURES}
 SEE = {"restore", "fine_tune", "reproduce"}
 
 
@@ -293,8 +293,8 @@ SEE = {"restore", "fine_tune", "reproduce"}
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/pipeline/stages/psf.py", '"""PSFs of a lens', '"""All PSFs of a lens'),
-        ("tasklens/pipeline/jobs.py", '"""Compute the PSFs', '"""Trace the PSFs'),
+        ("tasklens/pipeline/stages/design.py", '"""Write the PSFs', '"""Write all PSFs'),
+        ("tasklens/pipeline/jobs.py", '"""Make the tables of core', '"""Make all tables of core'),
     ],
 )
 def test_words_do_not_change_a_digest(digests, edited, path, old, new):
@@ -315,9 +315,10 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/study/names.py", '"-restored"', '"-mended"', READ_IMAGES | MEASUREMENTS - FIGURES),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
-        ("tasklens/pipeline/stages/psf.py", "grid.float()", "grid", {"psf"}),
+        ("tasklens/pipeline/stages/design.py", "grid.float()", "grid", {"design"}),
         ("tasklens/pipeline/stages/classify.py", ".requires_grad_(False)", "", {"fine_tune", "reproduce"}),
-        ("tasklens/pipeline/stages/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
+        ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail"}),
+        ("tasklens/pipeline/stages/certificate.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
         ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE),
         ("tasklens/study/settings.py", "Field(2.8,", "Field(2.9,", set()),  # such a value is in the slice
         ("tasklens/pipeline/jobs.py", "priority=1", "priority=2", set()),

@@ -57,12 +57,12 @@ _LENS = "lenses/{lens}/seed{seed}"
 
 @stage(
     f"{STAGES}.design.run",
-    {"lens": f"{_LENS}/lens.yaml", "history": f"{_LENS}/history.csv"},
+    {"lens": f"{_LENS}/lens.yaml", "history": f"{_LENS}/history.csv", "psf": f"{_LENS}/psf.safetensors"},
     resumable=True,
     priority=1,  # most jobs wait for designs, and the longest jobs are among them
 )
 def design(study: Study, lens: str, seed: int) -> Plan:
-    """Design a lens, or import it; write its prescription, figures and history."""
+    """Design a lens, or import it; write its prescription, figures, history and PSFs."""
     entry = study.lens(lens)
     supervised = isinstance(entry.design, TaskDrivenSettings | EndToEndSettings)
     settings = LensDesign(
@@ -86,25 +86,12 @@ def design(study: Study, lens: str, seed: int) -> Plan:
     return Plan(settings, inputs, gpus=int(supervised))
 
 
-@stage(f"{STAGES}.psf.run", {"psf": f"{_LENS}/psf.safetensors"})
-def psf(study: Study, lens: str, seed: int) -> Plan:
-    """Compute the PSFs of a lens at all fields, cached for later jobs."""
-    spec = study.spec_of(study.lens(lens).elements)
-    return Plan(Slice(spec=spec, rays=study.evaluation_rays), {"lens": _lens(study, lens, seed)})
-
-
-@stage(f"{STAGES}.tail.run", {name: f"{_LENS}/{name}.csv" for name in ("psf_tail", "encircled_energy")})
-def tail(study: Study, lens: str, seed: int) -> Plan:
-    """Compute core, tail and encircled energy of the PSFs of a lens."""
-    return psf.plan(study, lens, seed)
-
-
 def _lens(study: Study, lens: str, seed: int) -> Path:
     return design.output(study, "lens", lens=lens, seed=seed)
 
 
 def _psf(study: Study, lens: str, seed: int) -> Path | None:
-    return None if lens == SHARP else psf.output(study, "psf", lens=lens, seed=seed)
+    return None if lens == SHARP else design.output(study, "psf", lens=lens, seed=seed)
 
 
 # ---- restorations and accuracies
@@ -212,13 +199,16 @@ def table(study: Study, table: str) -> Plan:
     return Plan(contents, {"lenses": inputs["lenses"], "metrics": inputs["metrics"], "paper": PAPER})
 
 
-@stage(f"{REPORT}.tails.make", _published("psf_tail") | {"encircled_energy": "tables/encircled_energy.csv"})
+@stage(
+    f"{STAGES}.psf_tail.run",
+    _published("psf_tail", "fields.csv") | {"encircled_energy": "tables/encircled_energy.csv"},
+)
 def psf_tail(study: Study) -> Plan:
-    """Make the tables of the tails and the encircled energy of all PSFs."""
+    """Make the tables of core, tail and encircled energy of all PSFs."""
     lenses = paper_tables.table_lenses(study)
-    keys = [(lens, seed) for lens in lenses for seed in study.seeds]
-    inputs = {name: {(x, s): tail.output(study, name, lens=x, seed=s) for x, s in keys} for name in tail.patterns}
-    return Plan(Slice(study=study.name, lenses=lenses, seeds=study.seeds), inputs)
+    specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
+    settings = Slice(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
+    return Plan(settings, {"lenses": _measurements(study, lenses, ())["lenses"]})
 
 
 @stage(f"{REPORT}.verdicts.make", _published("verdicts"))
@@ -242,19 +232,16 @@ def ablation(study: Study, ablation: str) -> Plan:
     return Plan(compared, _claimed(study, compared.claims))
 
 
-@stage(f"{STAGES}.certificate.run", {"page": f"{_LENS}/certificate.md"})
+@stage(
+    f"{STAGES}.certificate.one",
+    {"page": f"{_LENS}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"},
+)
 def certificate(study: Study, lens: str, seed: int) -> Plan:
-    """Write the page of a lens: its figures, its limits, and its manufacturability."""
-    return Plan(Slice(title=f"{lens}, seed {seed}"), {"lens": _lens(study, lens, seed)})
+    """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
+    return Plan(Slice(lens=lens, seed=seed), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
 
 
-@stage(f"{STAGES}.figures.one", {"figure": "figures/{lens}-seed{seed}.png"})
-def figure(study: Study, lens: str, seed: int) -> Plan:
-    """Draw a lens: cross-section with rays, spot diagrams and PSFs."""
-    return Plan(Slice(title=lens), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
-
-
-@stage(f"{STAGES}.figures.comparison", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
+@stage(f"{STAGES}.certificate.comparison", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
 def comparison(study: Study, elements: str, seed: int) -> Plan:
     """Draw the task-driven lens of some elements and the best imaging lens (figure 3)."""
     claim = paper_claims.regime_claim(study, elements)
