@@ -1,5 +1,7 @@
 """Every stage as a person types it, on a study of a few seconds; what each leaves, and how it complains."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -66,6 +68,17 @@ def lenses(workplace):
 def test_check_says_what_a_study_holds(workplace, capsys):
     assert run("check") == 0
     assert "tiny: 5 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
+
+
+def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
+    """Though it frees nothing: what it writes to a pipe is complete."""
+    program = [sys.executable, "-m", "tasklens.pipeline.cli"]
+    done = subprocess.run([*program, "check", "study.yaml"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "tiny: 5 lenses, 2 classifiers, seeds [0]\n")
+    done = subprocess.run([*program, "check", "absent.yaml"], capture_output=True, text=True)
+    assert done.returncode == 2 and "absent.yaml" in done.stderr
+    done = subprocess.run([*program, "bake"], capture_output=True, text=True)
+    assert done.returncode == 2 and "bake" in done.stderr
 
 
 def test_every_design_leaves_a_readable_lens(lenses):

@@ -233,7 +233,7 @@ def ablation(study: Study, ablation: str) -> Plan:
 
 
 @stage(
-    f"{STAGES}.certificate.one",
+    f"{STAGES}.certificate.run",
     {"page": f"{_LENS}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"},
 )
 def certificate(study: Study, lens: str, seed: int) -> Plan:
@@ -241,7 +241,7 @@ def certificate(study: Study, lens: str, seed: int) -> Plan:
     return Plan(Slice(lens=lens, seed=seed), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
 
 
-@stage(f"{STAGES}.certificate.comparison", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
+@stage(f"{STAGES}.comparison.run", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
 def comparison(study: Study, elements: str, seed: int) -> Plan:
     """Draw the task-driven lens of some elements and the best imaging lens (figure 3)."""
     claim = paper_claims.regime_claim(study, elements)

@@ -11,12 +11,14 @@ from matplotlib.patches import Circle
 from torch import Tensor
 
 from tasklens.materials.material import AIR
+from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields, trace_fields_full
 from tasklens.optics.aspheres import sag
+from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.files import replacing
+from tasklens.runtime.files import read_tensors, replacing
 
 _SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
 _COLOURS = ("tab:blue", "tab:green", "tab:red")
@@ -40,6 +42,13 @@ class Panel:
     view: View
     psf: Tensor
     figures: Mapping
+
+
+def panel(title: str, path: Path, psf: Path) -> Panel:
+    """Read what a panel shows from the files of a lens and its PSFs; raises FileError."""
+    found, content = prescription.read(path)
+    view = view_of(found.lens, content, str(path))
+    return Panel(title, found.lens, view, read_tensors(psf)[0]["psf"], content["figures"])
 
 
 def draw(path: Path, panels: Sequence[Panel]) -> None:
