@@ -87,6 +87,11 @@ for target, paths in TARGETS.items():
 include: "workflow/rules/jobs.smk"
 
 
+if jobs.others(study):  # `tasklens fine-tune` makes one of these by hand
+
+    ruleorder: fine_tune_others > fine_tune
+
+
 shown = []  # the tables of this run, printed at its end
 
 

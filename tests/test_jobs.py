@@ -30,8 +30,10 @@ ROOT = Path(__file__).parents[1]
 def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
     """The wildcards of every job that a stage has in a study."""
     every_lens = [*study.lenses, *study.variants]
+    measures = stage in (jobs.fine_tune, jobs.fine_tune_others, jobs.reproduce)
+    made_with_others = jobs.others(study) if stage is jobs.fine_tune else []
     ranges = {
-        "lens": every_lens if "measured_name" not in stage.wildcards else [SHARP, *every_lens],
+        "lens": [SHARP, *every_lens] if measures else every_lens,
         "classifier": study.classifiers,
         "measured_name": [*study.classifiers, *map(names.restored, study.classifiers)],
         "table": TABLES,
@@ -41,8 +43,9 @@ def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
     }
     for values in itertools.product(*(ranges[name] for name in stage.wildcards)):
         found = dict(zip(stage.wildcards, values, strict=True))
-        if found.get("lens") != SHARP or not names.split(found["measured_name"])[1]:  # sharp images are not restored
-            yield found
+        name = found.get("measured_name", "")
+        if name not in made_with_others and not (found.get("lens") == SHARP and names.split(name)[1]):
+            yield found  # sharp images are not restored
 
 
 def every_job(study: Study) -> Iterator[tuple[tuple, Stage, dict]]:
@@ -86,11 +89,14 @@ RESTORED = ("small-restored", "other-restored")
 
 def measured(*measured_names: str):
     """Whether a job measures one of these, anew or again."""
-    return lambda job: job[0] in ("fine_tune", "reproduce") and job[2] in measured_names
+    return lambda job: (
+        (job[0] in ("fine_tune", "reproduce") and job[2] in measured_names)
+        or (job[0] == "fine_tune_others" and "other" in measured_names)
+    )
 
 
 READERS = [
-    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] == "fine_tune"),
+    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] in ("fine_tune", "fine_tune_others")),
     ("images.seed", 5, lambda job: job == ("images",)),
     ("evaluation_rays", 128, lambda job: job[0] in ("psf_tail", "design")),
     ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design")),
@@ -100,7 +106,7 @@ READERS = [
     ("restoration.steps", 9, lambda job: job[0] == "restore" or measured(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] == "restore" or (job[0] in ("fine_tune", "reproduce") and job[1] != SHARP)
+     lambda job: job[0] == "restore" or (job[0] in ("fine_tune", "fine_tune_others", "reproduce") and job[1] != SHARP)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,
      lambda job: job == ("reference", "small") or measured("small", "small-restored")(job)
@@ -252,7 +258,7 @@ def test_a_stage_is_declared_in_one_piece(stage):
     parameters = list(signature(function).parameters)
     assert parameters[1:] == ["inputs", "outputs", *(["checkpoint"] if stage.resumable else [])]
     assert digest.code_digest(stage.function)
-    for pattern in [*stage.patterns.values(), stage.label]:
+    for pattern in [*stage.patterns_in(parse(tiny_study())).values(), stage.label]:
         found = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
         assert found == set(stage.wildcards)
 
@@ -265,9 +271,10 @@ def test_every_function_among_the_stages_is_a_stage():
         public = getmembers(import_module(name), lambda value: isfunction(value) and value.__name__[0] != "_")
         found += [f"{name}.{key}" for key, value in public if value.__module__ == name]
     functions = [stage.function for stage in STAGES.values()]
+    study = parse(tiny_study())
     assert set(found) == {name for name in functions if not name.startswith("tasklens.report.")}
     assert len(set(functions)) == len(functions)
-    patterns = [pattern for stage in STAGES.values() for pattern in stage.patterns.values()]
+    patterns = [pattern for stage in STAGES.values() for pattern in stage.patterns_in(study).values()]
     assert len(set(patterns)) == len(patterns)
 
 

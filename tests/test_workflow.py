@@ -122,7 +122,8 @@ class Expected:
             needed |= {self.study.supervisor}
         by_seed = {
             "design": len(self.designed),
-            "fine_tune": len(self.measured),
+            "fine_tune": len({each for each in self.measured if each[1] == self.study.supervisor}),
+            "fine_tune_others": len({lens for lens, name, _ in self.measured if name != self.study.supervisor}),
             "restore": len({lens for lens, _, restored in self.measured if restored}),
             **others,
         }

@@ -113,13 +113,9 @@ def restore(study: Study, lens: str, seed: int) -> Plan:
     return Plan(settings, {"images": images, "psf": _psf(study, lens, seed)}, gpus=1)
 
 
-def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return settings and inputs of the captures, restored or not, for a measured name."""
-    classifier, restored = names.split(measured_name)
-    if restored and lens == SHARP:
-        raise StudyError(f"{SHARP} images are not restored; expected the classifier {classifier}")
+def _captures(study: Study, lens: str, restored: bool, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return settings and inputs of the captures of a lens, restored or not."""
     settings = {
-        "classifier": study.classifier(classifier),
         "capture": None if lens == SHARP else study.capture_of(lens),
         "restoration": study.restoration if restored else None,
     }
@@ -127,28 +123,62 @@ def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[d
     return settings, {"psf": _psf(study, lens, seed), "restoration": restoration}
 
 
-@stage(
-    f"{STAGES}.classify.fine_tune",
-    {
-        "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
-        "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
-        "predictions": "metrics/{lens}/seed{seed}/{measured_name}-predictions.csv",
-    },
-    resumable=True,
-)
-def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
-    """Fine-tune a classifier on the captures of a lens, and measure it on every field."""
+def _split(lens: str, measured_name: str) -> tuple[str, bool]:
+    """Split a measured name into classifier and whether captures are restored; raises StudyError."""
     classifier, restored = names.split(measured_name)
-    captures, inputs = _captures(study, lens, measured_name, seed)
+    if restored and lens == SHARP:
+        raise StudyError(f"{SHARP} images are not restored; expected the classifier {classifier}")
+    return classifier, restored
+
+
+def _fine_tuning(study: Study, lens: str, classifiers: Iterable[str], restored: bool, seed: int) -> Plan:
+    """Plan the fine-tuning of classifiers on the captures of a lens."""
+    chosen = {name: study.classifier(name) for name in classifiers}
+    if not chosen:
+        raise StudyError(f"classifiers: expected more than the supervisor {study.supervisor}")
+    captures, inputs = _captures(study, lens, restored, seed)
     elements, design_name = "", "reference"
     if lens != SHARP:
         elements, design_name = study.lens(lens).elements, study.lens(lens).design_name
-    rows = {"elements": elements, "design": design_name, "classifier": classifier, "restored": restored, "seed": seed}
+    rows = {"elements": elements, "design": design_name, "classifier": "", "restored": restored, "seed": seed}
     inputs["images"] = {name: split(study, name) for name in SPLITS}
-    inputs["weights"] = reference.output(study, "weights", classifier=classifier)
-    settings = Slice(**captures, training=study.fine_tuning, rows=rows, seed=seed)
-    processes = study.classifier(classifier).processes
+    inputs["weights"] = {name: reference.output(study, "weights", classifier=name) for name in chosen}
+    settings = Slice(**captures, classifiers=chosen, training=study.fine_tuning, rows=rows, seed=seed)
+    processes = max(each.processes for each in chosen.values())
     return Plan(settings, inputs, processes=processes, gpus=processes)
+
+
+_MEASUREMENTS = {
+    "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
+    "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
+    "predictions": "metrics/{lens}/seed{seed}/{measured_name}-predictions.csv",
+}
+
+
+@stage(f"{STAGES}.classify.fine_tune", _MEASUREMENTS, resumable=True)
+def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
+    """Fine-tune a classifier on the captures of a lens, and measure it on every field."""
+    classifier, restored = _split(lens, measured_name)
+    return _fine_tuning(study, lens, [classifier], restored, seed)
+
+
+def others(study: Study) -> list[str]:
+    """Return the classifiers but the supervisor, which stand in table 2 alone."""
+    return [name for name in study.classifiers if name != study.supervisor]
+
+
+def _measurements_of_others(study: Study) -> dict[str, str]:
+    return {
+        f"{output}_{name}": pattern.replace("{measured_name}", name)
+        for name in others(study)
+        for output, pattern in _MEASUREMENTS.items()
+    }
+
+
+@stage(f"{STAGES}.classify.fine_tune_others", _measurements_of_others, resumable=True)
+def fine_tune_others(study: Study, lens: str, seed: int) -> Plan:
+    """Fine-tune and measure all classifiers but the supervisor on the same captures, which are rendered once."""
+    return _fine_tuning(study, lens, others(study), False, seed)
 
 
 @stage(
@@ -158,13 +188,16 @@ def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
 )
 def reproduce(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
     """Classify the test images again with the stored weights, through the stored PSFs."""
-    captures, inputs = _captures(study, lens, measured_name, seed)
+    classifier, restored = _split(lens, measured_name)
+    captures, inputs = _captures(study, lens, restored, seed)
     inputs["test"] = split(study, "test")
     inputs["weights"] = _measured(study, lens, measured_name, seed, "weights")
-    return Plan(Slice(**captures), inputs, gpus=1)
+    return Plan(Slice(**captures, classifier=study.classifier(classifier)), inputs, gpus=1)
 
 
 def _measured(study: Study, lens: str, measured_name: str, seed: int, output: str) -> Path:
+    if measured_name in others(study):
+        return fine_tune_others.output(study, f"{output}_{measured_name}", lens=lens, seed=seed)
     return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
 
 
