@@ -63,7 +63,7 @@ TARGETS = {  # targets of the command line; the first is the default
     "backbones": TABLES["table2"],  # the single ablations of the paper's section 5
     "end_to_end": TABLES["table3"],
     "restoration": TABLES["table4"],
-    "figures": [jobs.figure.output(study, "figure", **lens) for lens in LENSES],
+    "figures": [jobs.certificate.output(study, "figure", **lens) for lens in LENSES],
     "figure3": [
         jobs.comparison.output(study, "figure", elements=study.lens(claim.lens).elements, seed=seed)
         for claim in claims.regime_claims(study).claims
@@ -85,6 +85,11 @@ for target, paths in TARGETS.items():
 
 
 include: "workflow/rules/jobs.smk"
+
+
+if jobs.others(study):  # `tasklens fine-tune` makes one of these by hand
+
+    ruleorder: fine_tune_others > fine_tune
 
 
 shown = []  # the tables of this run, printed at its end

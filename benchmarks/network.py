@@ -105,7 +105,7 @@ def fine_tuning(network: nn.Module, batch: int, size: int, rounds: int, device: 
     psf = torch.rand(FIELDS, 3, 51, 51, device=device)
     pipeline = CapturePipeline(Camera(psf / psf.sum((-2, -1), keepdim=True)))
     training = TrainingSettings(epochs=(rounds + 1) / 4, learning_rate=1e-5, batch_size=batch)
-    fit(classifier, dataset, training, 0, "fine-tuning", pipeline.one_field, clock)
+    fit({"network": classifier}, dataset, training, 0, "fine-tuning", pipeline.one_field, clock)
     images, labels = dataset.batch(torch.arange(batch))
     optimizer = torch.optim.AdamW(parameter_groups(classifier, 0.05), lr=1e-5)
     classifier.train()

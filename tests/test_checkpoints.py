@@ -23,6 +23,13 @@ from tasklens.runtime.files import FileError
 from tasklens.study.settings import TrainingSettings
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
+_TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 20}
+_VIT = {"img_size": 16, "patch_size": 8, "drop_path_rate": 0.5}  # draws, too
+STUDY["classifiers"] = {
+    "small": STUDY["classifiers"]["small"],
+    "other": {"model": "test_vit", "arguments": _VIT, "training": _TRAINING},
+    "third": {"model": "test_vit", "arguments": _VIT | {"drop_path_rate": 0.1}, "training": _TRAINING},
+}
 JOBS = {
     "reference": ["reference", "small"],
     "least_squares": ["design", "singlet-imaging2"],
@@ -31,6 +38,7 @@ JOBS = {
     "end_to_end": ["design", "singlet-end_to_end_from_flat"],
     "restoration": ["restore", "singlet-imaging1"],
     "fine_tuning": ["fine-tune", "singlet-imaging1", "small"],
+    "fine_tuning_others": ["fine-tune-others", "singlet-imaging1"],
     "reproduction": ["reproduce", "singlet-imaging1", "small"],
 }
 
@@ -46,7 +54,7 @@ def workplace(tmp_path_factory):
     (folder / "study.yaml").write_text(yaml.safe_dump(STUDY))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for job in (["images"], JOBS["reference"], JOBS["spot"], ["psf", "singlet-imaging1"]):
+        for job in (["images"], *(["reference", name] for name in STUDY["classifiers"]), JOBS["spot"]):
             assert run(*job) == 0
         yield folder
 
@@ -96,6 +104,20 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
         assert {path: Path(path).read_bytes() for path in expected} == expected
         assert not list(Path("results/tiny/checkpoints").iterdir())
     assert killed_at > 2
+
+
+def test_classifiers_are_fine_tuned_together_as_if_alone(workplace):
+    """The same weights, metrics and predictions, to the last bit, with random numbers of their own."""
+    start = time.time()
+    assert run(*JOBS["fine_tuning_others"]) == 0
+    expected = outputs(start)
+    assert len(expected) == 6
+    for name in ("third", "other"):
+        for path in expected:
+            if name in path:
+                Path(path).unlink()
+        assert run("fine-tune", "singlet-imaging1", name) == 0
+    assert {path: Path(path).read_bytes() for path in expected} == expected
 
 
 def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypatch, tmp_path):
@@ -167,11 +189,11 @@ def test_a_job_killed_in_its_evaluation_keeps_what_it_learned(monkeypatch, tmp_p
     due = iter([*(step == 3 for step in range(1, 9)), False, True])  # after step 3; at the end; in the evaluation
     monkeypatch.setattr(Checkpoint, "due", lambda self: next(due))
     network, checkpoint = small_network(0), Checkpoint(path)
-    training.fit(network, dataset, settings, 0, "fine-tune", checkpoint=checkpoint)
+    training.fit({"network": network}, dataset, settings, 0, "fine-tune", checkpoint=checkpoint)
     checkpoint.part("test").save(1, correct=torch.ones(3))
     monkeypatch.setattr(training.F, "cross_entropy", None)  # nothing is trained again
     resumed = small_network(1)
-    training.fit(resumed, dataset, settings, 0, "fine-tune", checkpoint=Checkpoint(path))
+    training.fit({"network": resumed}, dataset, settings, 0, "fine-tune", checkpoint=Checkpoint(path))
     assert all(torch.equal(value, network.state_dict()[name]) for name, value in resumed.state_dict().items())
 
 

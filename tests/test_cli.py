@@ -1,5 +1,7 @@
 """Every stage as a person types it, on a study of a few seconds; what each leaves, and how it complains."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,7 +59,6 @@ def lenses(workplace):
     for name in ("imaging1", "imaging2", "tasklens", "end_to_end_from_flat"):
         assert run("design", f"singlet-{name}") == 0
     for name in ("imaging1", "imaging2"):
-        assert run("psf", f"singlet-{name}") == 0
         assert run("fine-tune", f"singlet-{name}", "small") == 0
     assert run("design", "singlet-end_to_end_from_imaging") == 0
     assert run("fine-tune", "sharp", "small") == 0
@@ -67,6 +68,17 @@ def lenses(workplace):
 def test_check_says_what_a_study_holds(workplace, capsys):
     assert run("check") == 0
     assert "tiny: 5 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
+
+
+def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
+    """Though it frees nothing: what it writes to a pipe is complete."""
+    program = [sys.executable, "-m", "tasklens.pipeline.cli"]
+    done = subprocess.run([*program, "check", "study.yaml"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "tiny: 5 lenses, 2 classifiers, seeds [0]\n")
+    done = subprocess.run([*program, "check", "absent.yaml"], capture_output=True, text=True)
+    assert done.returncode == 2 and "absent.yaml" in done.stderr
+    done = subprocess.run([*program, "bake"], capture_output=True, text=True)
+    assert done.returncode == 2 and "bake" in done.stderr
 
 
 def test_every_design_leaves_a_readable_lens(lenses):
@@ -107,7 +119,7 @@ def test_a_design_is_repeatable_to_the_last_byte(lenses):
 
 def test_psf_file_says_what_it_holds(lenses):
     """9 fields, 3 colours, 11 x 11 pixels; the metadata's energies are the sums of the PSFs."""
-    tensors, notes = read_tensors(of_lens(jobs.psf, "psf", "singlet-imaging1"))
+    tensors, notes = read_tensors(of_lens(jobs.design, "psf", "singlet-imaging1"))
     assert tensors["psf"].shape == (9, 3, 11, 11) and tensors["psf"].dtype == torch.float32
     assert len(notes["fields_mm"]) == 9 and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
     torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
@@ -136,9 +148,8 @@ def test_restoration_and_tables_and_figure(lenses):
     assert run("table", "table1", "--partial") == 0
     shown = read_rows("results/tiny/tables/table1-partial.csv")
     assert [row["design"] for row in shown] == ["reference", "imaging1", "imaging2"]
-    assert run("figure", "singlet-imaging1") == 0
-    assert of_lens(jobs.figure, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert run("certificate", "singlet-imaging1") == 0
+    assert of_lens(jobs.certificate, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     page = of_lens(jobs.certificate, "page", "singlet-imaging1").read_text()
     assert page.startswith("# singlet-imaging1, seed 0\n") and "## Manufacturability" in page
 
@@ -168,12 +179,12 @@ def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     study = changed(tiny_study(), "imported.cooke", entry)
     path = lenses / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
-    for stage in ("design", "psf", "figure"):
+    for stage in ("design", "certificate"):
         assert cli.main([stage, "imported.yaml", "triplet-cooke"]) == 0
     content = lens_content("triplet-cooke")
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
-    assert of_lens(jobs.figure, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert of_lens(jobs.certificate, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert cli.main(["check", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
     assert cli.main(["check", "imported.yaml"]) == 2
@@ -233,7 +244,7 @@ def test_nonsense_in_a_lens_file_is_refused(lenses, capsys, keys, value, words):
     [
         (["design", "doublet-imaging1"], ["doublet-imaging1", "singlet-imaging1"]),
         (["fine-tune", "singlet-imaging1", "nobody"], ["nobody", "small"]),
-        (["psf", "singlet-imaging1", "--seed", "7"], ["seed7", "lens.yaml"]),
+        (["certificate", "singlet-imaging1", "--seed", "7"], ["seed7", "lens.yaml"]),
         (["fine-tune", "sharp", "small-restored"], ["sharp images are not restored", "small"]),
         (["reference", "other"], ["/nowhere"]),
         (["table", "table3"], ["metrics"]),
@@ -248,7 +259,7 @@ def test_a_mistake_is_one_message_and_exit_status_2(workplace, capsys, arguments
 
 def test_the_first_seed_of_the_study_is_the_default(workplace, capsys):
     (workplace / "seeds.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "seeds", [4, 0])))
-    assert cli.main(["psf", "seeds.yaml", "singlet-imaging1"]) == 2
+    assert cli.main(["certificate", "seeds.yaml", "singlet-imaging1"]) == 2
     assert "singlet-imaging1/seed4/lens.yaml" in capsys.readouterr().err
 
 
@@ -270,5 +281,5 @@ def test_a_wrong_study_is_a_message_too(workplace, capsys):
 
 def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
     write(of_lens(jobs.design, "lens", "singlet-imaging1", 5), "format: 2\n")
-    assert run("psf", "singlet-imaging1", "--seed", "5") == 2
+    assert run("certificate", "singlet-imaging1", "--seed", "5") == 2
     assert "lens.yaml" in capsys.readouterr().err

@@ -28,7 +28,7 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     study = changed(changed(tiny_study(), "classifiers.small", VIT), "fine_tuning.epochs", 2)
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     monkeypatch.chdir(tmp_path)
-    for call in (["images"], ["reference", "small"], ["design", "singlet-imaging1"], ["psf", "singlet-imaging1"]):
+    for call in (["images"], ["reference", "small"], ["design", "singlet-imaging1"]):
         assert cli.main([call[0], "study.yaml", *call[1:]]) == 0
     job = ["fine-tune", "study.yaml", "singlet-imaging1", "small"]
     metrics = Path("results/tiny/metrics/singlet-imaging1/seed0/small.csv")

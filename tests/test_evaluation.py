@@ -27,11 +27,11 @@ def grey_images(values, labels) -> data.ImageDataset:
 def test_evaluation_against_a_hand_count():
     """Four of five grey images are sorted as labelled; without a camera there is one field and no error."""
     dataset = grey_images([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
-    correct, quality = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline())
-    assert correct.tolist() == [[True, True, True, False, True]]
+    correct, quality = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
+    assert correct.tolist() == [[[True, True, True, False, True]]]
     assert quality.shape == (1, 5)
-    rows, predictions_by_image = evaluation.measure(
-        Brightness(), {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
+    ((rows, predictions_by_image),) = evaluation.measure(
+        [Brightness()], {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
     )
     assert [row["field0"] for row in predictions_by_image] == [1, 1, 1, 0, 1]
     found = {(row["field"], row["metric"]): row["value"] for row in rows}
@@ -59,13 +59,13 @@ class Dimming(Camera):
 def test_every_field_is_evaluated_on_every_image():
     """Field 1 halves the light: 240 is taken for medium there, and 120 for dark."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    correct, quality = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
-    assert correct.shape == quality.shape == (2, 90)
-    assert correct.double().mean(1).tolist() == pytest.approx([1, 1 / 3])
+    correct, quality = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    assert correct.shape == (1, 2, 90) and quality.shape == (2, 90)
+    assert correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(quality[1, :3], expected, rtol=0, atol=1e-3)
-    rows, predictions_by_image = evaluation.measure(
-        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
+    ((rows, predictions_by_image),) = evaluation.measure(
+        [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     )
     assert predictions_by_image[:3] == [
         {"image": 0, "label": "dark", "field0": 1, "field1": 1},
@@ -77,6 +77,21 @@ def test_every_field_is_evaluated_on_every_image():
     assert worst[1] == pytest.approx(float(expected[1]), abs=1e-3) and len(worst) == 2
 
 
+def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
+    """Each as if alone, with one rendering of every batch for both."""
+    dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
+    pipeline = evaluation.CapturePipeline(dimming([1.0, 0.5]))
+    splits = {"test": dataset, "minival": dataset.take(torch.arange(6))}
+    classifiers = [Brightness(), lambda images: -Brightness()(images)]
+    monkeypatch.setattr(evaluation, "parameters_m", lambda classifier: 0.0)
+    alone = [evaluation.measure([each], splits, pipeline)[0] for each in classifiers]
+    rendered = []
+    grid = pipeline.camera.grid
+    monkeypatch.setattr(pipeline.camera, "grid", lambda images: rendered.append(len(images)) or grid(images))
+    assert evaluation.measure(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
+    assert rendered == [64, 26, 6]
+
+
 def test_restoration_stands_between_camera_and_classifier():
     """A restoration that doubles the light undoes a camera that halves it."""
 
@@ -86,7 +101,7 @@ def test_restoration_stands_between_camera_and_classifier():
 
     dataset = grey_images([10, 240, 120], [0, 2, 1])
     pipeline = evaluation.CapturePipeline(Dimming([0.5, 0.5]), Double())
-    correct, quality = evaluation.evaluate(Brightness(), dataset, pipeline)
+    correct, quality = evaluation.evaluate([Brightness()], dataset, pipeline)
     assert correct.all() and (quality > 80).all()
     seen = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
     torch.testing.assert_close(seen, dataset.images.float() / 255, rtol=0, atol=1e-6)
@@ -104,8 +119,8 @@ def test_training_sees_a_random_field_per_image():
 def test_the_worst_images_are_one_in_a_hundred():
     """Of 250 images of as many greys, halved in brightness, the three brightest lose most."""
     dataset = grey_images(list(range(1, 251)), [0] * 250)
-    rows, _ = evaluation.measure(
-        Brightness(), {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
+    ((rows, _),) = evaluation.measure(
+        [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
     )
     found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
     lost = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
@@ -116,5 +131,5 @@ def test_evaluation_changes_nothing():
     """Neither batch statistics nor weights move while a classifier is measured."""
     network = trained_network(0)
     before = copy.deepcopy(network.state_dict())
-    evaluation.evaluate(network, random_images(20, 16, 3, seed=2), evaluation.CapturePipeline())
+    evaluation.evaluate([network], random_images(20, 16, 3, seed=2), evaluation.CapturePipeline())
     assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())

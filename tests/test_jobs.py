@@ -30,8 +30,10 @@ ROOT = Path(__file__).parents[1]
 def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
     """The wildcards of every job that a stage has in a study."""
     every_lens = [*study.lenses, *study.variants]
+    measures = stage in (jobs.fine_tune, jobs.fine_tune_others, jobs.reproduce)
+    made_with_others = jobs.others(study) if stage is jobs.fine_tune else []
     ranges = {
-        "lens": every_lens if "measured_name" not in stage.wildcards else [SHARP, *every_lens],
+        "lens": [SHARP, *every_lens] if measures else every_lens,
         "classifier": study.classifiers,
         "measured_name": [*study.classifiers, *map(names.restored, study.classifiers)],
         "table": TABLES,
@@ -41,8 +43,9 @@ def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
     }
     for values in itertools.product(*(ranges[name] for name in stage.wildcards)):
         found = dict(zip(stage.wildcards, values, strict=True))
-        if found.get("lens") != SHARP or not names.split(found["measured_name"])[1]:  # sharp images are not restored
-            yield found
+        name = found.get("measured_name", "")
+        if name not in made_with_others and not (found.get("lens") == SHARP and names.split(name)[1]):
+            yield found  # sharp images are not restored
 
 
 def every_job(study: Study) -> Iterator[tuple[tuple, Stage, dict]]:
@@ -86,21 +89,24 @@ RESTORED = ("small-restored", "other-restored")
 
 def measured(*measured_names: str):
     """Whether a job measures one of these, anew or again."""
-    return lambda job: job[0] in ("fine_tune", "reproduce") and job[2] in measured_names
+    return lambda job: (
+        (job[0] in ("fine_tune", "reproduce") and job[2] in measured_names)
+        or (job[0] == "fine_tune_others" and "other" in measured_names)
+    )
 
 
 READERS = [
-    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] == "fine_tune"),
+    ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] in ("fine_tune", "fine_tune_others")),
     ("images.seed", 5, lambda job: job == ("images",)),
-    ("evaluation_rays", 128, lambda job: job[0] in ("psf", "tail", "design")),
-    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf", "tail", "design")),
+    ("evaluation_rays", 128, lambda job: job[0] in ("psf_tail", "design")),
+    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
     ("restoration.steps", 9, lambda job: job[0] == "restore" or measured(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] == "restore" or (job[0] in ("fine_tune", "reproduce") and job[1] != SHARP)
+     lambda job: job[0] == "restore" or (job[0] in ("fine_tune", "fine_tune_others", "reproduce") and job[1] != SHARP)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,
      lambda job: job == ("reference", "small") or measured("small", "small-restored")(job)
@@ -176,10 +182,8 @@ def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs
     else:
         others = (stage.output(study, "csv") for stage in (jobs.verdicts, jobs.psf_tail))
         found = needed(study, jobs.table.output(study, "csv", table=made), *others)
-        assert {job[1] for job in found if job[0] == "tail"} == set(contents.lenses)
     expected = set(map("-".join, itertools.product(elements, designs)))
     assert {job[1] for job in found if job[0] == "design"} == expected
-    assert {job[1] for job in found if job[0] == "psf"} == expected
     assert {job[1] for job in found if job[0] == "reference"} == {"resnet"}
     assert len({job for job in found if job[0] == "restore"}) == restorations
 
@@ -230,12 +234,12 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
-    """Other designs, PSFs and focal lengths to verify for doublets, which are no baselines of singlets then."""
+    """Other designs, tails and focal lengths to verify for doublets, which are no baselines of singlets then."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     found = {job for job in before if before[job] != after[job]}
-    doublets = {job for job in before if job[0] in ("design", "psf", "tail") and job[1].startswith("doublet")}
-    assert found == doublets | {("verdicts",), ("verify",)}
+    doublets = {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
+    assert found == doublets | {("psf_tail",), ("verdicts",), ("verify",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     efl_mm = jobs.verify.plan(both).settings.efl_mm
     assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]
@@ -254,7 +258,7 @@ def test_a_stage_is_declared_in_one_piece(stage):
     parameters = list(signature(function).parameters)
     assert parameters[1:] == ["inputs", "outputs", *(["checkpoint"] if stage.resumable else [])]
     assert digest.code_digest(stage.function)
-    for pattern in [*stage.patterns.values(), stage.label]:
+    for pattern in [*stage.patterns_in(parse(tiny_study())).values(), stage.label]:
         found = {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
         assert found == set(stage.wildcards)
 
@@ -267,9 +271,10 @@ def test_every_function_among_the_stages_is_a_stage():
         public = getmembers(import_module(name), lambda value: isfunction(value) and value.__name__[0] != "_")
         found += [f"{name}.{key}" for key, value in public if value.__module__ == name]
     functions = [stage.function for stage in STAGES.values()]
+    study = parse(tiny_study())
     assert set(found) == {name for name in functions if not name.startswith("tasklens.report.")}
     assert len(set(functions)) == len(functions)
-    patterns = [pattern for stage in STAGES.values() for pattern in stage.patterns.values()]
+    patterns = [pattern for stage in STAGES.values() for pattern in stage.patterns_in(study).values()]
     assert len(set(patterns)) == len(patterns)
 
 
@@ -326,6 +331,7 @@ def test_a_job_is_given_its_slice_its_files_and_a_checkpoint_of_its_own(tmp_path
     assert vars(outputs) == {
         "lens": Path(f"results/tiny/lenses/{lens}/seed4/lens.yaml"),
         "history": Path(f"results/tiny/lenses/{lens}/seed4/history.csv"),
+        "psf": Path(f"results/tiny/lenses/{lens}/seed4/psf.safetensors"),
     }
     assert fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", checkpoint.path.name)
     assert list(folder.iterdir()) == [another]

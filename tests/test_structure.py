@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
+from examples import tiny_study
 
 from tasklens.pipeline import (
     digest,
@@ -127,6 +129,39 @@ def test_tables_need_no_torch():
         "measurements",
     )
     assert imported_with([f"tasklens.report.{name}" for name in names], ("torch", "matplotlib")) == ""
+
+
+NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
+
+
+@pytest.mark.parametrize(
+    "module, unused",
+    [
+        ("images", (*NETWORKS, "numba", "scipy.fft", "pandas", "matplotlib")),
+        ("design", (*NETWORKS, "scipy.fft", "scipy.optimize", "pandas", "matplotlib")),
+        ("psf_tail", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib")),
+        ("certificate", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot")),
+        ("restore", ("numba", "pandas", "matplotlib")),
+        ("reference", ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2")),
+        ("classify", ("numba", "pandas", "matplotlib", "torchvision.transforms.v2")),
+    ],
+)
+def test_a_stage_imports_what_it_uses(module, unused):
+    """Of the time of a short job, imports were nine tenths."""
+    assert imported_with([f"tasklens.pipeline.stages.{module}"], unused) == ""
+
+
+def test_a_design_by_image_quality_needs_no_network(tmp_path):
+    """By least squares, or by descent of the spots."""
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(tiny_study()))
+    code = (
+        "import sys; from tasklens.pipeline import cli\n"
+        "for lens in ('singlet-imaging1', 'singlet-imaging2'):\n"
+        "    assert cli.main(['design', 'study.yaml', lens]) == 0\n"
+        "print([m for m in ('timm', 'torchvision', 'kornia', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout == "[]\n", done.stderr
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -279,12 +314,12 @@ def edited(tmp_path, monkeypatch):
     digest.code_digest.cache_clear()
 
 
-READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "reproduce"}
+READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tune_others", "reproduce"}
 JUDGE = {"verdicts", "regimes", "ablation"}
-FIGURES = {"figure", "comparison"}
-MEASUREMENTS = {"table", "verify", *JUDGE, *FIGURES}
-OPTICS = {"design", "psf", "tail", "certificate", *FIGURES}
-SEE = {"restore", "fine_tune", "reproduce"}
+FIGURES = {"certificate", "comparison"}
+MEASUREMENTS = {"table", "verify", "comparison", *JUDGE}
+OPTICS = {"design", "psf_tail", *FIGURES}
+SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce"}
 
 
 @pytest.mark.parametrize(
@@ -293,8 +328,8 @@ SEE = {"restore", "fine_tune", "reproduce"}
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/pipeline/stages/psf.py", '"""PSFs of a lens', '"""All PSFs of a lens'),
-        ("tasklens/pipeline/jobs.py", '"""Compute the PSFs', '"""Trace the PSFs'),
+        ("tasklens/pipeline/stages/design.py", '"""Write the PSFs', '"""Write all PSFs'),
+        ("tasklens/pipeline/jobs.py", '"""Make the tables of core', '"""Make all tables of core'),
     ],
 )
 def test_words_do_not_change_a_digest(digests, edited, path, old, new):
@@ -312,12 +347,13 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
         ("tasklens/report/publish.py", "index=False", "index=True", {"table", "psf_tail", "certificate"} | JUDGE),
-        ("tasklens/study/names.py", '"-restored"', '"-mended"', READ_IMAGES | MEASUREMENTS - FIGURES),
+        ("tasklens/study/names.py", '"-restored"', '"-mended"', READ_IMAGES | MEASUREMENTS - {"comparison"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
-        ("tasklens/pipeline/stages/psf.py", "grid.float()", "grid", {"psf"}),
-        ("tasklens/pipeline/stages/classify.py", ".requires_grad_(False)", "", {"fine_tune", "reproduce"}),
-        ("tasklens/pipeline/stages/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
+        ("tasklens/pipeline/stages/design.py", "grid.float()", "grid", {"design"}),
+        ("tasklens/pipeline/stages/classify.py", ".requires_grad_(False)", "", SEE - {"restore"}),
+        ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail"}),
+        ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
         ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE),
         ("tasklens/study/settings.py", "Field(2.8,", "Field(2.9,", set()),  # such a value is in the slice
         ("tasklens/pipeline/jobs.py", "priority=1", "priority=2", set()),

@@ -144,7 +144,7 @@ def test_descending_lowers_the_loss(start):
     """Two dozen steps reduce the loss of a frozen network on its captures."""
     network = small_network()
     dataset = random_images(12, 16, 3, seed=0)
-    fit(network, dataset, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
+    fit({"network": network}, dataset, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
     images, labels = dataset.batch(torch.arange(12))
 
     def loss(lens):

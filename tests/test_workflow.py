@@ -122,10 +122,9 @@ class Expected:
             needed |= {self.study.supervisor}
         by_seed = {
             "design": len(self.designed),
-            "psf": len(self.designed),
-            "fine_tune": len(self.measured),
+            "fine_tune": len({each for each in self.measured if each[1] == self.study.supervisor}),
+            "fine_tune_others": len({lens for lens, name, _ in self.measured if name != self.study.supervisor}),
             "restore": len({lens for lens, _, restored in self.measured if restored}),
-            "tail": len(self.shown),
             **others,
         }
         counts = {name: count * len(self.study.seeds) for name, count in by_seed.items()}
@@ -154,7 +153,7 @@ def expected_of_everything(study: Study) -> dict[str, int]:
         found.measured |= {(lens, study.supervisor, False) for lens in lenses}
         found.add_starts([study.lens(lens) for lens in lenses])
     every = len(study.lenses)
-    per_seed = {"figure": every, "certificate": every, "comparison": len(drawn), "reproduce": again}
+    per_seed = {"certificate": every, "comparison": len(drawn), "reproduce": again}
     return found.counts(("ablation", len(study.ablations)), **per_seed)
 
 
@@ -186,8 +185,8 @@ def test_single_values_change_the_default_study(beside_config):
 @pytest.mark.parametrize("target", ["tables", "verify"])
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """12 lenses of the default study, not all 18: nothing else waits for those of end-to-end design."""
-    one = {"images": 1, "reference": 1, "table": 1, "verdicts": 1, "design": 12, "psf": 12, "fine_tune": 13}
-    others = {"tail": 12, "psf_tail": 1} if target == "tables" else {"reproduce": 13}
+    one = {"images": 1, "reference": 1, "table": 1, "verdicts": 1, "design": 12, "fine_tune": 13}
+    others = {"psf_tail": 1} if target == "tables" else {"reproduce": 13}
     assert plan(beside_config, None, target, "--config", 'tables=["table1"]') == one | others
 
 
@@ -197,7 +196,7 @@ def test_the_headline_makes_tables_1_and_3_for_five_seeds(beside_config):
     planned = plan(beside_config, None, "tables", "--configfile", "config/config.yaml", "config/headline.yaml")
     assert planned.pop("fine_tune") == 5 * (1 + len(study.lenses)) and planned.pop("table") == 2
     one = {"images": 1, "reference": 1, "psf_tail": 1, "verdicts": 1}
-    assert planned == one | dict.fromkeys(("design", "psf", "tail"), 5 * len(study.lenses))
+    assert planned == one | {"design": 5 * len(study.lenses)}
 
 
 def test_a_study_file_without_a_format_is_refused(beside_config):
@@ -229,7 +228,7 @@ def test_task_driven_designs_wait_for_what_they_need(tmp_path):
     assert plan(tmp_path, tiny_study(), lens.format("imaging1")) == {"design": 1}
     supervised = {"images": 1, "reference": 1, "design": 1}
     assert plan(tmp_path, tiny_study(), lens.format("tasklens")) == supervised
-    baselines = {"images": 1, "reference": 1, "design": 3, "psf": 2, "fine_tune": 2}
+    baselines = {"images": 1, "reference": 1, "design": 3, "fine_tune": 2}
     assert plan(tmp_path, tiny_study(), lens.format("end_to_end_from_imaging")) == baselines
 
 

@@ -19,7 +19,7 @@ def one_lens() -> dict:
     return study | {"designs": {"imaging1": study["designs"]["imaging1"]}}
 
 
-STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "psf": 1, "fine_tune": 2, "table": 1}
+STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def finished(tmp_path_factory):
     done = snakemake(folder, one_lens(), "table1")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "**Table 1" in done.stdout + done.stderr
-    assert "Study tiny: 7 jobs" in done.stdout + done.stderr
+    assert "Study tiny: 6 jobs" in done.stdout + done.stderr
     return folder
 
 
@@ -66,12 +66,12 @@ def test_a_dry_run_changes_nothing(finished):
     [
         ("tables", ["table1"], {}),
         ("restoration.steps", 9, {}),
-        ("designs.tasklens", tiny_study()["designs"]["tasklens"], {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
+        ("designs.tasklens", tiny_study()["designs"]["tasklens"], {"design": 1, "fine_tune": 1, "table": 1}),
         ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "table": 1}),
         ("capture.outside_window", "renormalise", {"fine_tune": 1, "table": 1}),
-        ("evaluation_rays", 128, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("constraints.max_track", 4.3, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
-        ("constraints.flat_track", 1.2, {"design": 1, "psf": 1, "fine_tune": 1, "table": 1}),
+        ("evaluation_rays", 128, {"design": 1, "fine_tune": 1, "table": 1}),
+        ("constraints.max_track", 4.3, {"design": 1, "fine_tune": 1, "table": 1}),
+        ("constraints.flat_track", 1.2, {"design": 1, "fine_tune": 1, "table": 1}),
         ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2, "table": 1}),
         ("images.seed", 4, {"images": 1, "reference": 1, "fine_tune": 2, "table": 1}),
     ],

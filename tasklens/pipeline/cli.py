@@ -6,6 +6,7 @@ Files are read and written below results/<study name>/. Only commands that need 
 """
 
 import argparse
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -112,16 +113,25 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; return exit status 2 for a user error, 1 for a failed `verify`, else 0."""
+    """Run one command; return exit status 2 for a user error, 1 for a failed `verify`, else 0.
+
+    As a program, without `argv`, it does not return: the process ends without freeing every object, which takes longer
+    than some jobs. All files are complete then.
+    """
     args = _parser().parse_args(argv)
     # torch causes this warning itself, at the first forward-mode derivative of a process.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     try:
-        return args.run(args) or 0
+        status = args.run(args) or 0
     except (InputError, FileNotFoundError, FloatingPointError) as error:
         print(f"tasklens: {error}", file=sys.stderr)
-        return 2
+        status = 2
+    if argv is None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -57,12 +57,12 @@ _LENS = "lenses/{lens}/seed{seed}"
 
 @stage(
     f"{STAGES}.design.run",
-    {"lens": f"{_LENS}/lens.yaml", "history": f"{_LENS}/history.csv"},
+    {"lens": f"{_LENS}/lens.yaml", "history": f"{_LENS}/history.csv", "psf": f"{_LENS}/psf.safetensors"},
     resumable=True,
     priority=1,  # most jobs wait for designs, and the longest jobs are among them
 )
 def design(study: Study, lens: str, seed: int) -> Plan:
-    """Design a lens, or import it; write its prescription, figures and history."""
+    """Design a lens, or import it; write its prescription, figures, history and PSFs."""
     entry = study.lens(lens)
     supervised = isinstance(entry.design, TaskDrivenSettings | EndToEndSettings)
     settings = LensDesign(
@@ -86,25 +86,12 @@ def design(study: Study, lens: str, seed: int) -> Plan:
     return Plan(settings, inputs, gpus=int(supervised))
 
 
-@stage(f"{STAGES}.psf.run", {"psf": f"{_LENS}/psf.safetensors"})
-def psf(study: Study, lens: str, seed: int) -> Plan:
-    """Compute the PSFs of a lens at all fields, cached for later jobs."""
-    spec = study.spec_of(study.lens(lens).elements)
-    return Plan(Slice(spec=spec, rays=study.evaluation_rays), {"lens": _lens(study, lens, seed)})
-
-
-@stage(f"{STAGES}.tail.run", {name: f"{_LENS}/{name}.csv" for name in ("psf_tail", "encircled_energy")})
-def tail(study: Study, lens: str, seed: int) -> Plan:
-    """Compute core, tail and encircled energy of the PSFs of a lens."""
-    return psf.plan(study, lens, seed)
-
-
 def _lens(study: Study, lens: str, seed: int) -> Path:
     return design.output(study, "lens", lens=lens, seed=seed)
 
 
 def _psf(study: Study, lens: str, seed: int) -> Path | None:
-    return None if lens == SHARP else psf.output(study, "psf", lens=lens, seed=seed)
+    return None if lens == SHARP else design.output(study, "psf", lens=lens, seed=seed)
 
 
 # ---- restorations and accuracies
@@ -126,13 +113,9 @@ def restore(study: Study, lens: str, seed: int) -> Plan:
     return Plan(settings, {"images": images, "psf": _psf(study, lens, seed)}, gpus=1)
 
 
-def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return settings and inputs of the captures, restored or not, for a measured name."""
-    classifier, restored = names.split(measured_name)
-    if restored and lens == SHARP:
-        raise StudyError(f"{SHARP} images are not restored; expected the classifier {classifier}")
+def _captures(study: Study, lens: str, restored: bool, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return settings and inputs of the captures of a lens, restored or not."""
     settings = {
-        "classifier": study.classifier(classifier),
         "capture": None if lens == SHARP else study.capture_of(lens),
         "restoration": study.restoration if restored else None,
     }
@@ -140,28 +123,62 @@ def _captures(study: Study, lens: str, measured_name: str, seed: int) -> tuple[d
     return settings, {"psf": _psf(study, lens, seed), "restoration": restoration}
 
 
-@stage(
-    f"{STAGES}.classify.fine_tune",
-    {
-        "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
-        "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
-        "predictions": "metrics/{lens}/seed{seed}/{measured_name}-predictions.csv",
-    },
-    resumable=True,
-)
-def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
-    """Fine-tune a classifier on the captures of a lens, and measure it on every field."""
+def _split(lens: str, measured_name: str) -> tuple[str, bool]:
+    """Split a measured name into classifier and whether captures are restored; raises StudyError."""
     classifier, restored = names.split(measured_name)
-    captures, inputs = _captures(study, lens, measured_name, seed)
+    if restored and lens == SHARP:
+        raise StudyError(f"{SHARP} images are not restored; expected the classifier {classifier}")
+    return classifier, restored
+
+
+def _fine_tuning(study: Study, lens: str, classifiers: Iterable[str], restored: bool, seed: int) -> Plan:
+    """Plan the fine-tuning of classifiers on the captures of a lens."""
+    chosen = {name: study.classifier(name) for name in classifiers}
+    if not chosen:
+        raise StudyError(f"classifiers: expected more than the supervisor {study.supervisor}")
+    captures, inputs = _captures(study, lens, restored, seed)
     elements, design_name = "", "reference"
     if lens != SHARP:
         elements, design_name = study.lens(lens).elements, study.lens(lens).design_name
-    rows = {"elements": elements, "design": design_name, "classifier": classifier, "restored": restored, "seed": seed}
+    rows = {"elements": elements, "design": design_name, "classifier": "", "restored": restored, "seed": seed}
     inputs["images"] = {name: split(study, name) for name in SPLITS}
-    inputs["weights"] = reference.output(study, "weights", classifier=classifier)
-    settings = Slice(**captures, training=study.fine_tuning, rows=rows, seed=seed)
-    processes = study.classifier(classifier).processes
+    inputs["weights"] = {name: reference.output(study, "weights", classifier=name) for name in chosen}
+    settings = Slice(**captures, classifiers=chosen, training=study.fine_tuning, rows=rows, seed=seed)
+    processes = max(each.processes for each in chosen.values())
     return Plan(settings, inputs, processes=processes, gpus=processes)
+
+
+_MEASUREMENTS = {
+    "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
+    "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
+    "predictions": "metrics/{lens}/seed{seed}/{measured_name}-predictions.csv",
+}
+
+
+@stage(f"{STAGES}.classify.fine_tune", _MEASUREMENTS, resumable=True)
+def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
+    """Fine-tune a classifier on the captures of a lens, and measure it on every field."""
+    classifier, restored = _split(lens, measured_name)
+    return _fine_tuning(study, lens, [classifier], restored, seed)
+
+
+def others(study: Study) -> list[str]:
+    """Return the classifiers but the supervisor, which stand in table 2 alone."""
+    return [name for name in study.classifiers if name != study.supervisor]
+
+
+def _measurements_of_others(study: Study) -> dict[str, str]:
+    return {
+        f"{output}_{name}": pattern.replace("{measured_name}", name)
+        for name in others(study)
+        for output, pattern in _MEASUREMENTS.items()
+    }
+
+
+@stage(f"{STAGES}.classify.fine_tune_others", _measurements_of_others, resumable=True)
+def fine_tune_others(study: Study, lens: str, seed: int) -> Plan:
+    """Fine-tune and measure all classifiers but the supervisor on the same captures, which are rendered once."""
+    return _fine_tuning(study, lens, others(study), False, seed)
 
 
 @stage(
@@ -171,13 +188,16 @@ def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
 )
 def reproduce(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
     """Classify the test images again with the stored weights, through the stored PSFs."""
-    captures, inputs = _captures(study, lens, measured_name, seed)
+    classifier, restored = _split(lens, measured_name)
+    captures, inputs = _captures(study, lens, restored, seed)
     inputs["test"] = split(study, "test")
     inputs["weights"] = _measured(study, lens, measured_name, seed, "weights")
-    return Plan(Slice(**captures), inputs, gpus=1)
+    return Plan(Slice(**captures, classifier=study.classifier(classifier)), inputs, gpus=1)
 
 
 def _measured(study: Study, lens: str, measured_name: str, seed: int, output: str) -> Path:
+    if measured_name in others(study):
+        return fine_tune_others.output(study, f"{output}_{measured_name}", lens=lens, seed=seed)
     return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
 
 
@@ -212,13 +232,16 @@ def table(study: Study, table: str) -> Plan:
     return Plan(contents, {"lenses": inputs["lenses"], "metrics": inputs["metrics"], "paper": PAPER})
 
 
-@stage(f"{REPORT}.tails.make", _published("psf_tail") | {"encircled_energy": "tables/encircled_energy.csv"})
+@stage(
+    f"{STAGES}.psf_tail.run",
+    _published("psf_tail", "fields.csv") | {"encircled_energy": "tables/encircled_energy.csv"},
+)
 def psf_tail(study: Study) -> Plan:
-    """Make the tables of the tails and the encircled energy of all PSFs."""
+    """Make the tables of core, tail and encircled energy of all PSFs."""
     lenses = paper_tables.table_lenses(study)
-    keys = [(lens, seed) for lens in lenses for seed in study.seeds]
-    inputs = {name: {(x, s): tail.output(study, name, lens=x, seed=s) for x, s in keys} for name in tail.patterns}
-    return Plan(Slice(study=study.name, lenses=lenses, seeds=study.seeds), inputs)
+    specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
+    settings = Slice(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
+    return Plan(settings, {"lenses": _measurements(study, lenses, ())["lenses"]})
 
 
 @stage(f"{REPORT}.verdicts.make", _published("verdicts"))
@@ -242,19 +265,16 @@ def ablation(study: Study, ablation: str) -> Plan:
     return Plan(compared, _claimed(study, compared.claims))
 
 
-@stage(f"{STAGES}.certificate.run", {"page": f"{_LENS}/certificate.md"})
+@stage(
+    f"{STAGES}.certificate.run",
+    {"page": f"{_LENS}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"},
+)
 def certificate(study: Study, lens: str, seed: int) -> Plan:
-    """Write the page of a lens: its figures, its limits, and its manufacturability."""
-    return Plan(Slice(title=f"{lens}, seed {seed}"), {"lens": _lens(study, lens, seed)})
+    """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
+    return Plan(Slice(lens=lens, seed=seed), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
 
 
-@stage(f"{STAGES}.figures.one", {"figure": "figures/{lens}-seed{seed}.png"})
-def figure(study: Study, lens: str, seed: int) -> Plan:
-    """Draw a lens: cross-section with rays, spot diagrams and PSFs."""
-    return Plan(Slice(title=lens), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})
-
-
-@stage(f"{STAGES}.figures.comparison", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
+@stage(f"{STAGES}.comparison.run", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
 def comparison(study: Study, elements: str, seed: int) -> Plan:
     """Draw the task-driven lens of some elements and the best imaging lens (figure 3)."""
     claim = paper_claims.regime_claim(study, elements)

@@ -56,7 +56,8 @@ class Stage:
     Attributes:
         plan: function from study and wildcards to the plan of a job; it gives the stage its name and wildcards.
         function: `package.module.function` with settings, inputs and outputs as arguments, which does the work.
-        patterns: path of each output below the results folder, with wildcards in braces.
+        patterns: path of each output below the results folder, with wildcards in braces; or a function that returns
+            them for a study, empty if the study has no such jobs.
         resumable: whether the function takes a checkpoint, so that a killed job is resumed.
         threads: number of threads per process for Snakemake.
         priority: Snakemake's priority of its jobs.
@@ -64,7 +65,7 @@ class Stage:
 
     plan: Callable[..., Plan]
     function: str
-    patterns: Mapping[str, str]
+    patterns: Mapping[str, str] | Callable[[Study], Mapping[str, str]]
     resumable: bool
     threads: int
     priority: int
@@ -97,13 +98,17 @@ class Stage:
         words = [f"--seed {wildcards[name]}" if name == SEED else wildcards[name] for name in self.wildcards]
         return " ".join(["tasklens" if processes == 1 else torchrun, self.name.replace("_", "-"), file, *words])
 
+    def patterns_in(self, study: Study) -> Mapping[str, str]:
+        """Return the patterns of the outputs in a study."""
+        return self.patterns(study) if callable(self.patterns) else self.patterns
+
     def outputs(self, study: Study, **wildcards: str | int) -> dict[str, Path]:
         """Return the paths of a job's outputs by name; without wildcards their patterns, for Snakemake."""
-        return {name: self.output(study, name, **wildcards) for name in self.patterns}
+        return {name: self.output(study, name, **wildcards) for name in self.patterns_in(study)}
 
     def output(self, study: Study, name: str, **wildcards: str | int) -> Path:
         """Return the path of the output `name` of a job; without wildcards its pattern."""
-        pattern = self.patterns[name]
+        pattern = self.patterns_in(study)[name]
         return Path(results(study), pattern.format(**wildcards) if wildcards else pattern)
 
 
@@ -111,7 +116,11 @@ STAGES: dict[str, Stage] = {}  # by name, in the order of their declaration
 
 
 def stage(
-    function: str, patterns: Mapping[str, str], resumable: bool = False, threads: int = 1, priority: int = 0
+    function: str,
+    patterns: Mapping[str, str] | Callable[[Study], Mapping[str, str]],
+    resumable: bool = False,
+    threads: int = 1,
+    priority: int = 0,
 ) -> Callable[[Callable[..., Plan]], Stage]:
     """Declare a stage by the function that plans its jobs; the arguments are attributes of `Stage`."""
 

@@ -1,7 +1,7 @@
 """Capture pipeline, and accuracy of a classifier on captures by field."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -46,21 +46,22 @@ class CapturePipeline:
 
 @torch.no_grad()
 def evaluate(
-    classifier: Callable[[Tensor], Tensor],
+    classifiers: Sequence[Callable[[Tensor], Tensor]],
     dataset: ImageDataset,
     pipeline: CapturePipeline,
     label: str = "evaluation",
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Tensor, Tensor]:
-    """Classify N images at F fields.
+    """Classify N images at F fields, which are captured once for all classifiers.
 
     Args:
-        classifier: function from images (B, 3, H, W) to logits (B, C).
+        classifiers: functions from images (B, 3, H, W) to logits (B, C).
         label: label of progress lines, and name of the part of the checkpoint.
         checkpoint: checkpoint of the job.
 
     Returns:
-        Whether each image is classified correctly at each field, (F, N) bool, and the PSNR of its capture [dB], (F, N).
+        Whether each classifier classifies each image correctly at each field, (classifiers, F, N) bool, and the PSNR of
+        its capture [dB], (F, N).
     """
     part = checkpoint.part(label)
     if part.result is not None:
@@ -71,7 +72,7 @@ def evaluate(
     for step, indices in enumerate(batches[part.step :], part.step + 1):
         images, labels = dataset.batch(indices)
         captures = pipeline.all_fields(images)
-        predicted = torch.stack([classifier(field).argmax(-1) for field in captures])
+        predicted = torch.stack([torch.stack([each(field).argmax(-1) for field in captures]) for each in classifiers])
         found.append(((predicted == labels).cpu(), psnr(captures, images).cpu()))
         progress(step)
         if checkpoint.due():
@@ -89,9 +90,16 @@ def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
 
 
 def zero_shot(
-    classifier: Classifier, dataset: ImageDataset, pipeline: CapturePipeline, checkpoint: Checkpoint = NO_CHECKPOINT
+    classifier: Classifier,
+    dataset: ImageDataset,
+    pipeline: CapturePipeline,
+    label: str = "zero-shot evaluation",
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> list[dict]:
     """Measure the accuracy among all outputs of a network with more outputs than the images have classes.
+
+    Args:
+        label, checkpoint: as of `evaluate`.
 
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
@@ -99,8 +107,8 @@ def zero_shot(
     if classifier.outputs is None:
         return []
     among_all = replace(dataset, labels=classifier.outputs.cpu()[dataset.labels])
-    correct, _ = evaluate(classifier.all_outputs, among_all, pipeline, "zero-shot evaluation", checkpoint)
-    values = (100 * correct.double().mean(-1)).tolist()
+    correct, _ = evaluate([classifier.all_outputs], among_all, pipeline, label, checkpoint)
+    values = (100 * correct[0].double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
 
 
@@ -119,36 +127,44 @@ def predictions_by_image(correct: Tensor, dataset: ImageDataset) -> list[dict]:
 
 
 def measure(
-    classifier: Classifier,
+    classifiers: Sequence[Classifier],
     splits: dict[str, ImageDataset],
     pipeline: CapturePipeline,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> tuple[list[dict], list[dict]]:
-    """Measure accuracy and PSNR of a classifier on captures, as means and by image.
+) -> list[tuple[list[dict], list[dict]]]:
+    """Measure accuracy and PSNR of classifiers on captures, as means and by image.
 
     Args:
         splits: data sets `test` and `minival`.
         checkpoint: checkpoint of the job.
 
     Returns:
-        Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of the worst 1 %,
-        per field; parameters [millions], and `chance`, the accuracy of guessing [%]. There is no PSNR without a camera.
-        And the rows of `predictions_by_image` for the test images.
+        Of each classifier rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of
+        the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. There is no PSNR
+        without a camera. And the rows of `predictions_by_image` for the test images.
     """
-    correct, quality = evaluate(classifier, splits["test"], pipeline, "test", checkpoint)
-    chosen, _ = evaluate(classifier, splits["minival"], pipeline, "minival", checkpoint)
+    correct, quality = evaluate(classifiers, splits["test"], pipeline, "test", checkpoint)
+    chosen, _ = evaluate(classifiers, splits["minival"], pipeline, "minival", checkpoint)
+    found = []
+    for classifier, test, minival in zip(classifiers, correct, chosen, strict=True):
+        rows = _metrics(test, minival, quality if pipeline.camera is not None else None)
+        whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(splits["test"].classes)}
+        rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
+        found.append((rows, predictions_by_image(test, splits["test"])))
+    return found
+
+
+def _metrics(correct: Tensor, chosen: Tensor, quality: Tensor | None) -> list[dict]:
+    """Return the rows of metrics by field from correct test and minival images and the PSNR, each (F, N)."""
     columns = {
         "accuracy": 100 * correct.double().mean(-1),
         "minival_accuracy": 100 * chosen.double().mean(-1),
     }
-    if pipeline.camera is not None:
+    if quality is not None:
         columns["psnr_db"] = quality.double().mean(-1)
         columns["worst_psnr_db"] = quality.double().sort(-1).values[:, : math.ceil(_WORST * quality.shape[-1])].mean(-1)
-    rows = [
+    return [
         {"field": field, "metric": metric, "value": value}
         for metric, values in columns.items()
         for field, value in enumerate(values.tolist())
     ]
-    whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(splits["test"].classes)}
-    rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
-    return rows, predictions_by_image(correct, splits["test"])

@@ -1,7 +1,8 @@
 """Training loop for classifiers on sharp images, captures or restored captures."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -10,7 +11,7 @@ from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, S
 
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.runtime.devices import send
+from tasklens.runtime.devices import random_state, send, set_random_state
 from tasklens.runtime.distributed import SINGLE_PROCESS, ProcessGroup
 from tasklens.runtime.progress import Progress
 from tasklens.study.settings import TrainingSettings
@@ -56,7 +57,7 @@ class Shuffled:
 
 
 def fit(
-    classifier: nn.Module,
+    networks: Mapping[str, nn.Module],
     dataset: ImageDataset,
     training: TrainingSettings,
     seed: int,
@@ -65,68 +66,101 @@ def fit(
     checkpoint: Checkpoint = NO_CHECKPOINT,
     group: ProcessGroup = SINGLE_PROCESS,
 ) -> None:
-    """Train a classifier in place with cross-entropy, and leave it in `eval()`.
+    """Train classifiers in place with cross-entropy, each as if alone, on the same captures; leave them in `eval()`.
 
     Args:
-        classifier: network for images (B, 3, H, W) in [0, 1].
+        networks: by name, networks for images (B, 3, H, W) in [0, 1].
         dataset: sharp training images.
         training: settings of the training.
-        seed: seed of the image order, the flips and the network's random numbers.
+        seed: seed of the image order, the flips and the networks' random numbers.
         label: label of progress lines, and name of the part of the checkpoint.
         capture: function that captures a share of the sharp images (B, 3, H, W); it draws the same random numbers
             from the generator for every share.
         checkpoint: checkpoint of the job; the first process saves it.
-        group: process group; all processes end with the same network.
+        group: process group; all processes end with the same networks.
 
     Raises:
         FloatingPointError: the loss, or a weight after the last step, is not finite.
     """
-    share, parallel = group.share(training.batch_size), group.wrap(classifier)
+    share = group.share(training.batch_size)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(dataset) / training.batch_size))
-    optimizer = torch.optim.AdamW(
-        parameter_groups(classifier, training.weight_decay), lr=training.learning_rate, fused=True
-    )
-    schedule = warmup_cosine(optimizer, steps, training.warmup)
+    trainees = {name: _Trainee(network, training, steps, group) for name, network in networks.items()}
     order = Shuffled(len(dataset), training.batch_size, generator)
     progress = Progress(label, steps)
-    part = checkpoint.part(label, network=classifier, optimizer=optimizer, schedule=schedule, order=order)
+    part = checkpoint.part(label, order=order, **{f"trainee {name}": each for name, each in trainees.items()})
     if part.result is not None:
-        classifier.load_state_dict(part.result["network"])
-        classifier.eval()
+        for name, network in networks.items():
+            network.load_state_dict(part.result["networks"][name])
+            network.eval()
         return
 
-    def check(step: int, loss: float) -> None:
-        if not math.isfinite(loss):
-            raise FloatingPointError(
-                f"{label}: the loss became {loss} at step {step} of {steps}; lower its learning_rate"
-            )
+    def check(step: int, losses: Mapping[str, Tensor]) -> None:
+        values = {name: loss.item() for name, loss in losses.items()}
+        for name, loss in values.items():
+            if not math.isfinite(loss):
+                raise FloatingPointError(
+                    f"{label}: the loss of {name} became {loss} at step {step} of {steps}; lower its learning_rate"
+                )
         if group.is_first:
-            progress(step, loss=loss)
+            progress(step, **{f"loss {name}" if len(values) > 1 else "loss": loss for name, loss in values.items()})
 
-    before = None
-    classifier.train()
+    before: dict[str, Tensor] = {}
+    for network in networks.values():
+        network.train()
     for step in range(part.step + 1, steps + 1):
         images, labels = dataset.batch(order.next())
         flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
-        if before is not None:  # after fetching images, which overlaps with the previous step on a GPU
-            check(step - 1, before.item())
+        if before:  # after fetching images, which overlaps with the previous step on a GPU
+            check(step - 1, before)
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
-        loss = F.cross_entropy(parallel(capture(images, generator, share)), labels[share])
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-        before = loss.detach()
+        captures = capture(images, generator, share)
+        before = {name: trainee.step(captures, labels[share]) for name, trainee in trainees.items()}
         if group.is_first:
-            part.save(step, loss=before)
-    if before is not None:
-        check(steps, before.item())
-    if not all(parameter.isfinite().all() for parameter in classifier.parameters()):
-        raise FloatingPointError(
-            f"{label}: the weights stopped being finite at step {steps} of {steps}; lower its learning_rate"
-        )
+            part.save(step, losses=before)
+    if before:
+        check(steps, before)
+    for name, network in networks.items():
+        if not all(parameter.isfinite().all() for parameter in network.parameters()):
+            raise FloatingPointError(
+                f"{label}: the weights of {name} stopped being finite at step {steps} of {steps}; "
+                "lower its learning_rate"
+            )
     if group.is_first:
-        part.finish(network=classifier.state_dict())
-    classifier.eval()
+        part.finish(networks={name: network.state_dict() for name, network in networks.items()})
+    for network in networks.values():
+        network.eval()
+
+
+class _Trainee:
+    """A network with its optimizer, schedule and random numbers, such as those of its dropout."""
+
+    def __init__(self, network: nn.Module, training: TrainingSettings, steps: int, group: ProcessGroup):
+        self.parallel = group.wrap(network)
+        groups = parameter_groups(network, training.weight_decay)
+        self.optimizer = torch.optim.AdamW(groups, lr=training.learning_rate, fused=True)
+        self.schedule = warmup_cosine(self.optimizer, steps, training.warmup)
+        self.holders: dict[str, Any] = {"network": network, "optimizer": self.optimizer, "schedule": self.schedule}
+        self.random = random_state()
+
+    def step(self, captures: Tensor, labels: Tensor) -> Tensor:
+        """Take one step; return the loss before it."""
+        set_random_state(self.random)
+        loss = F.cross_entropy(self.parallel(captures), labels)
+        self.optimizer.zero_grad()
+        loss.backward()
+        self.optimizer.step()
+        self.schedule.step()
+        self.random = random_state()
+        return loss.detach()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the states of network, optimizer, schedule and random numbers."""
+        return {name: holder.state_dict() for name, holder in self.holders.items()} | {"random": self.random}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue from saved states."""
+        for name, holder in self.holders.items():
+            holder.load_state_dict(state[name])
+        self.random = state["random"]

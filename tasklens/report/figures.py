@@ -4,23 +4,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Circle
 from torch import Tensor
 
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
-from matplotlib.figure import SubFigure
-from matplotlib.patches import Circle
-
 from tasklens.materials.material import AIR
+from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields, trace_fields_full
 from tasklens.optics.aspheres import sag
+from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.files import replacing
+from tasklens.runtime.files import read_tensors, replacing
 
 _SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
 _COLOURS = ("tab:blue", "tab:green", "tab:red")
@@ -46,14 +44,20 @@ class Panel:
     figures: Mapping
 
 
+def panel(title: str, path: Path, psf: Path) -> Panel:
+    """Read what a panel shows from the files of a lens and its PSFs; raises FileError."""
+    found, content = prescription.read(path)
+    view = view_of(found.lens, content, str(path))
+    return Panel(title, found.lens, view, read_tensors(psf)[0]["psf"], content["figures"])
+
+
 def draw(path: Path, panels: Sequence[Panel]) -> None:
     """Draw one lens, or several one above the other, and write a PNG file."""
-    whole = plt.figure(figsize=(13, 6 * len(panels)), layout="constrained")
+    whole = Figure(figsize=(13, 6 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     with replacing(path) as temporary:
         whole.savefig(temporary, dpi=110, format="png")
-    plt.close(whole)
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:

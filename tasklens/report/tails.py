@@ -1,14 +1,12 @@
 """Table of the tails of all PSFs of a study, and of their encircled energy."""
 
-from collections.abc import Mapping
-from itertools import product
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import pandas
 
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files, write_text
-from tasklens.study.settings import Slice
+from tasklens.runtime.files import Files, write_rows
 
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
@@ -17,16 +15,16 @@ outside 3 core radii, `outside_window` that outside the PSF window; the RMS is o
 with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian spot."""
 
 
-ByLens = Mapping[tuple[str, int], Path]  # by (lens, seed)
+Rows = Sequence[Mapping[str, Any]]
 
 
-def collect(contents: Slice, by_field: ByLens) -> pandas.DataFrame:
+def means(by_field: Rows) -> pandas.DataFrame:
     """Return a row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
-    rows = []
-    for lens, seed in product(contents.lenses, contents.seeds):
-        fields = pandas.read_csv(by_field[lens, seed]).drop(columns="field")
-        rows.append({"lens": lens, "seed": seed} | fields.mean(skipna=False).to_dict())
-    found = pandas.DataFrame(rows)
+    lenses = pandas.DataFrame(by_field).drop(columns="field").groupby(["lens", "seed"], sort=False)
+    found = pandas.DataFrame(
+        {"lens": lens, "seed": seed} | fields.drop(columns=["lens", "seed"]).mean(skipna=False).to_dict()
+        for (lens, seed), fields in lenses
+    )
     found["rms_over_core"] = found["rms_um"] / found["core_radius_um"]
     return found
 
@@ -40,16 +38,15 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
     return table.reset_index()
 
 
-def curves(contents: Slice, encircled_energy: ByLens) -> pandas.DataFrame:
-    """Return the encircled energy of every lens: lens, seed, field, radius_um, fraction."""
-    pairs = product(contents.lenses, contents.seeds)
-    each = [pandas.read_csv(encircled_energy[lens, seed]).assign(lens=lens, seed=seed) for lens, seed in pairs]
-    return pandas.concat(each)[["lens", "seed", "field", "radius_um", "fraction"]]
+def publish_tails(study: str, by_field: Rows, curves: Rows, outputs: Files) -> None:
+    """Write the table as CSV and Markdown; its rows by field, and the encircled energy, as CSV.
 
-
-def make(contents: Slice, inputs: Files, outputs: Files) -> None:
-    """Write the table as CSV and Markdown, and the curves as CSV."""
-    table = summarise(collect(contents, inputs.psf_tail))
+    Args:
+        by_field: rows (lens, seed, field, ...) of tails.
+        curves: rows (lens, seed, field, radius_um, fraction) of the encircled energy.
+    """
+    table = summarise(means(by_field))
     shown = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
-    publish(outputs, "Tails of the PSFs", table, shown, _NOTE.format(study=contents.study))
-    write_text(outputs.encircled_energy, curves(contents, inputs.encircled_energy).to_csv(index=False))
+    publish(outputs, "Tails of the PSFs", table, shown, _NOTE.format(study=study))
+    write_rows(outputs.fields_csv, by_field)
+    write_rows(outputs.encircled_energy, curves)

@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 
+from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.runtime.files import FileError, replacing
 
 INTERVAL = 60.0  # least time between writing files [s]
@@ -60,9 +61,7 @@ class Checkpoint:
         """
         record = self.records.get(name, {})
         if record:
-            torch.set_rng_state(record["random"]["cpu"])
-            if "gpu" in record["random"] and torch.cuda.is_available():
-                torch.cuda.set_rng_state(record["random"]["gpu"])
+            set_random_state(record["random"])
         for key, state in record.get("holders", {}).items():
             holders[key].load_state_dict(state)
         return Part(self, name, record, holders)
@@ -127,9 +126,6 @@ class Part:
                 self.checkpoint.write()
 
     def _remember(self, record: dict[str, Any]) -> None:
-        random = {"cpu": torch.get_rng_state()}
-        if torch.cuda.is_initialized():  # dropout uses the GPU's generator
-            random["gpu"] = torch.cuda.get_rng_state()
         rows = [dict(row) for row in self.history]
         # A copy, since the tensors of a network change in place while a later part of the job is saved.
-        self.checkpoint.records[self.name] = copy.deepcopy(record) | {"random": random, "history": rows}
+        self.checkpoint.records[self.name] = copy.deepcopy(record) | {"random": random_state(), "history": rows}

@@ -3,6 +3,7 @@
 import fcntl
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TextIO
 
@@ -54,6 +55,21 @@ def claim_several(wanted: int) -> list[torch.device]:
 def send(tensor: Tensor, device: torch.device) -> Tensor:
     """Copy a CPU tensor to `device`, asynchronously to a GPU."""
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
+
+
+def random_state() -> dict[str, Tensor]:
+    """Return the states of torch's random numbers, on the CPU and on the GPU if one is used."""
+    state = {"cpu": torch.get_rng_state()}
+    if torch.cuda.is_initialized():
+        state["gpu"] = torch.cuda.get_rng_state()
+    return state
+
+
+def set_random_state(state: Mapping[str, Tensor]) -> None:
+    """Set the states of torch's random numbers to those that `random_state` returned."""
+    torch.set_rng_state(state["cpu"])
+    if "gpu" in state and torch.cuda.is_available():
+        torch.cuda.set_rng_state(state["gpu"])
 
 
 def half_precision(device: torch.device) -> torch.autocast:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 import torch
-from timm.layers import convert_sync_batchnorm
 from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
@@ -49,6 +48,8 @@ class ProcessGroup:
         if self.size == 1:
             return network
         if self.device != CPU:
+            from timm.layers import convert_sync_batchnorm
+
             network = convert_sync_batchnorm(network)  # torch's function drops activations of timm's batch norms
         return DistributedDataParallel(network)
 

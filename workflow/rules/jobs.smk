@@ -7,6 +7,8 @@ def plan(name, *wildcards):
 
 
 for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
+    if callable(stage.patterns) and not stage.outputs(study):
+        continue
 
     rule:
         name:

@@ -1,19 +1,21 @@
-"""The page of a lens: figures, aberrations, limits and manufacturability."""
+"""The certificate of a lens: figures, aberrations, limits and manufacturability, and its drawing."""
 
 from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
 from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.analysis.tolerances import errors_by_part
 from tasklens.optics.io import prescription
-from tasklens.report import certificate, manufacturability
+from tasklens.report import certificate, figures, manufacturability
 from tasklens.runtime.files import Files, write_text
 from tasklens.study.settings import Slice
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Write the page."""
+    """Write the page, and draw the lens."""
     found, content = prescription.read(inputs.lens)
     lens = found.lens
     view = view_of(lens, content, str(inputs.lens))
-    figures = certificate.markdown(settings.title, view.fields.tolist(), content, seidel_by_surface(lens, view))
+    title = f"{settings.lens}, seed {settings.seed}"
+    page = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(lens, view))
     errors = errors_by_part(lens, view, content["figures"]["rays"])
-    write_text(outputs.page, f"{figures}\n{manufacturability.markdown(content['margins'], shapes(lens), *errors)}")
+    write_text(outputs.page, f"{page}\n{manufacturability.markdown(content['margins'], shapes(lens), *errors)}")
+    figures.draw(outputs.figure, [figures.panel(settings.lens, inputs.lens, inputs.psf)])

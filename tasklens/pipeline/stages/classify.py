@@ -1,5 +1,7 @@
 """Fine-tuning and measurement of a classifier on the captures of a lens, and reproduction with its stored weights."""
 
+from collections.abc import Mapping
+
 import torch
 
 from restoration.nafnet import build
@@ -12,24 +14,54 @@ from tasklens.runtime.distributed import process_group
 from tasklens.runtime.files import Files, read_tensors, write_rows, write_tensors
 from tasklens.study.settings import Slice
 
+_OUTPUTS = ("weights", "metrics", "predictions")
+
 
 def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
-    """Write the weights, the metrics of every field, and the prediction for every test image."""
+    """Write the weights of a classifier, its metrics of every field, and its prediction for every test image."""
+    _fine_tune(settings, inputs, dict.fromkeys(settings.classifiers, outputs), checkpoint)
+
+
+def fine_tune_others(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
+    """Write the same of several classifiers."""
+    paths = vars(outputs)
+    by_name = {n: Files(**{key: paths[f"{key}_{n}"] for key in _OUTPUTS}) for n in settings.classifiers}
+    _fine_tune(settings, inputs, by_name, checkpoint)
+
+
+def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], checkpoint: Checkpoint) -> None:
+    """Fine-tune and measure classifiers, all on the same captures, which are rendered once."""
     with process_group() as group:
         splits = {name: dataset.read(*files, device=group.device) for name, files in inputs.images.items()}
-        classifier = classifiers.build(settings.classifier, splits["train"].classes, inputs.weights).to(group.device)
+        networks = {
+            name: classifiers.build(each, splits["train"].classes, inputs.weights[name]).to(group.device)
+            for name, each in settings.classifiers.items()
+        }
         pipeline = _capture_pipeline(settings, inputs, group.device)
-        rows = evaluation.zero_shot(classifier.eval(), splits["test"], pipeline, checkpoint) if group.is_first else []
-        capture = pipeline.one_field
+        before: dict[str, list[dict]] = {}
+        if group.is_first:
+            for name, network in networks.items():
+                label = f"zero-shot evaluation of {name}"
+                before[name] = evaluation.zero_shot(network.eval(), splits["test"], pipeline, label, checkpoint)
         training.fit(
-            classifier, splits["train"], settings.training, settings.seed, "fine-tune", capture, checkpoint, group
+            networks,
+            splits["train"],
+            settings.training,
+            settings.seed,
+            "fine-tune",
+            pipeline.one_field,
+            checkpoint,
+            group,
         )
     if not group.is_first:
         return
-    metrics, predictions = evaluation.measure(classifier, splits, pipeline, checkpoint)
-    write_tensors(outputs.weights, classifier.network.state_dict(), {"model": settings.classifier.model})
-    write_rows(outputs.metrics, [settings.rows | row for row in rows + metrics])
-    write_rows(outputs.predictions, predictions)
+    measured = evaluation.measure(list(networks.values()), splits, pipeline, checkpoint)
+    for (name, network), (metrics, predictions) in zip(networks.items(), measured, strict=True):
+        model = {"model": settings.classifiers[name].model}
+        write_tensors(outputs[name].weights, network.network.state_dict(), model)
+        rows = settings.rows | {"classifier": name}
+        write_rows(outputs[name].metrics, [rows | row for row in before[name] + metrics])
+        write_rows(outputs[name].predictions, predictions)
 
 
 def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
@@ -37,8 +69,9 @@ def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     device = claim()
     test = dataset.read(*inputs.test, device=device)
     classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
-    correct, _ = evaluation.evaluate(classifier, test, _capture_pipeline(settings, inputs, device), "test", checkpoint)
-    write_rows(outputs.predictions, evaluation.predictions_by_image(correct, test))
+    pipeline = _capture_pipeline(settings, inputs, device)
+    correct, _ = evaluation.evaluate([classifier], test, pipeline, "test", checkpoint)
+    write_rows(outputs.predictions, evaluation.predictions_by_image(correct[0], test))
 
 
 def _capture_pipeline(settings: Slice, inputs: Files, device: torch.device) -> CapturePipeline:

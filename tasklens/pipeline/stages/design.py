@@ -1,26 +1,48 @@
-"""Design of a lens, or import from its file."""
+"""Design of a lens, or import from its file, and its PSFs."""
 
 from tasklens.design import methods
+from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
-from tasklens.recognition import classifiers, dataset
-from tasklens.recognition.metrics import mean_metrics
+from tasklens.optics.view import view_of_spec
+from tasklens.recognition import dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
-from tasklens.runtime.files import Files, write_rows
+from tasklens.runtime.files import Files, write_rows, write_tensors
 from tasklens.study.design_settings import LensDesign
 
 
 def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
-    """Write the prescription with its figures and margins, and the history of the design."""
+    """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields."""
     classifier = train = None
     if settings.classifier is not None:
+        from tasklens.recognition import classifiers  # and timm, which other designs need not wait for
+
         device = claim()
         train = dataset.read(*inputs.train, device=device)
         classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
-    baselines = {
-        name: (prescription.read(path)[0].lens, mean_metrics(inputs.metrics[name])["minival_accuracy"])
-        for name, path in inputs.baselines.items()
-    }
+    baselines = {}
+    if inputs.baselines:
+        from tasklens.recognition.metrics import mean_metrics
+
+        baselines = {
+            name: (prescription.read(path)[0].lens, mean_metrics(inputs.metrics[name])["minival_accuracy"])
+            for name, path in inputs.baselines.items()
+        }
     lens, notes, history = methods.design(settings, classifier, train, baselines, checkpoint)
     write_rows(outputs.history, history)
     prescription.write(outputs.lens, prescription.Prescription(lens), notes)
+    _write_psf(settings, outputs)
+
+
+def _write_psf(settings: LensDesign, outputs: Files) -> None:
+    """Write the PSFs (F, 3, K, K) float32, with fields, wavelengths, pixel pitch, energies and number of rays."""
+    spec = settings.spec
+    grid = evaluation_psf(prescription.read(outputs.lens)[0].lens, view_of_spec(spec), settings.rays)
+    notes = {
+        "fields_mm": spec.fields_mm,
+        "wavelengths_um": spec.wavelengths_um,
+        "pixel_pitch_um": spec.pixel_pitch_um,
+        "energy_inside": grid.sum((-2, -1)).tolist(),
+        "rays": settings.rays,
+    }
+    write_tensors(outputs.psf, {"psf": grid.float()}, notes)

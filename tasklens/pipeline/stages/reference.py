@@ -16,5 +16,5 @@ def run(settings: ClassifierSettings, inputs: Files, outputs: Files, checkpoint:
     torch.manual_seed(0)
     classifier = classifiers.build(settings, train.classes).to(device)
     if settings.training is not None:
-        training.fit(classifier, train, settings.training, 0, "reference", checkpoint=checkpoint)
+        training.fit({settings.model: classifier}, train, settings.training, 0, "reference", checkpoint=checkpoint)
     write_tensors(outputs.weights, classifier.network.state_dict(), {"model": settings.model})
