@@ -80,7 +80,7 @@ def test_every_field_is_evaluated_on_every_image():
 def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
     """Each as if alone, with one rendering of every batch for both."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    pipeline = evaluation.CapturePipeline(dimming([1.0, 0.5]))
+    pipeline = evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     splits = {"test": dataset, "minival": dataset.take(torch.arange(6))}
     classifiers = [Brightness(), lambda images: -Brightness()(images)]
     monkeypatch.setattr(evaluation, "parameters_m", lambda classifier: 0.0)

@@ -32,6 +32,7 @@ from tasklens.optics.tracing.block import (
     Y,
     Z,
     compiled,
+    entry,
     horner,
     inlined,
 )
@@ -233,7 +234,7 @@ def _fill_slopes(slopes, r_most, surface, alpha):
             slopes[GENTLE_HERE] = u
 
 
-@compiled
+@entry
 def prepare(curvature, conic, thickness, alpha, limit, surfaces, polynomials):
     """Fill the table of surfaces and their polynomials, which are zero before."""
     for k in range(len(surfaces)):

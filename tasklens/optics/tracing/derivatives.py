@@ -30,6 +30,7 @@ from tasklens.optics.tracing.block import (
     Z,
     add,
     compiled,
+    entry,
     fill_colours,
     fill_media,
     horner,
@@ -40,7 +41,7 @@ from tasklens.optics.tracing.pose import into_pose, into_pose_jvp, into_pose_vjp
 from tasklens.optics.tracing.refraction import parameters_vjp, refract, refract_jvp, refract_vjp, to_surface
 
 
-@compiled
+@entry
 def reverse(first, last, start, count, lens, status, distances, gradient, b_start, b_lens_of, b_indices_of, b_poses_of):
     """Propagate gradients of rays on the image plane back to the rays at the start and to the lens.
 
@@ -106,7 +107,7 @@ def reverse(first, last, start, count, lens, status, distances, gradient, b_star
                     b_start[row, block + i] = g[row * BLOCK + i]
 
 
-@compiled
+@entry
 def forward(
     first,
     last,

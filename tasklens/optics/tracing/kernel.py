@@ -26,6 +26,7 @@ from tasklens.optics.tracing.block import (
     Y,
     Z,
     compiled,
+    entry,
     fill_colours,
     fill_media,
     horner,
@@ -40,7 +41,7 @@ _MISSED, _VIGNETTED = int(RayStatus.MISSED), int(RayStatus.VIGNETTED)
 _REFLECTED = int(RayStatus.TOTAL_INTERNAL_REFLECTION)
 
 
-@compiled
+@entry
 def trace(first, last, start, count, lens, image, status, lost_at, distances, record):
     """Trace the rays first .. last - 1 through all surfaces to the image plane.
 
