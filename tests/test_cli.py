@@ -280,7 +280,7 @@ def test_a_wrong_study_is_a_message_too(workplace, capsys):
 
 
 def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
-    write(of_lens(jobs.design, "lens", "singlet-imaging1", 5), "format: 2\n")
-    write(of_lens(jobs.design, "psf", "singlet-imaging1", 5), "")
+    for name in ("lens", "psf"):
+        write(of_lens(jobs.design, name, "singlet-imaging1", 5), "format: 2\n")
     assert run("certificate", "singlet-imaging1", "--seed", "5") == 2
-    assert "lens.yaml" in capsys.readouterr().err
+    assert "lens.yaml: " in capsys.readouterr().err

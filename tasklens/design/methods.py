@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from tasklens.design import end_to_end, imported, least_squares, spot, task
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.driver import History
 from tasklens.design.problem import Problem
@@ -55,8 +56,6 @@ def design(
     """
     settings, view = wanted.entry.design, view_of_spec(wanted.spec)
     if isinstance(settings, ImportedLens):
-        from tasklens.design import imported
-
         lens, origin = imported.fit(settings, view, wanted.spec.f_number, wanted.rays)
         used = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(wanted.rays, seed=0)]))
         origin = {"design": wanted.entry.design_name, "method": "file"} | origin
@@ -90,20 +89,11 @@ def _descend(
     classifier: nn.Module | None,
     checkpoint: Checkpoint,
 ) -> tuple[Lens, History]:
-    """Run the method of `settings` from `start`; return the lens and its history.
-
-    Only the module of this method is imported: descents need no scipy, and without a classifier no network is needed.
-    """
+    """Run the method of `settings` from `start`; return the lens and its history."""
     if isinstance(settings, SpotSettings):
-        from tasklens.design import spot
-
         return spot.design(start, problem, settings, checkpoint)
     if isinstance(settings, LeastSquaresSettings):
-        from tasklens.design import least_squares
-
         return least_squares.design(start, problem, settings, checkpoint)
-    from tasklens.design import end_to_end, task
-
     assert classifier is not None  # a supervised design has one
     if isinstance(settings, EndToEndSettings):
         return end_to_end.design(start, classifier, problem, settings, "end-to-end", checkpoint)

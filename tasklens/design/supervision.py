@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torchvision.transforms.v2 import TrivialAugmentWide
+from torchvision.transforms.v2.functional import resize
 
 from tasklens.design.problem import Problem
 from tasklens.imaging import Camera
@@ -94,12 +96,8 @@ class Supervisor:
         dataset = self.dataset
         images = dataset.images[indices].to(dataset.device)
         if self.size is not None:
-            from torchvision.transforms.v2.functional import resize
-
             images = resize(images, [self.size, self.size])
         if augment:
-            from torchvision.transforms.v2 import TrivialAugmentWide
-
             transform = TrivialAugmentWide()
             images = torch.stack([transform(image) for image in images])
         return images.float() / 255, dataset.labels[indices].to(dataset.device)

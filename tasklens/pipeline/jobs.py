@@ -115,10 +115,8 @@ def restore(study: Study, lens: str, seed: int) -> Plan:
 
 def _captures(study: Study, lens: str, restored: bool, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return settings and inputs of the captures of a lens, restored or not."""
-    settings = {
-        "capture": None if lens == SHARP else study.capture_of(lens),
-        "restoration": study.restoration if restored else None,
-    }
+    capture = None if lens == SHARP else study.capture_of(lens)
+    settings = {"capture": capture, "restoration": study.restoration if restored else None}
     restoration = restore.output(study, "weights", lens=lens, seed=seed) if restored else None
     return settings, {"psf": _psf(study, lens, seed), "restoration": restoration}
 
@@ -265,10 +263,7 @@ def ablation(study: Study, ablation: str) -> Plan:
     return Plan(compared, _claimed(study, compared.claims))
 
 
-@stage(
-    f"{STAGES}.certificate.run",
-    {"page": f"{_LENS}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"},
-)
+@stage(f"{STAGES}.certificate.run", {"page": f"{_LENS}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"})
 def certificate(study: Study, lens: str, seed: int) -> Plan:
     """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
     return Plan(Slice(lens=lens, seed=seed), {"lens": _lens(study, lens, seed), "psf": _psf(study, lens, seed)})

@@ -44,8 +44,8 @@ numba.config.CACHE_DIR = str(_cache_folder())
 _HOST = get_host_cpu_features()
 if numba.config.CPU_FEATURES is None and _HOST.get("avx512f"):  # by default half of its width: a tenth slower
     numba.config.CPU_FEATURES = _HOST.flatten() + ",-prefer-256-bit"
-# The compiler may contract products and sums, but reorders nothing but the sums of `add`. Only entries are kept on disk: a
-# function that they call is inlined when it is new, would not be when it came from the disk, and then round otherwise.
+# The compiler may contract products and sums, but reorders nothing but the sums of `add`. Only entries are kept on disk:
+# a function that they call is inlined when it is new, would not be when it came from the disk, and then round otherwise.
 _OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 entry = numba.njit(cache=True, **_OPTIONS)
 compiled = numba.njit(**_OPTIONS)

@@ -4,7 +4,7 @@ from tasklens.design import methods
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
 from tasklens.optics.view import view_of_spec
-from tasklens.recognition import dataset
+from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import Files, write_rows, write_tensors
@@ -15,8 +15,6 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
     """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields."""
     classifier = train = None
     if settings.classifier is not None:
-        from tasklens.recognition import classifiers  # and timm, which other designs need not wait for
-
         device = claim()
         train = dataset.read(*inputs.train, device=device)
         classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
