@@ -7,6 +7,7 @@ know that rows do not overlap, and turns a loop over a row into vector instructi
 import hashlib
 import os
 from pathlib import Path
+from typing import Any
 
 import numba
 from llvmlite.binding import get_host_cpu_features
@@ -44,9 +45,9 @@ numba.config.CACHE_DIR = str(_cache_folder())
 _HOST = get_host_cpu_features()
 if numba.config.CPU_FEATURES is None and _HOST.get("avx512f"):  # by default half of its width: a tenth slower
     numba.config.CPU_FEATURES = _HOST.flatten() + ",-prefer-256-bit"
-# The compiler may contract products and sums, but reorders nothing but the sums of `add`. Only entries are kept on disk:
-# a function that they call is inlined when it is new, would not be when it came from the disk, and then round otherwise.
-_OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# The compiler may contract products and sums, but reorders nothing but the sums of `add`. Only entries are kept on
+# disk: a function that they call is inlined when new, would not be from the disk, and would round otherwise.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 entry = numba.njit(cache=True, **_OPTIONS)
 compiled = numba.njit(**_OPTIONS)
 inlined = numba.njit(forceinline=True, **_OPTIONS)
