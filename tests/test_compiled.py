@@ -64,17 +64,27 @@ def test_a_processor_without_wide_vectors(tmp_path):
 
 
 def test_compiled_code_is_kept_on_disk(tmp_path):
-    """In a folder for this text of the modules; another process loads it."""
+    """In a folder for this text of the modules; another process loads it, and traces the same bits with it."""
     code = (
-        "from tasklens.optics.tracing.trace import compile_tracer; compile_tracer();"
-        "from tasklens.optics.tracing import kernel, derivatives;"
-        "print(sum(sum(f.stats.cache_hits.values()) for f in (kernel.trace, derivatives.reverse, derivatives.forward)))"
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from examples import WAVELENGTHS, random_lens, random_rays\n"
+        "from tasklens.optics.tracing import derivatives, kernel\n"
+        "from tasklens.optics.tracing.trace import compile_tracer, trace\n"
+        "compile_tracer()\n"
+        "lens, rays = random_lens(3), random_rays(300, 1, height=1.0, tangent=0.7)\n"
+        "leaf = lens.alpha.requires_grad_()\n"
+        "image = trace(lens, rays, lens.refractive_indices(WAVELENGTHS))\n"
+        "image.path.sum().backward()\n"
+        "hits = [sum(f.stats.cache_hits.values()) for f in (kernel.trace, derivatives.reverse, derivatives.forward)]\n"
+        "print(sum(hits), image.x.detach().numpy().tobytes().hex(), leaf.grad.numpy().tobytes().hex())"
     )
     environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    assert run(code, **environment) == "0"
+    hits, *cold = run(code, **environment).split()
+    assert hits == "0"
     (folder,) = (tmp_path / "tasklens").iterdir()
     assert list(folder.rglob("kernel.trace-*.nbc"))
-    assert run(code, **environment) == "3"
+    hits, *warm = run(code, **environment).split()
+    assert hits == "3" and warm == cold
 
 
 def test_the_folder_follows_every_module(tmp_path, monkeypatch):

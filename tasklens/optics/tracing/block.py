@@ -45,15 +45,14 @@ numba.config.CACHE_DIR = str(_cache_folder())
 _HOST = get_host_cpu_features()
 if numba.config.CPU_FEATURES is None and _HOST.get("avx512f"):  # by default half of its width: a tenth slower
     numba.config.CPU_FEATURES = _HOST.flatten() + ",-prefer-256-bit"
-# The compiler may contract products and sums, but reorders nothing but the sums of `add`. Only entries are kept on
-# disk: a function that they call is inlined when new, would not be from the disk, and would round otherwise.
+# The compiler may contract products and sums, but reorders nothing but the sums of `add`. What an entry calls is always
+# inlined: a function by itself is not the same machine code when it is new and when it comes from the disk.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 entry = numba.njit(cache=True, **_OPTIONS)
-compiled = numba.njit(**_OPTIONS)
 inlined = numba.njit(forceinline=True, **_OPTIONS)
 
 
-@numba.njit(fastmath={"contract", "reassoc", "nsz"})
+@numba.njit(forceinline=True, fastmath={"contract", "reassoc", "nsz"})
 def add(total, value):
     """Add to a sum over rays, in any order."""
     return total + value
@@ -89,7 +88,7 @@ def load(s, start, block, size):
             s[row * BLOCK + i] = row == 5
 
 
-@compiled
+@inlined
 def fill_colours(first, count, colours):
     """Fill `colours` with the index of the wavelength of each ray of a block, and last, whether there are several."""
     waves, each = count

@@ -31,7 +31,6 @@ from tasklens.optics.tracing.block import (
     X,
     Y,
     Z,
-    compiled,
     entry,
     horner,
     inlined,
@@ -49,7 +48,7 @@ _FAR = 1e7  # [mm] largest height at which a ray meets a surface
 _MISSED = int(RayStatus.MISSED)
 
 
-@compiled
+@inlined
 def intersect(s, surface, polynomials, slopes, fate):
     """Fill the row T with the distances to the surface; mark rays that miss it in `fate`, and leave them in place.
 
@@ -132,7 +131,7 @@ def _newton(s, surface, polynomials, slopes):
     return uncertain
 
 
-@compiled
+@inlined
 def first_crossing(x, y, z, l, m, n, surface, alpha):
     """Return the distance t along a ray to its first crossing of a surface, NaN if there is none.
 
@@ -185,7 +184,7 @@ def first_crossing(x, y, z, l, m, n, surface, alpha):
     return math.nan
 
 
-@compiled
+@inlined
 def _bounded(u, u_most, c, bending, alpha):
     """Return sag and ds/du at u, and bounds of |ds/du| and |d^2 s/du^2| up to u_most."""
     root = math.sqrt(max(1 - bending * u, EDGE))
@@ -203,7 +202,7 @@ def _bounded(u, u_most, c, bending, alpha):
     return sag, slope, 0.5 * abs(c) * w + steepest, 0.25 * abs(c * bending) * w * w * w + most
 
 
-@compiled
+@inlined
 def _fill_slopes(slopes, r_most, surface, alpha):
     """Fill a profile of slopes, up to the radius r_most.
 
@@ -254,7 +253,7 @@ def prepare(curvature, conic, thickness, alpha, limit, surfaces, polynomials):
         surface[GENTLE] = low * low if high < 1e8 else math.inf
 
 
-@compiled
+@inlined
 def _steepest(r, surface, alpha):
     """Return a bound of the slope |ds/dr| up to the radius r, infinite where the surface ends before."""
     c, bending, u = numpy.float64(surface[CURVATURE]), numpy.float64(surface[BENDING]), r * r

@@ -29,11 +29,11 @@ from tasklens.optics.tracing.block import (
     Y,
     Z,
     add,
-    compiled,
     entry,
     fill_colours,
     fill_media,
     horner,
+    inlined,
     load,
 )
 from tasklens.optics.tracing.kernel import propagate
@@ -202,7 +202,7 @@ def forward(
                 d_image[change, 6, block + i] = d[PATH + i] + indices[-1, j] * dt + d_index * t
 
 
-@compiled
+@inlined
 def _retrace(tape, block, size, start, colours, lens, parks, distances):
     """Fill the blocks of all surfaces, and one for the rays behind the last, as rays were traced.
 

@@ -25,7 +25,6 @@ from tasklens.optics.tracing.block import (
     X,
     Y,
     Z,
-    compiled,
     entry,
     fill_colours,
     fill_media,
@@ -110,7 +109,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
                 image[row, block + i] = image[row, block + i] if status[block + i] else s[row * BLOCK + i]
 
 
-@compiled
+@inlined
 def _lose(s, i, ray, image):
     """Keep the last point of a ray, and put it on the axis, where it stays finite."""
     for k in range(7):

@@ -11,12 +11,11 @@ from tasklens.optics.tracing.block import (
     X,
     Y,
     Z,
-    compiled,
     inlined,
 )
 
 
-@compiled
+@inlined
 def into_pose(s, rotation, position):
     """Transform rays from the axes of the nominal vertex to those of the surface: P' = R^T (P - p), D' = R^T D."""
     for i in range(BLOCK):
@@ -25,7 +24,7 @@ def into_pose(s, rotation, position):
     _turn(s, L, rotation.T)
 
 
-@compiled
+@inlined
 def out_of_pose(s, rotation, position):
     """Transform rays back to the axes of the nominal vertex: P = R P' + p, D = R D'."""
     _turn(s, X, rotation)
@@ -34,7 +33,7 @@ def out_of_pose(s, rotation, position):
         s[X + i], s[Y + i], s[Z + i] = s[X + i] + position[0], s[Y + i] + position[1], s[Z + i] + position[2]
 
 
-@compiled
+@inlined
 def out_of_pose_vjp(s, g, out, rotation, b_poses, k):
     """Propagate gradients through P = R P' + p and D = R D', to the axes of the surface."""
     for i in range(BLOCK):
@@ -47,7 +46,7 @@ def out_of_pose_vjp(s, g, out, rotation, b_poses, k):
     _turn(g, L, rotation.T)
 
 
-@compiled
+@inlined
 def into_pose_vjp(s, g, rotation, b_poses, k):
     """Propagate gradients through P' = R^T (P - p) and D' = R^T D, to the axes of the nominal vertex."""
     for i in range(BLOCK):
@@ -66,7 +65,7 @@ def into_pose_vjp(s, g, rotation, b_poses, k):
             b_poses[k, 3, a] -= g[X + a * BLOCK + i]
 
 
-@compiled
+@inlined
 def into_pose_jvp(s, d, rotation, d_poses, change, k):
     """Propagate changes through P' = R^T (P - p) and D' = R^T D, to the axes of the surface."""
     if len(d_poses) > 0:
@@ -89,7 +88,7 @@ def into_pose_jvp(s, d, rotation, d_poses, change, k):
                 d[L + j * BLOCK + i] += d_poses[change, k, a, j] * way
 
 
-@compiled
+@inlined
 def out_of_pose_jvp(s, d, rotation, d_poses, change, k):
     """Propagate changes through P = R P' + p and D = R D', to the axes of the nominal vertex."""
     _turn(d, X, rotation)

@@ -46,7 +46,6 @@ from tasklens.optics.tracing.block import (
     Y,
     Z,
     add,
-    compiled,
     inlined,
 )
 
@@ -90,7 +89,7 @@ def refract(s, surface):
     return lost
 
 
-@compiled
+@inlined
 def refract_vjp(s, g, surface):
     """Propagate the gradient g of the rays behind a surface back to those before it.
 
@@ -138,7 +137,7 @@ def refract_vjp(s, g, surface):
         g[VALUE + i], g[SLOPE + i] = tau * u, b_slope
 
 
-@compiled
+@inlined
 def parameters_vjp(s, g, surface, total, orders):
     """Add the gradients of a surface's parameters to `total`: curvature, conic, and from column 3 on alpha."""
     number = s.dtype.type
@@ -163,7 +162,7 @@ def parameters_vjp(s, g, surface, total, orders):
         total[3 + j] += by_value + (j + 1) * by_slope
 
 
-@compiled
+@inlined
 def refract_jvp(s, d, surface):
     """Propagate small changes d of the rays before a surface to those behind it.
 
