@@ -1,4 +1,4 @@
-"""What a Zemax file says about rays is read or refused with its line: flags, apertures, environment, numbers, text."""
+"""A Zemax file is read, or refused with its line, where it changes rays: flags, apertures, environment, numbers."""
 
 import codecs
 import math

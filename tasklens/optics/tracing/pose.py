@@ -51,11 +51,7 @@ def into_pose_vjp(s, g, rotation, b_poses, k):
     """Propagate gradients through P' = R^T (P - p) and D' = R^T D, to the axes of the nominal vertex."""
     for i in range(BLOCK):
         for a in range(3):
-            before, way = 0.0, 0.0  # of P - p = R P' and of D = R D'
-            for j in range(3):
-                direction = s[L + j * BLOCK + i]
-                before += rotation[a, j] * (s[X + j * BLOCK + i] - s[T + i] * direction)
-                way += rotation[a, j] * direction
+            before, way = _before(s, rotation, i, a)
             for j in range(3):
                 b_poses[k, a, j] += before * g[X + j * BLOCK + i] + way * g[L + j * BLOCK + i]
     _turn(g, X, rotation)
@@ -78,11 +74,7 @@ def into_pose_jvp(s, d, rotation, d_poses, change, k):
         return
     for i in range(BLOCK):
         for a in range(3):
-            before, way = 0.0, 0.0  # of P - p = R P' and of D = R D'
-            for j in range(3):
-                direction = s[L + j * BLOCK + i]
-                before += rotation[a, j] * (s[X + j * BLOCK + i] - s[T + i] * direction)
-                way += rotation[a, j] * direction
+            before, way = _before(s, rotation, i, a)
             for j in range(3):
                 d[X + j * BLOCK + i] += d_poses[change, k, a, j] * before
                 d[L + j * BLOCK + i] += d_poses[change, k, a, j] * way
@@ -101,6 +93,17 @@ def out_of_pose_jvp(s, d, rotation, d_poses, change, k):
             for j in range(3):
                 d[X + a * BLOCK + i] += d_poses[change, k, a, j] * s[X + j * BLOCK + i]
                 d[L + a * BLOCK + i] += d_poses[change, k, a, j] * s[L_OUT + j * BLOCK + i]
+
+
+@inlined
+def _before(s, rotation, i, a):
+    """Return component a of P - p = R P' and of D = R D' of ray i in front of the surface."""
+    before, way = 0.0, 0.0
+    for j in range(3):
+        direction = s[L + j * BLOCK + i]
+        before += rotation[a, j] * (s[X + j * BLOCK + i] - s[T + i] * direction)
+        way += rotation[a, j] * direction
+    return before, way
 
 
 @inlined

@@ -17,7 +17,7 @@ from tasklens.optics.tracing.crossing import prepare
 
 
 class Inputs(NamedTuple):
-    """What a trace can be differentiated by: rays (7, ..., W, N), indices (S + 1, W), and tensors of the lens."""
+    """Tensors by which a trace is differentiable: rays (7, ..., W, N), indices (S + 1, W), and tensors of the lens."""
 
     start: Tensor
     indices: Tensor
