@@ -60,7 +60,7 @@ def reference_view(path: Path, fractions: tuple[float, ...]) -> View:
 
 
 def stop_is_inside(lens: Lens) -> bool:
-    """Whether a refracting surface is in front of the stop."""
+    """Return whether a refracting surface is in front of the stop."""
     return min(lens.refracting_surfaces) < lens.stop
 
 

@@ -38,7 +38,7 @@ def run(code: str, **environment: str) -> str:
 
 
 def test_plain_python_traces_the_same_rays(tmp_path):
-    """Where nothing can be compiled, NUMBA_DISABLE_JIT=1 runs the same text slowly."""
+    """NUMBA_DISABLE_JIT=1, for machines on which nothing can be compiled, runs the same text slowly."""
     found = {}
     for name, environment in {"compiled": {}, "plain": {"NUMBA_DISABLE_JIT": "1"}}.items():
         out = str(tmp_path / name)

@@ -51,7 +51,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
         image: (7, R) the same on the image plane; for a lost ray its last point, z from the vertex of the surface where
             it was lost, turned along the axis.
         status, lost_at: (R,) in and out.
-        distances: (S, R) t to each surface, for the derivatives; or of no surface.
+        distances: (S, R), filled: t to each surface, for the derivatives.
         record: (S, 7, R) rays behind each surface; or of no surface.
     """
     surfaces, polynomials, indices, posed, rotations, positions = lens
@@ -74,9 +74,8 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
             if posed[k]:
                 into_pose(s, rotations[k], positions[k])
             lost = intersect(s, surface, polynomials[k], slopes[k], fate)
-            if len(distances) > 0:
-                for i in range(size):
-                    distances[k, block + i] = s[T + i]
+            for i in range(size):
+                distances[k, block + i] = s[T + i]
             to_surface(s)
             horner(s, SLOPE, polynomials[k, SLOPES])
             lost += refract(s, surface)
