@@ -9,6 +9,7 @@ from examples import f64
 from reference_files import reference_files
 
 from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
+from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -57,11 +58,6 @@ def reference_view(path: Path, fractions: tuple[float, ...]) -> View:
     angles = torch.deg2rad(content["half_field_deg"] * f64(fractions))
     fields = torch.stack([torch.zeros_like(angles), angles.tan()], -1)
     return View(fields, 1.0, tuple(LINES.values()), 1.8, 31)
-
-
-def stop_is_inside(lens: Lens) -> bool:
-    """Return whether a refracting surface is in front of the stop."""
-    return min(lens.refracting_surfaces) < lens.stop
 
 
 INNER_STOPS = [path for path in LENS_FILES if stop_is_inside(reference_lens(path))]

@@ -8,7 +8,7 @@ import pytest
 import torch
 import torch.autograd.forward_ad as fwAD
 from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
-from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_view, stop_is_inside
+from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_view
 
 from tasklens.materials.material import model_glass
 from tasklens.optics.analysis import aiming, pupil
@@ -148,7 +148,7 @@ def test_a_stop_in_front_changes_nothing(monkeypatch):
     in_air = make_lens([0, 0, 0.1, -0.1], [1.0, 0.5, 2.0, 9.0], ("air", "air", "COC", "air"), stop=1)
     in_air.semi_diameter[1] = 0.7
     lenses = [replace(random_lens(seed), semi_diameter=f64([0.3, *[torch.inf] * 4])) for seed in range(3)]
-    front = [reference_lens(path) for path in LENS_FILES if not stop_is_inside(reference_lens(path))]
+    front = [reference_lens(path) for path in LENS_FILES if not aiming.stop_is_inside(reference_lens(path))]
     assert len(front) >= 3
     for lens in [*lenses, in_air, *front]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)

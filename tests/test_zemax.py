@@ -132,6 +132,24 @@ def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
     assert found.aperture is None and float(found.lens.semi_diameter[2]) == 0.55
 
 
+@pytest.mark.parametrize("aperture", ["ENPD 1.2", "FLOA"])
+@pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1"])
+def test_a_stop_that_vignettes_at_less_than_the_aperture_asks_for(tmp_path, aperture, line):
+    """As in Edmund Optics' 47728: a pupil of 15 mm, and 13.5 mm clear at the stop."""
+    found = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))
+    assert found.aperture is None and float(found.lens.semi_diameter[2]) == 0.4
+    zemax.write(tmp_path / "lens.zmx", found)
+    assert torch.equal(zemax.read(tmp_path / "lens.zmx").lens.semi_diameter, found.lens.semi_diameter)
+
+
+@pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.9 0", "DIAM 0.5 0 0 0 1\n  FLAP 0 0.5 0"])
+def test_a_stop_that_vignettes_nothing_keeps_the_aperture(tmp_path, line):
+    expected = read(tmp_path)
+    found = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line)))
+    assert found.aperture == expected.aperture
+    assert torch.equal(found.lens.semi_diameter, expected.lens.semi_diameter)
+
+
 @pytest.mark.parametrize(
     "line, radius",
     [

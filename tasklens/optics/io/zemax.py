@@ -29,6 +29,7 @@ from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError, replacing
 
 _WAVELENGTHS = 24  # the maximum in Zemax
+_ROUNDING = 1e-6  # of radii in files, relative
 
 
 def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
@@ -52,7 +53,8 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
 
     A surface vignettes as in Zemax: by a circular or floating aperture, or a semi-diameter that is fixed or picked up;
     automatic semi-diameters do not vignette. The radius of the stop follows from the aperture (`stop_radius`, at the
-    primary wavelength), or is its semi-diameter for "float by stop size".
+    primary wavelength), or is its semi-diameter for "float by stop size". Where the stop itself vignettes at less, that
+    is its radius, and the prescription has no aperture.
 
     Raises:
         FileError: an invalid or unsupported file; the message names the file, the line and the error.
@@ -85,9 +87,12 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
             radius = stop_radius(lens, aperture, wavelengths[primary])
         except ValueError as error:  # a wavelength at which a glass has no index
             raise FileError(f"{path}: {error}") from None
-    if not 0 < radius < math.inf:
-        raise line.error(f"the aperture makes the radius of the stop {radius} mm, expected a positive number")
     semi_diameter = lens.semi_diameter.clone()
+    clear = float(semi_diameter[lens.stop])
+    if "FLAP" not in inner[lens.stop].lines and clear < radius * (1 - _ROUNDING):  # a floating one follows the light
+        radius, aperture = clear, None
+    if not 0 < radius < math.inf:
+        raise line.error(f"the radius of the stop comes out as {radius} mm, expected a positive number")
     semi_diameter[lens.stop] = radius
     comments = tuple(block.lines["COMM"].text if "COMM" in block.lines else "" for block in inner)
     return Prescription(
