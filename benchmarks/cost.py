@@ -58,10 +58,11 @@ class Cost:
         settings, size = self.study.lens(lens).design, self.study.images.size
         total, supervisor = 0.0, self.study.supervisor
         if isinstance(settings, TaskDrivenSettings):
-            steps = settings.restarts * settings.restart.steps + settings.refinement.steps
-            total += (
-                self.fields * steps * settings.batch_size * TO_INPUT * self.forward(supervisor, settings.size or size)
-            )
+            for name, descent in settings.descents.items():
+                if descent.criterion == "classification":
+                    steps = descent.steps * (settings.restarts if name == "restart" else 1)
+                    captures = self.fields * steps * settings.batch_size
+                    total += captures * TO_INPUT * self.forward(supervisor, descent.size or size)
         together = settings if isinstance(settings, EndToEndSettings) else getattr(settings, "polish", None)
         if together is not None:
             captures = self.fields * together.steps * together.batch_size

@@ -13,16 +13,14 @@ import timing
 import timm
 import torch
 
-from tasklens.design.driver import run
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
-from tasklens.design.task import RaySpaceDescent
+from tasklens.design.supervised import RaySpaceDescent
+from tasklens.design.supervision import Classification, Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
 
@@ -38,12 +36,12 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
     dataset = ImageDataset(images, torch.arange(count), tuple(map(str, range(1000))))
     problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
-    steps = RaySpaceSettings(steps=1, pixels=(1, 1))
+    steps = RaySpaceSettings(steps=2, pixels=(2, 1))  # no validation before the second step
     settings = TaskDrivenSettings(method="task", batch_size=count, rays=256, restart=steps, refinement=steps)
-    supervisor = Supervisor(frozen(classifier), problem, None, settings.augment, captures)
+    supervisor = Supervisor(Classification(frozen(classifier)), problem, None, settings.augment, captures)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    run(RaySpaceDescent(plates, supervisor, settings, steps, seed=0), "memory", NO_CHECKPOINT)
+    RaySpaceDescent(plates, supervisor, settings, steps, seed=0).step(1)
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

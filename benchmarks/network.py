@@ -17,11 +17,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from tasklens.design.driver import run
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
-from tasklens.design.task import RaySpaceDescent
+from tasklens.design.supervised import RaySpaceDescent
+from tasklens.design.supervision import Classification, Supervisor
 from tasklens.imaging import Camera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
@@ -81,11 +80,14 @@ def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: in
     """Durations of a step of task-driven design, and of the frozen network alone on as many captures."""
     classifier, dataset = frozen(Classifier(network)).to(device), noise(count, size, device)
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
-    steps = RaySpaceSettings(steps=rounds + 1, pixels=(20, 20))
+    steps = RaySpaceSettings(steps=rounds + 2, pixels=(20, 19))  # no validation before the last step
     settings = TaskDrivenSettings(method="task", batch_size=count, rays=rays, restart=steps, refinement=steps)
-    supervisor = Supervisor(classifier, problem, None, augment=False, micro_batch=micro_batch)
+    supervisor = Supervisor(Classification(classifier), problem, None, augment=False, micro_batch=micro_batch)
     plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
-    run(RaySpaceDescent(plates, supervisor, settings, steps, seed=0), "design", clock)
+    descent = RaySpaceDescent(plates, supervisor, settings, steps, seed=0)
+    for step in range(1, rounds + 2):
+        descent.step(step)
+        clock.due()
     captures, labels = torch.rand(FIELDS * count, 3, size, size, device=device), dataset.labels.to(device)
     labels = labels.repeat(FIELDS)
 

@@ -21,7 +21,7 @@ from tasklens.design import least_squares
 from tasklens.design.end_to_end import JointDescent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
+from tasklens.design.supervision import Classification, Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import view_of_spec
@@ -71,7 +71,8 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     descent = JointDescent(lens, Average(), problem, settings)
     captures = timed * len(problem.view.fields)
     ours, nothing = (
-        Supervisor(each, problem, None, augment=False, micro_batch=captures) for each in (frozen(network), Average())
+        Supervisor(Classification(each), problem, None, augment=False, micro_batch=captures)
+        for each in (frozen(network), Average())
     )
     indices = torch.arange(timed)
     for step in range(rounds + 1):

@@ -171,7 +171,15 @@ def tiny_study() -> dict:
                 "restarts": 2,
                 "restart": {"steps": 2, "pixels": [20, 5]},
                 "refinement": {"steps": 2, "pixels": [5, 1]},
+                "finish": {"steps": 1, "pixels": [1, 1]},
                 "polish": {"steps": 1, "batch_size": 2},
+            },
+            "image_error": {
+                "method": "image_error",
+                "batch_size": 2,
+                "rays": 16,
+                "restart": {"steps": 2, "pixels": [20, 5], "criterion": "log_image_error"},
+                "refinement": {"steps": 2, "pixels": [5, 1], "criterion": "image_error"},
             },
             "imaging1": {"method": "spot", "steps": 3, "rays": 16, "learning_rates": rates},
             "imaging2": {"method": "least_squares", "starts": 3, "evaluations": 6},
@@ -207,7 +215,7 @@ def inputs_of(stage: Stage, study: Study, **wildcards: str | int) -> Files:
 
 def measurements_of(inputs: Files) -> Measurements:
     """Return the measurements among the inputs of a job."""
-    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
+    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions, inputs.frozen)
 
 
 def write(path: str | Path, text: str) -> None:

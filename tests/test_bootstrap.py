@@ -6,9 +6,31 @@ import numpy
 import pytest
 import scipy.stats
 
-from tasklens.report.bootstrap import CONFIDENCE, interval, resampled_means
+from tasklens.report.bootstrap import CONFIDENCE, holm, p_value, resampled_means, resampled_over_seeds
+from tasklens.report.bootstrap import interval as interval_of_means
 
 Z = 1.96
+
+
+def interval(by_seed, seed=1):
+    return interval_of_means(resampled_over_seeds(by_seed, seed))
+
+
+def test_holm_by_hand():
+    """Of p = 0.01, 0.04, 0.03, 0.005: 4 x 0.005, 3 x 0.01, 2 x 0.03, and 0.04, which may not be below 0.06."""
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == [1.0, 1.0] and holm([]) == []
+
+
+@pytest.mark.parametrize("null", [0.0, -1.0, 2.5])
+def test_a_p_value_agrees_with_the_interval_and_with_the_normal_distribution(null):
+    """Of 10 000 quantiles of a normal distribution of mean 1 and deviation 1."""
+    means = 1 + scipy.stats.norm.ppf((numpy.arange(10_000) + 0.5) / 10_000)
+    expected = 2 * scipy.stats.norm.sf(abs(1 - null))
+    assert p_value(means, null) == pytest.approx(expected, abs=3e-4)
+    low, _ = interval_of_means(means)
+    assert p_value(means, low - 0.01) < 0.05 < p_value(means, low + 0.01)
+    assert p_value(means, -99) == pytest.approx(2 / 10_001)
 
 
 def test_identical_lenses_differ_by_nothing():

@@ -55,10 +55,10 @@ def values(path: Path, metric: str) -> list[float]:
 
 @pytest.fixture(scope="module")
 def lenses(workplace):
-    """All five designs with their PSFs, the imaging designs judged, one restoration."""
-    for name in ("imaging1", "imaging2", "tasklens", "end_to_end_from_flat"):
+    """All six designs with their PSFs, the imaging designs judged, one restoration."""
+    for name in ("image_error", "imaging1", "imaging2", "tasklens", "end_to_end_from_flat"):
         assert run("design", f"singlet-{name}") == 0
-    for name in ("imaging1", "imaging2"):
+    for name in ("image_error", "imaging1", "imaging2"):
         assert run("fine-tune", f"singlet-{name}", "small") == 0
     assert run("design", "singlet-end_to_end_from_imaging") == 0
     assert run("fine-tune", "sharp", "small") == 0
@@ -67,14 +67,14 @@ def lenses(workplace):
 
 def test_check_says_what_a_study_holds(workplace, capsys):
     assert run("check") == 0
-    assert "tiny: 5 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
+    assert "tiny: 6 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
 
 
 def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     """Though it frees nothing: what it writes to a pipe is complete."""
     program = [sys.executable, "-m", "tasklens.pipeline.cli"]
     done = subprocess.run([*program, "check", "study.yaml"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "tiny: 5 lenses, 2 classifiers, seeds [0]\n")
+    assert (done.returncode, done.stdout) == (0, "tiny: 6 lenses, 2 classifiers, seeds [0]\n")
     done = subprocess.run([*program, "check", "absent.yaml"], capture_output=True, text=True)
     assert done.returncode == 2 and "absent.yaml" in done.stderr
     done = subprocess.run([*program, "bake"], capture_output=True, text=True)
@@ -91,8 +91,8 @@ def test_every_design_leaves_a_readable_lens(lenses):
         assert content["worst_margin"]["value"] == min(content["margins"].values())
         assert read_rows(of_lens(jobs.design, "history", f"singlet-{name}"))
     phases = [row["phase"] for row in read_rows(of_lens(jobs.design, "history", "singlet-tasklens"))]
-    restarts = [phase for k in (1, 2) for phase in [f"restart {k} of 2"] * 2 + [f"restart {k} of 2, selection"]]
-    assert phases == restarts + ["refinement"] * 2 + ["polish"]
+    restarts = [f"restart {k} of 2" for k in (1, 1, 2, 2)]
+    assert phases == restarts + ["refinement"] * 2 + ["finish", "polish"]
 
 
 def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch):
@@ -104,7 +104,8 @@ def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch)
 
 
 def test_design_from_imaging_begins_with_the_better_lens(lenses):
-    judged = {name: sum(values(metrics(name), "minival_accuracy")) for name in ("singlet-imaging1", "singlet-imaging2")}
+    baselines = [f"singlet-{name}" for name in ("image_error", "imaging1", "imaging2")]
+    judged = {name: sum(values(metrics(name), "minival_accuracy")) for name in baselines}
     start = lens_content("singlet-end_to_end_from_imaging")["origin"]["start"]
     assert judged[start] == max(judged.values())
 
@@ -147,7 +148,7 @@ def test_restoration_and_tables_and_figure(lenses):
     assert {row["restored"] for row in read_rows(restored)} == {"True"}
     assert run("table", "table1", "--partial") == 0
     shown = read_rows("results/tiny/tables/table1-partial.csv")
-    assert [row["design"] for row in shown] == ["reference", "imaging1", "imaging2"]
+    assert [row["design"] for row in shown] == ["reference", "image_error", "imaging1", "imaging2"]
     assert run("certificate", "singlet-imaging1") == 0
     assert of_lens(jobs.certificate, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     page = of_lens(jobs.certificate, "page", "singlet-imaging1").read_text()

@@ -12,7 +12,7 @@ from torch import nn
 from tasklens.design import end_to_end, methods
 from tasklens.design.driver import divergence
 from tasklens.design.problem import Problem
-from tasklens.design.supervision import Supervisor, loss_at_psf
+from tasklens.design.supervision import Classification, ImageError, Supervisor, loss_at_psf
 from tasklens.design.variables import Variables
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -42,11 +42,24 @@ def coarse(lens, looks=LOOKS):
     return psf(rays, looks.fields, 20.0, 11)
 
 
+def whole_losses(criterion, captures, images, labels):
+    """Losses (F, B) of all captures, by the definition of each criterion."""
+    if isinstance(criterion, Classification):
+        logits = criterion.classifier(captures.flatten(0, 1))
+        return F.cross_entropy(logits, labels.repeat(len(captures)), reduction="none").reshape(captures.shape[:2])
+    squared = torch.stack(
+        [torch.stack([((a - b) ** 2).mean() for a, b in zip(c, images, strict=True)]) for c in captures]
+    )
+    return squared.log() if criterion.logarithm else squared
+
+
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
 @pytest.mark.parametrize("micro_batch", [1, 7, 16, 64])
-def test_stages_give_the_gradient_of_one(start, micro_batch, colour):
+@pytest.mark.parametrize("supervised_by", ["classifier", "image", "log image"])
+def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_by):
     """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once."""
     dataset, network = random_images(5, 16, 3, seed=0), small_network().eval().requires_grad_(False)
+    criterion = Classification(network) if supervised_by == "classifier" else ImageError("log" in supervised_by)
     images, labels = dataset.batch(torch.arange(5))
     variables = Variables.plain(start)
     gradients = []
@@ -55,16 +68,14 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour):
         grid = coarse(variables.assemble(values))
         if in_stages:
             losses, upstream = loss_at_psf(
-                network, images, labels, grid.float(), CaptureSettings(colour=colour), micro_batch
+                criterion, images, labels, grid.float(), CaptureSettings(colour=colour), micro_batch
             )
             grid.backward(upstream.double())
         else:
-            logits = network(Camera(grid, colour=colour).grid(images).flatten(0, 1))
-            whole = F.cross_entropy(logits, labels.repeat(len(grid)))
-            whole.backward()
+            whole = whole_losses(criterion, Camera(grid, colour=colour).grid(images), images, labels)
+            whole.mean().backward()
         gradients.append(torch.cat([values[name].grad for name in values]))
-    each = F.cross_entropy(logits, labels.repeat(len(grid)), reduction="none").reshape(9, 5).mean(1).detach()
-    torch.testing.assert_close(losses, each, rtol=1e-5, atol=0)
+    torch.testing.assert_close(losses, whole.mean(1).detach().to(losses), rtol=1e-5, atol=0)
     assert float(gradients[1].abs().max()) > 0
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
 
@@ -87,9 +98,9 @@ def test_a_design_may_see_smaller_images(start):
     dataset = random_images(4, 32, 3, seed=0)
     indices = torch.tensor([2, 0])
     sharp = Problem(LOOKS, LIMITS, 0, CaptureSettings(), dataset)
-    whole, labels = Supervisor(small_network(), sharp, None, False, 1).images(indices, augment=False)
+    whole, labels = Supervisor(Classification(small_network()), sharp, None, False, 1).images(indices, augment=False)
     assert torch.equal(whole, dataset.images[indices].float() / 255) and torch.equal(labels, dataset.labels[indices])
-    small, _ = Supervisor(small_network(), sharp, 16, False, 1).images(indices, augment=False)
+    small, _ = Supervisor(Classification(small_network()), sharp, 16, False, 1).images(indices, augment=False)
     assert small.shape == (2, 3, 16, 16)
     means = (images.double().mean((1, 2, 3)) for images in (small, whole))
     torch.testing.assert_close(*means, rtol=0, atol=2.0 / 255)
@@ -104,6 +115,25 @@ def test_end_to_end_design_moves_the_network_too(start):
     assert all(not torch.equal(v, before[k]) for k, v in network.state_dict().items())
     assert not torch.equal(lens.curvature, start.curvature)
     assert not network.training
+
+
+def test_the_plain_protocol_leaves_the_network_alone(start):
+    """Without a learning rate of its own the classifier is frozen, in `eval()`, and the lens descends alone."""
+    network = small_network()
+    before = copy.deepcopy(network.state_dict())
+    _, history = descended(network, start, network_learning_rate=None)
+    assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items()) and not network.training
+    assert len({row["rms_um"] for row in history}) == 3
+
+
+def test_a_descent_that_destroys_a_lens_returns_its_best(start):
+    """At rates a hundred times too large: the lens of the least loss on the fixed images, with which another begins."""
+    rates = RATES.model_copy(update={"curvature": 1.0})
+    lens, history = descended(small_network(), start, steps=20, learning_rates=rates, network_learning_rate=None)
+    validated = [row["validation_loss"] for row in history]
+    assert len(validated) == 20 and validated[-1] > min(validated)
+    _, again = descended(small_network(), lens, steps=2, network_learning_rate=None)
+    assert again[0]["validation_loss"] == pytest.approx(min(validated), rel=1e-6)
 
 
 def test_descent_is_deterministic(start):

@@ -57,13 +57,15 @@ def test_random_starts_have_the_focal_length_and_a_focus():
     assert len({float(lens.curvature[1]) for lens in starts}) == 20
 
 
+@pytest.mark.parametrize("linear_beyond_um", [None, 40.0])
 @pytest.mark.parametrize("reference", ["centroid", "chief_ray", "pinhole"])
-def test_merit_columns_are_the_limit_of_differences(start, reference):
-    """Rays, their reference, all limits with the apertures that rays need; of a lens that breaks all kinds."""
+def test_merit_columns_are_the_limit_of_differences(start, reference, linear_beyond_um):
+    """Rays with either cost, their reference, all limits with the apertures that rays need; all kinds are broken."""
     limits = LIMITS.model_copy(update={"efl_tolerance": 1e-4, "distortion": 1e-4, "max_slope": 0.1})
     limits = limits.model_copy(update={"min_edge_thickness": 2.0, "min_back_focus": 9.0, "min_air_gap": 1.0})
     lens = replace(start, curvature=1.01 * start.curvature)
-    merit, variables = Merit(LOOKS, limits, reference, max_chief_ray_angle_deg=5.0), Variables.plain(lens)
+    merit = Merit(LOOKS, limits, reference, max_chief_ray_angle_deg=5.0, linear_beyond_um=linear_beyond_um)
+    variables = Variables.plain(lens)
     values = variables.values()
 
     def residuals(vector):
@@ -109,6 +111,23 @@ def test_merit_is_the_mean_square_spot(start):
     assert found == pytest.approx(expected, rel=1e-2)
 
 
+def test_the_cost_of_a_far_ray_grows_linearly(start):
+    """A ray of error e costs e^2 / sqrt(1 + e^2 / e0^2): e^2 for an e0 far beyond all errors, e0 e far beyond e0."""
+    plain, huge, small = (Merit(LOOKS, LIMITS, linear_beyond_um=e0) for e0 in (None, 1e9, 5.0))
+    rays = plain.rays
+    lens = start.with_stop_scaled(0.3)  # no ray is lost
+
+    def errors(merit):
+        return (merit.residuals(lens)[:rays].view(2, -1) / merit.share.expand(6, 3, -1).flatten()).norm(dim=0)
+
+    plain_errors = errors(plain)
+    assert float(plain_errors.min()) < 5 and float(plain_errors.max()) > 50
+    torch.testing.assert_close(huge.residuals(lens), plain.residuals(lens), rtol=1e-9, atol=0)
+    costs = plain_errors**2 / (1 + (plain_errors / 5) ** 2).sqrt()
+    torch.testing.assert_close(errors(small) ** 2, costs, rtol=1e-9, atol=0)
+    assert torch.equal(small.residuals(lens)[rays:], plain.residuals(lens)[rays:])
+
+
 def test_improve_never_increases_the_merit():
     begin = flat(PLASTICS, SPEC, LIMITS)
     merit = Merit(LOOKS, LIMITS, "centroid")
@@ -144,3 +163,20 @@ def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
     _, history = least_squares.design(begin, PROBLEM, settings)
     unperturbed = min(row["rms_um"] for row in history if row["stage"] == "4 orders")
     assert history[-2]["rms_um"] == unperturbed
+
+
+def test_a_linear_cost_sharpens_the_core():
+    """After the same search, half of the light is in a smaller spot, and the linear cost of the lens less."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    found = []
+    for linear_beyond_um in (None, 1.0):
+        settings = LeastSquaresSettings(
+            method="least_squares", starts=6, evaluations=200, linear_beyond_um=linear_beyond_um
+        )
+        lens, history = least_squares.design(begin, PROBLEM, settings)
+        rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
+        distance = 1e3 * (torch.stack([rays.x, rays.y], -1) - centroid(rays)[:, None, None]).norm(dim=-1).flatten(1)
+        linear = float(Merit(LOOKS, LIMITS, "centroid", linear_beyond_um=1.0).residuals(lens).norm())
+        found.append((float(distance.median(1).values.mean()), linear))
+    assert [row["stage"] for row in history][-2:] == ["linear cost", "strict limits"]
+    assert found[1][0] < found[0][0] and found[1][1] < found[0][1]

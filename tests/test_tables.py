@@ -23,6 +23,7 @@ from tasklens.study.tables import table as table_of
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0
 ACCURACY = {
     "doublet-tasklens": 70.0,
+    "doublet-image_error": 62.0,
     "doublet-imaging1": 60.0,
     "doublet-imaging2": 65.0,
     "doublet-end_to_end_from_imaging": 60.0,
@@ -60,8 +61,11 @@ def results(tmp_path, monkeypatch, study):
             rows += [(name, k, psnr - lost + s) for k, s in enumerate(spread)] if psnr else []
         rows += [("minival_accuracy", k, 1.0) for k in range(FIELDS)]
         rows += [("chance", "", CHANCE), ("parameters_m", "", 0.5)]
-        path = metrics_file(study, lens, measured_name, seed)
-        write(path, pandas.DataFrame(rows, columns=["metric", "field", "value"]).to_csv(index=False))
+        loss = (100 - accuracy) / 100
+        files = jobs.fine_tune.outputs(study, lens=lens, measured_name=measured_name, seed=seed)
+        write(files["metrics"], pandas.DataFrame(rows, columns=["metric", "field", "value"]).to_csv(index=False))
+        losses = {"image": range(4), "label": ["cat"] * 4} | {f"field{k}": [loss] * 4 for k in range(FIELDS)}
+        write(files["frozen"], pandas.DataFrame(losses).to_csv(index=False))
 
     for seed in study.seeds:
         for classifier in study.classifiers:
@@ -88,14 +92,14 @@ def metrics_file(study, lens, measured_name, seed) -> Path:
 def table(study, name):
     """A table from the files that its job is given, by design."""
     contents, inputs = table_of(study, name), inputs_of(jobs.table, study, table=name)
-    rows = tables.collect(contents, Measurements(inputs.lenses, inputs.metrics))
+    rows = tables.collect(contents, Measurements(inputs.lenses, inputs.metrics, frozen=inputs.frozen))
     return tables.summarise(contents, rows, PAPER).set_index("design")
 
 
 def test_table1_means_over_fields_and_seeds(study):
     """All lenses and the reference: means of 9 fields and 2 seeds, the spread of seeds, the paper beside."""
     found = table(study, "table1")
-    assert list(found.index) == ["reference", "tasklens", "imaging1", "imaging2"]
+    assert list(found.index) == ["reference", "tasklens", "image_error", "imaging1", "imaging2"]
     assert found.loc["reference", "accuracy"] == pytest.approx(90)
     row = found.loc["tasklens"]
     assert row["accuracy"] == pytest.approx(71) and row["accuracy_std"] == pytest.approx(2**0.5)
@@ -103,6 +107,9 @@ def test_table1_means_over_fields_and_seeds(study):
     assert row["rms_spot_um"] == pytest.approx(12) and row["core_radius_um"] == pytest.approx(3)
     assert row["energy_in_window"] == pytest.approx(0.9)
     assert row["worst_margin"] == pytest.approx(-0.02) and "worst_margin_std" not in found  # of both seeds the worst
+    assert row["frozen_loss"] == pytest.approx(0.29) and found.loc["reference", "frozen_loss"] == pytest.approx(0.1)
+    assert row["gap"] == pytest.approx(-0.05)  # below imaging2, 0.05 better
+    assert pandas.isna(found.loc["imaging2", "gap"])
     assert row["accuracy_paper"] == 70.08 and row["psnr_db_paper"] == 19.46
     assert found.loc["reference", "accuracy_paper"] == 75.63
     assert pandas.isna(found.loc["imaging1", "accuracy_paper"])
@@ -110,7 +117,7 @@ def test_table1_means_over_fields_and_seeds(study):
 
 def test_table2_has_a_row_per_lens_and_classifier(study):
     found = table(study, "table2").reset_index()
-    assert len(found) == 3 * 2
+    assert len(found) == 4 * 2
     row = found[(found.design == "tasklens") & (found.classifier == "small")].iloc[0]
     assert row["accuracy"] == pytest.approx(71) and row["reference_accuracy"] == pytest.approx(90)
     assert row["parameters_m"] == pytest.approx(0.5) and row["accuracy_paper"] == 70.0
@@ -188,7 +195,7 @@ def test_a_partial_table_has_what_has_been_measured(study, lost):
     assert found.loc["tasklens", "accuracy"] == pytest.approx(71)
     assert "Not measured yet" not in Path("results/tiny/tables/table1-partial.md").read_text()
     files[lost][1].unlink()
-    assert list(partial(study).index) == ["reference", "tasklens", "imaging2"]
+    assert list(partial(study).index) == ["reference", "tasklens", "image_error", "imaging2"]
     assert "Not measured yet: doublet-imaging1." in Path("results/tiny/tables/table1-partial.md").read_text()
 
 
@@ -210,7 +217,7 @@ def test_files_of_a_table_agree(study, name):
     outputs = finish(jobs.table, study, table=name)
     rows = pandas.read_csv(outputs.csv, keep_default_na=False)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
-    assert len(body) == len(rows) == (4 if name == "table1" else 6 if name == "table2" else 3)
+    assert len(body) == len(rows) == {"table1": 5, "table2": 8, "table3": 3, "table4": 4}[name]
     assert all(row.design in line for row, line in zip(rows.itertuples(), body, strict=True))
     each = pandas.read_csv(outputs.seeds_csv, keep_default_na=False)
     assert len(each) == 2 * len(rows) and each["seed"].tolist() == [0] * len(rows) + [1] * len(rows)

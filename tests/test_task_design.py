@@ -2,37 +2,50 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from examples import changed, materials, random_images, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
+from torch.nn.functional import interpolate
 
-from tasklens.design import least_squares, methods, spot, task
+from tasklens.design import least_squares, methods, spot, supervised
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor, loss_at_psf
+from tasklens.design.supervision import Classification, ImageError, Supervisor, loss_at_psf
+from tasklens.imaging import Camera, psnr
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.psf import psf
 from tasklens.pipeline import jobs
+from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
-from tasklens.study.design_settings import LearningRates, RaySpaceSettings, SpotSettings, TaskDrivenSettings
+from tasklens.study.design_settings import (
+    ImageErrorSettings,
+    LearningRates,
+    RaySpaceSettings,
+    SpotSettings,
+    TaskDrivenSettings,
+)
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})
 
+IMAGE_ERRORS = {"image_error": ImageError(False), "log_image_error": ImageError(True)}
 FAST = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
 
 
 def designed(network, lens, limits=LIMITS, **settings):
     restart, refinement = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
     given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
-    return task.design(lens, network, problem(limits), TaskDrivenSettings(method="task", **(given | settings)))
+    design = TaskDrivenSettings(method="task", **(given | settings))
+    criteria = {"classification": Classification(frozen(network, design.batch_norm))}
+    return supervised.design(lens, criteria, problem(limits), design)
 
 
 def spot_lens(start):
@@ -50,7 +63,7 @@ def test_frozen_network_stays_frozen(start):
     assert network.training and all(p.requires_grad and p.grad is None for p in network.parameters())
     assert not torch.equal(lens.curvature, start.curvature) and not torch.equal(lens.thickness, start.thickness)
     assert torch.equal(lens.semi_diameter, start.semi_diameter)
-    assert len(history) == 2 * 4 + 2 and all(math.isfinite(row["loss"]) for row in history)
+    assert len(history) == 2 * 3 + 2 and all(math.isfinite(row["loss"]) for row in history)
 
 
 def test_restarts_are_deterministic(start):
@@ -62,9 +75,14 @@ def test_restarts_are_deterministic(start):
 def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
     """Of three restarts, judged by a list, the second is refined, here by a step of next to nothing."""
     judged, losses = [], iter([2.0, 1.0, 3.0])
-    monkeypatch.setattr(Supervisor, "validation_loss", lambda self, lens, *rest: (judged.append(lens), next(losses))[1])
+
+    def validation_loss(self, lens, pixels):
+        judged.append(lens)
+        return next(losses, 0.0)
+
+    monkeypatch.setattr(Supervisor, "validation_loss", validation_loss)
     coarse, nothing = (
-        RaySpaceSettings(steps=3, pixels=(20, 20)),
+        RaySpaceSettings(steps=3, pixels=(21, 20)),
         RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9),
     )
     lens, _ = designed(small_network(), start, NO_LIMITS, restarts=3, restart=coarse, refinement=nothing)
@@ -136,8 +154,40 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
         return max(row["violation"] for row in history[1:] if row["phase"] == "restart 1 of 1")
 
     with_halving = longest()
-    monkeypatch.setattr(task, "_HALVINGS", 0)
+    monkeypatch.setattr(supervised, "_HALVINGS", 0)
     assert longest() > 10 * with_halving
+
+
+@pytest.mark.parametrize("pixels, step_size", [((5, 5), 20.0), ((20, 5), 4.0)])
+def test_a_descent_returns_its_best_lens(start, pixels, step_size):
+    """Steps far too long destroy the lens; the result is that of the least loss on the fixed images."""
+    far = RaySpaceSettings(steps=40, pixels=pixels, duration=0.5, step_size=step_size, criterion="log_image_error")
+    still = far.model_copy(update={"steps": 2, "step_size": 1e-9, "pixels": (5, 5)})
+    settings = ImageErrorSettings(method="image_error", batch_size=4, rays=16, restart=far, refinement=still)
+    _, history = supervised.design(start, IMAGE_ERRORS, problem(NO_LIMITS), settings)
+    validated = [row["validation_loss"] for row in history if "validation_loss" in row]
+    restart, first_of_refinement = validated[:-2], validated[-2]
+    assert len(restart) == (21 if pixels == (5, 5) else 11) and restart[-1] > min(restart)
+    assert first_of_refinement == pytest.approx(min(restart), rel=1e-12)
+
+
+def test_the_image_error_alone_makes_a_lens():
+    """Without a classifier, from plates: captures of soft images come nearer to the sharp ones, by 3 dB at least."""
+    plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
+    noise = torch.rand(12, 3, 4, 4, generator=torch.Generator().manual_seed(0))
+    soft = (255 * interpolate(noise, 16, mode="bilinear")).to(torch.uint8)
+    images = replace(problem().dataset, images=soft)
+
+    def quality(lens):
+        grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
+        sharp = images.batch(torch.arange(12))[0]
+        return float(psnr(Camera(grid.float()).grid(sharp), sharp).mean())
+
+    steps = RaySpaceSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
+    given = {"batch_size": 6, "rays": 32, "augment": False, "restart": steps, "refinement": steps}
+    design = ImageErrorSettings(method="image_error", **given)
+    lens, _ = supervised.design(plates, IMAGE_ERRORS, replace(problem(), dataset=images), design)
+    assert quality(lens) > quality(plates) + 3
 
 
 def test_descending_lowers_the_loss(start):
@@ -149,7 +199,9 @@ def test_descending_lowers_the_loss(start):
 
     def loss(lens):
         grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
-        return float(loss_at_psf(network, images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
+        return float(
+            loss_at_psf(Classification(network), images, labels, grid.float(), CaptureSettings(), 12)[0].mean()
+        )
 
     steps = RaySpaceSettings(steps=12, pixels=(10, 10), step_size=0.5)
     lens, _ = designed(

@@ -21,7 +21,7 @@ from tasklens.runtime.progress import Progress
 
 History = list[dict[str, Any]]
 _ROWS = 100  # least number of rows of a history, if there are as many steps
-_SHOWN = ("loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
+_SHOWN = ("loss", "validation_loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
             part.history.append({"phase": f"{label}, diverged", "step": step, "cause": str(error)})
             break
         progress(step, **{name: found.numbers[name] for name in _SHOWN if name in found.numbers})
-        if step % max(1, descent.steps // _ROWS) == 0:
+        if step % max(1, descent.steps // _ROWS) == 0 or "validation_loss" in found.numbers:
             rms_um = 1e3 * float(rms_spot_radius(found.rays, centroid(found.rays)).mean().detach())
             part.history.append({"phase": label, "step": step, **found.numbers, "rms_um": rms_um})
         part.save(step, **descent.state())

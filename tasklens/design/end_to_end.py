@@ -1,4 +1,8 @@
-"""End-to-end design: joint gradient descent of lens and classifier on the classifier's loss."""
+"""End-to-end design: joint gradient descent of lens and classifier on the classifier's loss, or of the lens alone."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import nn
@@ -7,7 +11,7 @@ from tasklens.design.driver import History, Step, divergence, run
 from tasklens.design.gradient_descent import GradientDescent
 from tasklens.design.problem import Problem
 from tasklens.design.schedule import geometric
-from tasklens.design.supervision import Supervisor, energy_in_window
+from tasklens.design.supervision import VALIDATIONS, Classification, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.recognition.training import Shuffled
@@ -19,20 +23,30 @@ from tasklens.study.design_settings import JointDescentSettings
 class JointDescent(GradientDescent):
     """Joint gradient descent of lens and network on the classifier's loss, with AdamW.
 
-    The network is trained in place, in `train()`, with all captures of a step in one batch for its batch norms. If the
-    loss is not finite, the lens of the last finite loss is restored.
+    The network is trained in place, in `train()`, with all captures of a step in one batch for its batch norms; a
+    frozen one stays in `eval()`. The result is the lens of the smallest validation loss with the sensor's pixels and
+    the full stop, with the network of its time; before the first validation, the last lens with a finite loss.
     """
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
-        classifier.train().requires_grad_(True)
+        rate = settings.network_learning_rate
+        classifier.train(rate is not None).requires_grad_(rate is not None)
         captures = settings.batch_size * len(problem.view.fields)
-        self.supervisor = Supervisor(classifier, problem, settings.size, settings.augment, captures)
+        self.supervisor = Supervisor(Classification(classifier), problem, settings.size, settings.augment, captures)
         generator = torch.Generator().manual_seed(problem.seed)
         self.order = Shuffled(len(self.supervisor.dataset), settings.batch_size, generator)
-        groups = (g | {"lr": settings.network_learning_rate} for g in network_groups(classifier, weight_decay=0.05))
-        rates = settings.learning_rates
-        super().__init__(start, problem, settings.steps, rates, tuple(groups), network=classifier, order=self.order)
-        self.settings = settings
+        groups = network_groups(classifier, weight_decay=0.05) if rate is not None else []
+        groups = [group | {"lr": rate} for group in groups]
+        super().__init__(
+            start,
+            problem,
+            settings.steps,
+            settings.learning_rates,
+            tuple(groups),
+            network=classifier,
+            order=self.order,
+        )
+        self.settings, self.classifier, self.least_loss = settings, classifier, math.inf
 
     def step(self, step: int) -> Step:
         """Take a step of AdamW on the loss of a batch, with the pixel pitch and stop of this step."""
@@ -42,6 +56,9 @@ class JointDescent(GradientDescent):
         if cold is not None:
             pixels = geometric(cold.pixel_scale, (step - 1) / (cold.pixel_duration * self.steps))
             stop = geometric(cold.stop_scale, (step - 1) / (cold.stop_duration * self.steps))
+        numbers: dict[str, float] = {}
+        if pixels == stop == 1 and (step - 1) % max(1, self.steps // VALIDATIONS) == 0:
+            numbers["validation_loss"] = self._validate()
         lens = self.assemble()
         pupil = sobol_disc(self.settings.rays, self.problem.seed * self.steps + step)
         stopped = lens.with_stop_scaled(stop)
@@ -49,12 +66,12 @@ class JointDescent(GradientDescent):
         bounds = self.penalty(lens)
         losses, gradient = self.supervisor.loss(indices, grid)
         if not torch.isfinite(losses.mean() + bounds):
-            self.revert()
             raise divergence(stopped, view, pupil, losses)
-        self.remember()
+        if math.isinf(self.least_loss):
+            self.remember()
         torch.autograd.backward([grid, self.settings.penalty * bounds], [gradient, None])
         self.advance()
-        numbers = {
+        numbers |= {
             "loss": losses.mean().item(),
             "penalty": bounds.item(),
             "energy_in_window": energy_in_window(grid),
@@ -62,7 +79,29 @@ class JointDescent(GradientDescent):
             "stop_scale": stop,
             "learning_rate": self.learning_rate,
         }
+        if step == self.steps:
+            numbers["validation_loss"] = self._validate()
         return Step(rays, losses, numbers)
+
+    def _validate(self) -> float:
+        """Compute the loss of the present lens and network on fixed images, and remember the lens if it is the best."""
+        training = self.classifier.training
+        self.classifier.eval()
+        loss = self.supervisor.validation_loss(self.assemble(), pixels=1.0)
+        self.classifier.train(training)
+        if loss < self.least_loss:
+            self.least_loss = loss
+            self.remember()
+        return loss
+
+    def state(self) -> dict[str, Any]:
+        """Return the state of the gradient descent, and the smallest validation loss."""
+        return super().state() | {"least_loss": self.least_loss}
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Resume from `state`."""
+        super().resume(state)
+        self.least_loss = state["least_loss"]
 
 
 def design(

@@ -60,11 +60,6 @@ class GradientDescent(Descent):
         """Store the present variables."""
         self.remembered = {name: value.detach().clone() for name, value in self.values.items()}
 
-    def revert(self) -> None:
-        """Restore the variables stored last, or those of the start."""
-        for name, value in self.values.items():
-            value.data.copy_(self.remembered[name])
-
     def advance(self) -> None:
         """Take a step of optimizer and schedule with the accumulated gradients, and clear them."""
         self.optimizer.step()
@@ -87,5 +82,5 @@ class GradientDescent(Descent):
         self.remembered = state["remembered"]
 
     def lens(self) -> Lens:
-        """Return the present lens, detached from autograd."""
-        return self.assemble().detached()
+        """Return the lens with the stored variables, detached from autograd."""
+        return self.variables.assemble(self.remembered).detached()

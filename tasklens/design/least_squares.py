@@ -33,6 +33,7 @@ _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # fraction of star
 _PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts, at least one lens; fraction of budget
 _PERTURBATION_EVALUATIONS = 12
 _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
+_FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
 _STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
 
 
@@ -115,7 +116,8 @@ class _Search:
         self.rng = numpy.random.default_rng(problem.seed)
         options = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
         self.merit = Merit(problem.view, problem.limits, *options)
-        self.strict = Merit(problem.view, problem.limits, *options, per_mm=_STRICT * VIOLATION_UM_PER_MM)
+        finish = partial(Merit, problem.view, problem.limits, *options, settings.linear_beyond_um)
+        self.finish, self.strict = finish(), finish(per_mm=_STRICT * VIOLATION_UM_PER_MM)
         self.orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
         self.progress = Progress("least squares", settings.evaluations)
         self.evaluations = itertools.count(1)
@@ -182,6 +184,9 @@ def design(
     for k, (part, share) in enumerate(_PERTURBATIONS):
         candidates = search.best(f"perturbations {k}", candidates, part, share, search.hop)
     _, start, lens = min(candidates, key=lambda candidate: candidate[:2])
+    if settings.linear_beyond_um is not None:
+        lens, error = search.improve(lens, search.finish, _STAGES[-1][1], _FINISH_EVALUATIONS)
+        search.history.append({"stage": "linear cost", "start": start, "rms_um": error})
     lens, error = search.improve(lens, search.strict, _STAGES[-1][1], 2 * _PERTURBATION_EVALUATIONS)
     rows = [*search.history, {"stage": "strict limits", "start": start, "rms_um": error}]
     return lens, [{"step": step, **row} for step, row in enumerate(rows, 1)]

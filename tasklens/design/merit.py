@@ -1,5 +1,6 @@
 """Merit function of damped least squares: two residuals per ray and one per limit, with derivatives."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
@@ -32,6 +33,8 @@ class Merit:
         reference: reference point of the rays' errors in y.
         corner_weight: weight of the corner field, geometric from 1 on the axis.
         max_chief_ray_angle_deg: largest chief ray angle on the sensor [degrees]; None: no limit.
+        linear_beyond_um: error e0 beyond which the cost of a ray grows linearly [um], r = e / (1 + |e|^2 / e0^2)^(1/4)
+            for its error e: rays far outside matter less, and a sharp core more. None: r = e.
         per_mm: residual per mm of violation [um/mm].
         rim: number of marginal rays, from the top to the bottom of the pupil, for the radii that light uses.
     """
@@ -43,6 +46,7 @@ class Merit:
         reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
         corner_weight: float = 1.0,
         max_chief_ray_angle_deg: float | None = None,
+        linear_beyond_um: float | None = None,
         per_mm: float = VIOLATION_UM_PER_MM,
         rim: int = 3,
     ):
@@ -50,6 +54,7 @@ class Merit:
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
         self.view, self.limits = replace(view, fields=fields), limits
         self.reference, self.max_chief_ray_angle_deg = reference, max_chief_ray_angle_deg
+        self.linear_beyond = math.inf if linear_beyond_um is None else 1e-3 * linear_beyond_um  # [mm]
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
@@ -75,9 +80,10 @@ class Merit:
         view = self.view
         rays, behind, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
         valid = rays.valid[..., : len(self.weight)]
+        x, y = self._errors(rays.x, rays.y, valid, change=False)
+        weakened = (1 + (x**2 + y**2) / self.linear_beyond**2) ** -0.25  # 1 where the cost is the square
         errors = [
-            torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share)
-            for error in self._errors(rays.x, rays.y, valid, change=False)
+            torch.where(valid, 1e3 * self.share * error * weakened, _LOST_RAY_UM * self.share) for error in (x, y)
         ]
         outermost = [_outermost(each) for each in behind]
         chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)])
@@ -91,9 +97,11 @@ class Merit:
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, _, dm, dn), changes_behind = derivative(changes)
+            ex, ey = self._errors(dx, dy, valid, change=True)
+            radial = (x * ex + y * ey) / 2 * (weakened**2 / self.linear_beyond) ** 2
             rows = [
-                torch.where(valid, 1e3 * self.share * error, 0.0).flatten(1)
-                for error in self._errors(dx, dy, valid, change=True)
+                torch.where(valid, 1e3 * self.share * (change - error * radial) * weakened, 0.0).flatten(1)
+                for error, change in ((x, ex), (y, ey))
             ]
             chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dm, dn)], 1)
             aperture = [
@@ -116,7 +124,7 @@ class Merit:
         return self.launched[1]
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
-        """Compute errors in x, and in y about the reference, of the rays of the quadrature; or their change."""
+        """Compute errors [mm] in x, and in y about the reference, of the rays of the quadrature; or their change."""
         count = len(self.weight)
         match self.reference:
             case "centroid":

@@ -7,25 +7,29 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from tasklens.design import end_to_end, imported, least_squares, spot, task
+from tasklens.design import end_to_end, imported, least_squares, spot, supervised
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.driver import History
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
+from tasklens.design.supervision import Classification, Criterion, ImageError
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_points, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
+from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import (
     EndToEndSettings,
+    ImageErrorSettings,
     ImportedLens,
     LeastSquaresSettings,
     LensDesign,
     SpotSettings,
+    SupervisedSettings,
     TaskDrivenSettings,
 )
 
@@ -85,7 +89,7 @@ def design(
 def _descend(
     start: Lens,
     problem: Problem,
-    settings: TaskDrivenSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings,
+    settings: SupervisedSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings,
     classifier: nn.Module | None,
     checkpoint: Checkpoint,
 ) -> tuple[Lens, History]:
@@ -94,10 +98,15 @@ def _descend(
         return spot.design(start, problem, settings, checkpoint)
     if isinstance(settings, LeastSquaresSettings):
         return least_squares.design(start, problem, settings, checkpoint)
-    assert classifier is not None  # a supervised design has one
+    criteria: dict[str, Criterion] = {"image_error": ImageError(False), "log_image_error": ImageError(True)}
+    if isinstance(settings, ImageErrorSettings):
+        return supervised.design(start, criteria, problem, settings, checkpoint)
+    assert classifier is not None  # the other designs have one
     if isinstance(settings, EndToEndSettings):
         return end_to_end.design(start, classifier, problem, settings, "end-to-end", checkpoint)
-    lens, history = task.design(start, classifier, problem, settings, checkpoint)
+    assert isinstance(settings, TaskDrivenSettings)
+    criteria["classification"] = Classification(frozen(classifier, settings.batch_norm))
+    lens, history = supervised.design(start, criteria, problem, settings, checkpoint)
     if settings.polish is None:
         return lens, history
     fresh = replace(problem, seed=problem.seed + _POLISH_SEED)

@@ -51,10 +51,6 @@ class SpotDescent(GradientDescent):
         numbers = {"loss": loss.item(), "penalty": bounds.item(), "stop_scale": scale}
         return Step(rays, spots, numbers | {"learning_rate": self.learning_rate})
 
-    def lens(self) -> Lens:
-        """Return the lens of the smallest loss so far, detached from autograd."""
-        return self.variables.assemble(self.remembered).detached()
-
     def state(self) -> dict[str, Any]:
         """Return the state of the gradient descent, and the smallest loss."""
         return super().state() | {"least": self.least}

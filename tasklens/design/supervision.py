@@ -1,11 +1,13 @@
-"""Supervision of a lens by a classifier's loss, through rays, PSFs and captures, and its gradient at the PSFs.
+"""Supervision of a lens by the loss of its captures, through rays, PSFs and captures, and its gradient at the PSFs.
 
-The gradient is computed in stages. The network runs in micro-batches of captures, each of which gives dL/dcapture; then
-one backward pass through the convolutions gives dL/dPSF, and one passes through the rays: captures are rendered and
-rays traced once. This is exact for a network in `eval()`, and with batch statistics for one micro-batch per step.
+The gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of captures,
+each of which gives dL/dcapture; then one backward pass through the convolutions gives dL/dPSF, and one passes through
+the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch statistics
+for one micro-batch per step.
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import torch
@@ -16,6 +18,7 @@ from torchvision.transforms.v2.functional import resize
 
 from tasklens.design.problem import Problem
 from tasklens.imaging import Camera
+from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
@@ -23,11 +26,50 @@ from tasklens.optics.rays import Rays
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.settings import CaptureSettings
 
+VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
+_VALIDATION_IMAGES = 48  # a batch of 8 photographs has losses from 0.1 to 2 for the same lens
+_VALIDATION_RAYS = 1024  # rays per field and colour
+
+
+class Criterion(ABC):
+    """What supervises a lens: a loss for each capture."""
+
+    @abstractmethod
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
+
+
+@dataclass(frozen=True)
+class Classification(Criterion):
+    """Cross-entropy of a classifier's logits."""
+
+    classifier: nn.Module
+
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the cross-entropy (N,)."""
+        return F.cross_entropy(self.classifier(captures), labels, reduction="none")
+
+
+@dataclass(frozen=True)
+class ImageError(Criterion):
+    """Mean squared error between capture and sharp image (paper, Eq. 2), or its natural logarithm.
+
+    The logarithm, PSNR up to a factor, gives images of low contrast and fields that are nearly sharp the same vote as
+    all others.
+    """
+
+    logarithm: bool
+
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the error (N,)."""
+        error = (captures - images).square().mean((-3, -2, -1))
+        return error.clamp(min=1e-12).log() if self.logarithm else error
+
 
 def loss_at_psf(
-    classifier: nn.Module, images: Tensor, labels: Tensor, grid: Tensor, capture: CaptureSettings, micro_batch: int
+    criterion: Criterion, images: Tensor, labels: Tensor, grid: Tensor, capture: CaptureSettings, micro_batch: int
 ) -> tuple[Tensor, Tensor]:
-    """Compute the mean cross-entropy over all captures, and its gradient at the PSFs.
+    """Compute the mean loss over all captures, and its gradient at the PSFs.
 
     Network parameters that require a gradient accumulate theirs.
 
@@ -35,19 +77,19 @@ def loss_at_psf(
         images: (B, 3, H, W) sharp images in [0, 1].
         labels: (B,) labels.
         grid: (F, 3, K, K) PSFs.
-        micro_batch: maximum number of the F B captures per forward pass.
+        micro_batch: maximum number of the F B captures that the criterion takes at once.
 
     Returns:
         Loss of each field (F,), whose mean is the loss L, and dL/dPSF like `grid`; on its device and of its dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
     captures = Camera(leaf, capture.outside_window, capture.colour).grid(images)
-    inputs, targets = captures.detach().flatten(0, 1), labels.repeat(len(grid))
+    inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
     parts = math.ceil(len(inputs) / micro_batch)
     losses, gradients = [], []
-    for part, target in zip(inputs.chunk(parts), targets.chunk(parts), strict=True):
+    for part, of in zip(inputs.chunk(parts), source.chunk(parts), strict=True):
         part.requires_grad_()
-        loss = F.cross_entropy(classifier(part), target, reduction="none")
+        loss = criterion.losses(part, images[of], labels[of])
         (loss.sum() / len(inputs)).backward()
         losses.append(loss.detach())
         gradients.append(_gradient(part))
@@ -63,17 +105,17 @@ def _gradient(leaf: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Supervisor:
-    """A classifier whose loss on captures supervises a lens.
+    """A criterion on captures that supervises a lens.
 
     Attributes:
-        classifier: network for images (B, 3, H, W) in [0, 1].
+        criterion: loss of each capture.
         problem: design problem with capture and dataset.
         size: side of the resized images [pixels]; None: not resized.
         augment: whether TrivialAugment is applied to the sharp images.
-        micro_batch: maximum number of captures per forward pass.
+        micro_batch: maximum number of captures that the criterion takes at once.
     """
 
-    classifier: nn.Module
+    criterion: Criterion
     problem: Problem
     size: int | None
     augment: bool
@@ -114,19 +156,24 @@ class Supervisor:
     def loss(self, indices: Tensor, grid: Tensor) -> tuple[Tensor, Tensor]:
         """Compute the loss (F,) of each field on these images through PSFs, and the gradient of its mean at these."""
         images, labels = self.images(indices, self.augment)
-        return loss_at_psf(self.classifier, images, labels, grid, self.capture, self.micro_batch)
+        return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch)
 
     @torch.no_grad()
-    def validation_loss(self, lens: Lens, indices: Tensor, pupil: Tensor, pixels: float) -> float:
-        """Compute the mean loss of a lens on images without augmentation; infinite if it is not finite."""
-        _, grid = self.trace(lens, pupil, pixels)
-        images, labels = self.images(indices, augment=False)
-        captures = Camera(grid.to(images), self.capture.outside_window, self.capture.colour).grid(images)
-        # Captures are ordered by image, since batch norms in batch mode need all fields in every batch.
-        inputs, targets = captures.transpose(0, 1).flatten(0, 1), labels.repeat_interleave(len(grid))
-        parts = zip(inputs.split(self.micro_batch), targets.split(self.micro_batch), strict=True)
-        loss = sum(float(F.cross_entropy(self.classifier(part), target, reduction="sum")) for part, target in parts)
-        return loss / len(inputs) if math.isfinite(loss) else math.inf
+    def validation_loss(self, lens: Lens, pixels: float) -> float:
+        """Compute the mean loss of a lens on a fixed set of training images, without augmentation."""
+        _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
+        generator = torch.Generator().manual_seed(self.problem.seed)
+        fixed = torch.randperm(len(self.dataset), generator=generator)[:_VALIDATION_IMAGES]
+        images, labels = self.images(fixed, augment=False)
+        camera = Camera(grid.to(images), self.capture.outside_window, self.capture.colour)
+        found = []
+        # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
+        at_once = max(1, self.micro_batch // len(grid))
+        for some, classes in zip(images.split(at_once), labels.split(at_once), strict=True):
+            captures = camera.grid(some)
+            sharp, targets = some.repeat(len(grid), 1, 1, 1), classes.repeat(len(grid))
+            found.append(self.criterion.losses(captures.flatten(0, 1), sharp, targets))
+        return float(torch.cat(found).mean())
 
 
 def energy_in_window(grid: Tensor) -> float:

@@ -13,7 +13,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
-from tasklens.study.design_settings import EndToEndSettings, ImportedLens, LensDesign, TaskDrivenSettings
+from tasklens.study.design_settings import ImportedLens, LensDesign
 from tasklens.study.names import SHARP, SPLITS
 from tasklens.study.settings import Slice
 from tasklens.study.study import Study, StudyError
@@ -64,26 +64,24 @@ _LENS = "lenses/{lens}/seed{seed}"
 def design(study: Study, lens: str, seed: int) -> Plan:
     """Design a lens, or import it; write its prescription, figures, history and PSFs."""
     entry = study.lens(lens)
-    supervised = isinstance(entry.design, TaskDrivenSettings | EndToEndSettings)
     settings = LensDesign(
         entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
         spec=study.spec_of(entry.elements),
         constraints=study.constraints,
-        capture=study.capture_of(lens) if supervised else None,
-        classifier=study.classifier(study.supervisor) if supervised else None,
+        capture=study.capture_of(lens) if entry.supervised else None,
+        classifier=study.classifier(study.supervisor) if entry.classified else None,
         rays=study.evaluation_rays,
         seed=seed,
     )
-    imported = entry.design if isinstance(entry.design, ImportedLens) else None
     baselines = paper_tables.imaging_baselines(study, lens)
     inputs = {
-        "train": split(study, "train") if supervised else None,
-        "weights": reference.output(study, "weights", classifier=study.supervisor) if supervised else None,
-        "files": None if imported is None else [imported.file, *imported.catalogues],
+        "train": split(study, "train") if entry.supervised else None,
+        "weights": reference.output(study, "weights", classifier=study.supervisor) if entry.classified else None,
+        "files": list(entry.design.sources) if isinstance(entry.design, ImportedLens) else None,
         "baselines": {name: _lens(study, name, seed) for name in baselines},
         "metrics": {name: _measured(study, name, study.supervisor, seed, "metrics") for name in baselines},
     }
-    return Plan(settings, inputs, gpus=int(supervised))
+    return Plan(settings, inputs, gpus=int(entry.classified))
 
 
 def _lens(study: Study, lens: str, seed: int) -> Path:
@@ -150,12 +148,13 @@ _MEASUREMENTS = {
     "weights": "classifiers/{lens}/seed{seed}/{measured_name}.safetensors",
     "metrics": "metrics/{lens}/seed{seed}/{measured_name}.csv",
     "predictions": "metrics/{lens}/seed{seed}/{measured_name}-predictions.csv",
+    "frozen": "metrics/{lens}/seed{seed}/{measured_name}-frozen.csv",  # losses before the training
 }
 
 
 @stage(f"{STAGES}.classify.fine_tune", _MEASUREMENTS, resumable=True)
 def fine_tune(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
-    """Fine-tune a classifier on the captures of a lens, and measure it on every field."""
+    """Fine-tune a classifier on the captures of a lens, and measure it on every field, its loss also before that."""
     classifier, restored = _split(lens, measured_name)
     return _fine_tuning(study, lens, [classifier], restored, seed)
 
@@ -170,6 +169,7 @@ def _measurements_of_others(study: Study) -> dict[str, str]:
         f"{output}_{name}": pattern.replace("{measured_name}", name)
         for name in others(study)
         for output, pattern in _MEASUREMENTS.items()
+        if output != "frozen"  # of the supervisor alone
     }
 
 
@@ -203,9 +203,10 @@ def _measured(study: Study, lens: str, measured_name: str, seed: int, output: st
 
 
 def _measurements(study: Study, lenses: Iterable[str], measured: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    """Return files of lenses by (lens, seed), and of metrics and predictions by (lens, measured name, seed)."""
+    """Return files of lenses by (lens, seed); metrics, predictions, frozen losses by (lens, measured name, seed)."""
     keys = [(*pair, seed) for pair in measured for seed in study.seeds]
     files = {name: {key: _measured(study, *key, name) for key in keys} for name in ("metrics", "predictions")}
+    files["frozen"] = {key: _measured(study, *key, "frozen") for key in keys if key[1] == study.supervisor}
     return files | {"lenses": {(lens, seed): _lens(study, lens, seed) for lens in lenses for seed in study.seeds}}
 
 
@@ -227,7 +228,7 @@ def table(study: Study, table: str) -> Plan:
     """Make one table of the paper as CSV, Markdown and LaTeX."""
     contents = paper_tables.table(study, table)
     inputs = _measurements(study, contents.lenses, contents.measured)
-    return Plan(contents, {"lenses": inputs["lenses"], "metrics": inputs["metrics"], "paper": PAPER})
+    return Plan(contents, {name: inputs[name] for name in ("lenses", "metrics", "frozen")} | {"paper": PAPER})
 
 
 @stage(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from tasklens.imaging import Camera, psnr
@@ -112,17 +113,46 @@ def zero_shot(
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
 
 
-def predictions_by_image(correct: Tensor, dataset: ImageDataset) -> list[dict]:
-    """Return a row per image: its index in the split, its label, and for each field 1 if classified correctly, else 0.
+@torch.no_grad()
+def losses(
+    classifier: Callable[[Tensor], Tensor],
+    dataset: ImageDataset,
+    pipeline: CapturePipeline,
+    label: str = "losses",
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+) -> Tensor:
+    """Compute the cross-entropy (F, N) of a classifier for N images at F fields.
 
     Args:
-        correct: (F, N) bool, from `evaluate`.
+        label, checkpoint: as of `evaluate`.
     """
-    fields = [f"field{k}" for k in range(len(correct))]
+    part = checkpoint.part(label)
+    if part.result is None:
+        found = []
+        batches = torch.arange(len(dataset)).split(_BATCH)
+        progress = Progress(label, len(batches))
+        for step, indices in enumerate(batches, 1):
+            images, labels = dataset.batch(indices)
+            captures = pipeline.all_fields(images)
+            fields = [F.cross_entropy(classifier(field), labels, reduction="none") for field in captures]
+            found.append(torch.stack(fields).cpu())
+            progress(step)
+        part.finish(losses=torch.cat(found, 1))
+        return torch.cat(found, 1)
+    return part.result["losses"]
+
+
+def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
+    """Return a row per image: its index in the split, its label, and the value of each field.
+
+    Args:
+        values: (F, N).
+    """
+    fields = [f"field{k}" for k in range(len(values))]
     labels = [dataset.classes[label] for label in dataset.labels.tolist()]
     return [
         {"image": i, "label": label} | dict(zip(fields, found, strict=True))
-        for i, (label, found) in enumerate(zip(labels, correct.int().T.tolist(), strict=True))
+        for i, (label, found) in enumerate(zip(labels, values.T.tolist(), strict=True))
     ]
 
 
@@ -141,7 +171,7 @@ def measure(
     Returns:
         Of each classifier rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of
         the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. There is no PSNR
-        without a camera. And the rows of `predictions_by_image` for the test images.
+        without a camera. And the rows of `by_image` for the test images: 1 if classified correctly, else 0.
     """
     correct, quality = evaluate(classifiers, splits["test"], pipeline, "test", checkpoint)
     chosen, _ = evaluate(classifiers, splits["minival"], pipeline, "minival", checkpoint)
@@ -150,7 +180,7 @@ def measure(
         rows = _metrics(test, minival, quality if pipeline.camera is not None else None)
         whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(splits["test"].classes)}
         rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
-        found.append((rows, predictions_by_image(test, splits["test"])))
+        found.append((rows, by_image(test.int(), splits["test"])))
     return found
 
 

@@ -3,6 +3,8 @@
 A row is one image, the mean over its nine captures: these are not independent, and not resampled.
 """
 
+from collections.abc import Sequence
+
 import numpy
 from numpy import ndarray
 from scipy.special import ndtri, stdtrit
@@ -29,8 +31,8 @@ def resampled_means(values: ndarray, seed: int = 0, resamples: int = RESAMPLES) 
     return numpy.concatenate(means)
 
 
-def interval(by_seed: ndarray, seed: int = 1) -> tuple[float, float]:
-    """Compute the percentile interval of the mean over seeds, from resampled values (R, S) of S seeds.
+def resampled_over_seeds(by_seed: ndarray, seed: int = 1) -> ndarray:
+    """Compute resampled means (R,) over seeds, from resampled values (R, S) of S seeds.
 
     With several seeds, S of the S values of each row are sampled with replacement. Since seeds are few, the deviation
     caused by this is multiplied by sqrt(S / (S - 1)) t / z, with the quantiles t of Student's distribution for S - 1
@@ -43,5 +45,26 @@ def interval(by_seed: ndarray, seed: int = 1) -> tuple[float, float]:
         stretch = numpy.sqrt(seeds / (seeds - 1)) * stdtrit(seeds - 1, quantile) / ndtri(quantile)
         drawn = numpy.random.default_rng(seed).integers(seeds, size=(resamples, seeds))
         means = means + stretch * (numpy.take_along_axis(by_seed, drawn, 1).mean(1) - means)
+    return means
+
+
+def interval(means: ndarray) -> tuple[float, float]:
+    """Compute the percentile interval from resampled means (R,)."""
     low, high = numpy.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
+
+
+def p_value(means: ndarray, null: float = 0.0) -> float:
+    """Compute the two-sided p-value of a mean of `null` from resampled means (R,): at least 2 / (R + 1)."""
+    beyond = min(int((means <= null).sum()), int((means >= null).sum()))
+    return min(1.0, 2 * (beyond + 1) / (len(means) + 1))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values of a family of tests corrected by Holm's method (Scandinavian Journal of Statistics 6, 1979)."""
+    order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    corrected, largest = [0.0] * len(p_values), 0.0
+    for rank, k in enumerate(order):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[k]))
+        corrected[k] = largest
+    return corrected

@@ -1,6 +1,6 @@
 """Measurements of a study, from its files of lenses, metrics and predictions; no torch here."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ import yaml
 
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
+from tasklens.report.optimality import Gap, gap
 from tasklens.study.claims import Claim
 
 
@@ -33,11 +34,12 @@ def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Files of lenses by (lens, seed), of metrics and predictions by (lens, measured name, seed)."""
+    """Files of lenses by (lens, seed); of metrics, predictions and frozen losses by (lens, measured name, seed)."""
 
     lenses: Mapping[tuple[str, int], Path]
     metrics: Mapping[tuple[str, str, int], Path]
     predictions: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
+    frozen: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
         """Read the content of a lens file, without validation."""
@@ -54,6 +56,16 @@ class Measurements:
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read predictions: 1 where an image is classified correctly, else 0; a row per image, a column per field."""
         return predictions.read(self.predictions[lens, classifier, seed])
+
+    def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
+        """Return the loss of the frozen classifier for each minival image, mean over fields."""
+        frame = pandas.read_csv(self.frozen[lens, classifier, seed], dtype={"label": str}, keep_default_na=False)
+        return frame.set_index(["image", "label"]).mean(axis=1)
+
+    def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> Gap:
+        """Return the optimality gap of a lens beside other lenses."""
+        losses = {name: self.frozen_losses(name, classifier, seed) for name in (lens, *others)}
+        return gap(losses.pop(lens), losses)
 
     def strongest_baseline(self, claim: Claim, seed: int) -> str:
         """Return the baseline of a claim with the best minival accuracy for this seed; "" without baselines.

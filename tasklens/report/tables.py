@@ -6,6 +6,7 @@ Columns of the paper's values end in `_paper`: they are for another data set (Im
 import importlib.metadata
 import json
 import subprocess
+from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 
@@ -21,12 +22,21 @@ from tasklens.study.tables import TableContents
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {
-    "table1": ["accuracy", "psnr_db", "rms_spot_um", "core_radius_um", "energy_in_window", "worst_margin"],
+    "table1": [
+        "accuracy",
+        "frozen_loss",
+        "gap",
+        "psnr_db",
+        "rms_spot_um",
+        "core_radius_um",
+        "energy_in_window",
+        "worst_margin",
+    ],
     "table2": ["parameters_m", "reference_accuracy", "accuracy"],
-    "table3": ["accuracy", "energy_in_window", "worst_margin", "converged"],
+    "table3": ["accuracy", "frozen_loss", "gap", "energy_in_window", "worst_margin", "converged"],
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
-_DIGITS = {"": ".2f", "energy": ".3f", "worst": ".3f"}
+_DIGITS = {"": ".2f", "energy": ".3f", "frozen": ".3f", "gap": "+.3f", "worst": ".3f"}
 _ZERO_SHOT = "zero_shot_accuracy"  # in tables 1 and 2, if a network has more outputs than classes
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",
@@ -45,11 +55,13 @@ def collect(contents: TableContents, measurements: Measurements) -> pandas.DataF
         sharp = measurements.values(SHARP, classifier, seed)
         if contents.name == "table1":
             shown = {key: sharp[key] for key in ("accuracy", _ZERO_SHOT) if key in sharp}
+            shown |= _frozen_values(SHARP, (), classifier, seed, measurements)
             rows.append({"elements": "", "design": "reference", "seed": seed} | shown)
         for lens in contents.lenses:
             key = lens, names.measured(classifier, contents.restored), seed
             if key in measurements.metrics and (lens, seed) in measurements.lenses:
-                rows.append(_row(lens, classifier, seed, sharp, measurements.values(*key), measurements))
+                row = _row(lens, classifier, seed, sharp, measurements.values(*key), measurements)
+                rows.append(row | _frozen_values(lens, contents.gaps.get(lens, ()), classifier, seed, measurements))
     return pandas.DataFrame(rows)
 
 
@@ -62,6 +74,19 @@ def _row(
     reached = converged(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
     keys = {"elements": elements, "design": design, "classifier": classifier, "seed": seed}
     return keys | values | {"converged": reached}
+
+
+def _frozen_values(
+    lens: str, others: Iterable[str], classifier: str, seed: int, measured: Measurements
+) -> dict[str, float]:
+    """Return the mean loss of the frozen classifier, and its gap to the least of other lenses, as far as measured."""
+    if (lens, classifier, seed) not in measured.frozen:
+        return {}
+    values = {"frozen_loss": float(measured.frozen_losses(lens, classifier, seed).mean())}
+    others = [other for other in others if (other, classifier, seed) in measured.frozen]
+    if others:
+        values["gap"] = measured.optimality_gap(lens, others, classifier, seed).difference
+    return values
 
 
 def _columns(contents: TableContents, rows: pandas.DataFrame) -> list[str]:
@@ -107,7 +132,7 @@ def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
     """
     published = pandas.read_csv(inputs.paper, keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
-    rows = collect(contents, Measurements(inputs.lenses, inputs.metrics))
+    rows = collect(contents, Measurements(inputs.lenses, inputs.metrics, frozen=inputs.frozen))
     if rows.empty:
         raise FileError(f"{contents.name}: nothing has been measured yet: no metrics of the study {contents.study}")
     rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name]])))

@@ -1,11 +1,14 @@
 """Verdicts on the claims of the paper for the lenses of a study, from differences and their intervals.
 
 The difference is in points of accuracy, mean over fields, images and seeds, paired by seed and by image. Its 95 %
-interval is from 10 000 resamples of the test images, and of the seeds if there are several. A claim
+interval is from 10 000 resamples of the test images, and of the seeds if there are several. A claim has a margin: zero
+for "more accurate", stated beforehand for "at least as accurate" (non-inferiority). It
 
-    holds           if the whole interval is above zero,
-    does not hold   if the whole interval is below zero,
-    is undecided    otherwise, and always with fewer than five seeds.
+    holds           if the difference is above minus the margin,
+    does not hold   if it is below,
+
+each significantly at 5 % after Holm's correction for all claims of its table, and with at least five seeds; otherwise
+it is undecided, and the reason says within how many points the two are.
 """
 
 from collections import Counter
@@ -26,26 +29,35 @@ LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 COLUMNS = [
     *("table", "claim", "lens", "baseline", "classifier"),
-    *("difference", "low", "high", "seeds", "verdict", "reason"),
+    *("difference", "low", "high", "p_holm", "seeds", "verdict", "reason"),
 ]
 
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
-where the whole interval is above zero, does not hold where it is below, and is undecided else, or with fewer than
-{least} seeds. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in how many seeds).
-For the claim about convergence, the difference is how far the rule of table 3 is missed: half of the light in the
-window, half of the accuracy above chance."""
+where the difference is above zero, or for "at least as accurate" above -{margin:g} points, and does not hold where it
+is below, significantly at 5 % after Holm's correction for the claims of its table (`p_holm`); it is undecided else, or
+with fewer than {least} seeds. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in
+how many seeds). For the claim about convergence, the difference is how far the rule of table 3 is missed: half of the
+light in the window, half of the accuracy above chance."""
 
 
-def verdict(low: float, high: float, seeds: int) -> tuple[str, str]:
-    """Return the verdict on a difference with the interval `low` to `high` over `seeds` seeds, and its reason."""
+def verdict(low: float, high: float, p_holm: float, seeds: int, margin: float = 0.0) -> tuple[str, str]:
+    """Return the verdict on a difference, and its reason.
+
+    Args:
+        low, high: its interval [points].
+        p_holm: corrected p-value of a difference of minus the margin.
+        seeds: number of seeds.
+        margin: margin of the claim [points].
+    """
     if seeds < LEAST_SEEDS:
         return UNDECIDED, "fewer than five seeds"
-    if low > 0:
-        return HOLDS, "interval above zero"
-    if high < 0:
-        return FAILS, "interval below zero"
-    return UNDECIDED, "interval holds zero"
+    bound = f"-{margin:g} points" if margin else "zero"
+    if p_holm < 1 - bootstrap.CONFIDENCE and low > -margin:
+        return HOLDS, f"above {bound}"
+    if p_holm < 1 - bootstrap.CONFIDENCE and high < -margin:
+        return FAILS, f"below {bound}"
+    return UNDECIDED, f"within {max(-low, high):.1f} points"
 
 
 def accuracy_by_image(lenses: Mapping[int, str], classifier: str, measurements: Measurements) -> pandas.DataFrame:
@@ -113,11 +125,16 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     rows = []
     for k, (claim, baseline) in enumerate(zip(claims.claims, baselines, strict=True)):
         least = found[k][1]
-        low, high = bootstrap.interval(numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least))
-        difference = float(numpy.maximum(values[k].mean(0), least).mean())
+        means = bootstrap.resampled_over_seeds(numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least))
         keys = (claim.table, claim.text, claim.lens, _named(baseline.values()), claim.classifier)
-        rows.append((*keys, difference, low, high, seeds, *verdict(low, high, seeds)))
-    return pandas.DataFrame(rows, columns=COLUMNS)
+        difference = float(numpy.maximum(values[k].mean(0), least).mean())
+        p_value = bootstrap.p_value(means, -claim.margin)
+        rows.append((*keys, difference, *bootstrap.interval(means), p_value, seeds, "", ""))
+    table = pandas.DataFrame(rows, columns=COLUMNS)
+    table["p_holm"] = table.groupby("table")["p_holm"].transform(lambda family: bootstrap.holm(family.tolist()))
+    judged = zip(table["low"], table["high"], table["p_holm"], claims.claims, strict=True)
+    table[["verdict", "reason"]] = [verdict(low, high, p, seeds, claim.margin) for low, high, p, claim in judged]
+    return table
 
 
 def _named(baselines: Iterable[str]) -> str:
@@ -136,7 +153,8 @@ def seeds_phrase(claims: Claims) -> str:
 def make(claims: Claims, inputs: Files, outputs: Files) -> None:
     """Write the verdicts as CSV and Markdown."""
     rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
-    shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f"))
-    note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS)
+    shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3f"})
+    margin = max((claim.margin for claim in claims.claims), default=0.0)
+    note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=margin)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
     publish(outputs, "Verdicts on the paper's claims", rows, shown, note)

@@ -62,6 +62,8 @@ def verify(
     for lens, seed in product(contents.lenses, contents.seeds):
         found = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
         (failures if lens in contents.constrained else unconstrained).extend(found)
+        if contents.gaps.get(lens):
+            failures += _gap_failures(lens, seed, contents, measurements)
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):
         anew = predictions.read(reproduced[lens, classifier, seed])
@@ -82,6 +84,14 @@ def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], contents: V
     if "diverged" in content.get("origin", {}):
         found.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
     return found
+
+
+def _gap_failures(lens: str, seed: int, contents: VerificationContents, measurements: Measurements) -> list[Failure]:
+    found = measurements.optimality_gap(lens, contents.gaps[lens], contents.supervisor, seed)
+    if found.converged:
+        return []
+    value = f"{found.difference:.3f} +- {found.error:.3f} above {found.nearest}"
+    return [Failure(lens, str(seed), f"not converged: the loss of {contents.supervisor}, frozen", value)]
 
 
 def violated_limits(content: Mapping[str, Any], efl_mm: float, efl_tolerance: float) -> dict[str, float]:
@@ -127,7 +137,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
 
 def run(contents: VerificationContents, inputs: Files, outputs: Files) -> int:
     """Print the verdicts and the results; return 1 if there are failures, else 0."""
-    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
+    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions, inputs.frozen)
     findings = verify(contents, measurements, inputs.reproduced, inputs.tables)
     print(inputs.verdicts.read_text())
     print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet

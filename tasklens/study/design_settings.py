@@ -75,7 +75,9 @@ class JointDescentSettings(Frozen):
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
     rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
     learning_rates: LearningRates = Field(LearningRates(), description="Learning rates of the lens.")
-    network_learning_rate: Positive = Field(1e-5, description="Learning rate of the classifier.")
+    network_learning_rate: Positive | None = Field(
+        1e-5, description="Learning rate of the classifier; null: frozen, the paper's plain task-driven protocol."
+    )
     cold_start: ColdStart | None = Field(None, description="Coarse pixels and a small stop at first; null: none.")
     penalty: Positive = Field(100.0, description="Weight of the squared violations of limits [1/mm^2].")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
@@ -93,24 +95,49 @@ class RaySpaceSettings(Frozen):
     final: Part = Field(0.1, description="Step size at the last step, as a fraction; cosine schedule.")
     momentum: float = Field(0.9, ge=0, lt=1, description="Momentum of the gradient's running mean.")
     damping: Positive = Field(0.1, description="Damping of the Gauss-Newton metric, times its diagonal.")
-
-
-class TaskDrivenSettings(Frozen):
-    """Settings of task-driven design from flat plates; the classifier is frozen, except in the optional polish."""
-
-    _renamed = renamed({"images": "batch_size", "starts": "restarts", "start": "restart", "refine": "refinement"})
-
-    method: Literal["task"]
-    batch_size: Count = Field(64, description="Images per step, each at all nine fields.")
+    criterion: Literal["classification", "image_error", "log_image_error"] = Field(
+        "classification",
+        description="Loss of a capture: cross-entropy of the frozen classifier; mean squared error from the sharp "
+        "image (paper, Eq. 2), or its logarithm.",
+    )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
+
+
+class SupervisedSettings(Frozen):
+    """Settings of supervised design from flat plates by ray-space descent."""
+
+    _renamed = renamed(
+        {
+            "images": "batch_size",
+            "starts": "restarts",
+            "start": "restart",
+            "refine": "refinement",
+            "size": "a key of each descent; move it to restart and refinement",
+        }
+    )
+
+    batch_size: Count = Field(64, description="Images per step, each at all nine fields.")
     rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
     restarts: Count = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
     restart: RaySpaceSettings = Field(description="Descent of each restart.")
     refinement: RaySpaceSettings = Field(description="Descent that refines the best restart.")
+    finish: RaySpaceSettings | None = Field(None, description="Descent after the refinement; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Count = Field(
         64, description="Captures per forward pass; with stored batch-norm statistics it affects only memory."
     )
+
+    @property
+    def descents(self) -> dict[str, RaySpaceSettings]:
+        """All descents by key."""
+        found = {"restart": self.restart, "refinement": self.refinement, "finish": self.finish}
+        return {name: descent for name, descent in found.items() if descent is not None}
+
+
+class TaskDrivenSettings(SupervisedSettings):
+    """Settings of task-driven design from flat plates; the classifier is frozen, except in the optional polish."""
+
+    method: Literal["task"]
     batch_norm: Literal["stored", "batch"] = Field(
         "stored", description="Statistics of the frozen classifier's batch norms: stored, or of the batch."
     )
@@ -119,11 +146,29 @@ class TaskDrivenSettings(Frozen):
     )
 
 
+class ImageErrorSettings(SupervisedSettings):
+    """Settings of design by the error of the image, which the paper's section 3.1 argues against: no classifier."""
+
+    method: Literal["image_error"]
+
+    @model_validator(mode="after")
+    def _no_classifier(self) -> "ImageErrorSettings":
+        for name, descent in self.descents.items():
+            if descent.criterion == "classification":
+                raise ValueError(f"{name}.criterion: expected image_error or log_image_error, without a classifier")
+        return self
+
+
 class EndToEndSettings(JointDescentSettings):
     """Settings of joint descent from flat plates, or from the best imaging lens by minival accuracy."""
 
     method: Literal["end_to_end"]
     start: Literal["flat", "best_imaging"] = Field(description="Starting lens.")
+
+    @property
+    def jointly_from(self) -> str | None:
+        """Starting lens if the classifier is trained together with the lens."""
+        return None if self.network_learning_rate is None else self.start
 
 
 class SpotSettings(Frozen):
@@ -152,6 +197,11 @@ class LeastSquaresSettings(Frozen):
     max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
         None, description="Largest chief ray angle on the sensor [degrees]; null: no limit."
     )
+    linear_beyond_um: Positive | None = Field(
+        None,
+        description="Error beyond which the cost of a ray grows linearly in a last stage [um]: a sharper core with "
+        "more haze than the least RMS spot has; null: no such stage.",
+    )
 
 
 class ImportedLens(Frozen):
@@ -160,6 +210,11 @@ class ImportedLens(Frozen):
     elements: Name = Field(description="Name of its elements in the tables.")
     file: FilePath = Field(description="A Zemax file (.zmx), or a lens.yaml.")
     catalogues: tuple[FilePath, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """The file and its catalogues."""
+        return self.file, *self.catalogues
 
     @field_validator("file")
     @classmethod
@@ -170,7 +225,8 @@ class ImportedLens(Frozen):
 
 
 DesignSettings = Annotated[
-    TaskDrivenSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings, Field(discriminator="method")
+    TaskDrivenSettings | ImageErrorSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings,
+    Field(discriminator="method"),
 ]
 
 
@@ -183,6 +239,16 @@ class LensEntry(Frozen):
     design_name: str = Field(description="Name of its design.")
     design: DesignSettings | ImportedLens = Field(description="Design method, or file.")
     capture: CaptureSettings | None = Field(None, description="Changed capture of an ablation; null: the study's.")
+
+    @property
+    def classified(self) -> bool:
+        """True if a classifier supervises the design."""
+        return isinstance(self.design, TaskDrivenSettings | EndToEndSettings)
+
+    @property
+    def supervised(self) -> bool:
+        """True if the design sees images."""
+        return self.classified or isinstance(self.design, SupervisedSettings)
 
     @property
     def constrained(self) -> bool:

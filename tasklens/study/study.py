@@ -15,10 +15,12 @@ from tasklens.study.ablations import Ablation, variant_entry
 from tasklens.study.design_settings import (
     DesignSettings,
     EndToEndSettings,
+    ImageErrorSettings,
     ImportedLens,
     LeastSquaresSettings,
     LensEntry,
     SpotSettings,
+    SupervisedSettings,
 )
 from tasklens.study.settings import (
     CaptureSettings,
@@ -179,7 +181,10 @@ class Study(Frozen):
 
     def _check_design(self, where: str, lens: LensEntry) -> None:
         kernel_size = self.spec_of(lens.elements).kernel_size
-        for key, part in (("size", lens.design), ("polish.size", getattr(lens.design, "polish", None))):
+        parts: dict[str, Any] = {"size": lens.design, "polish.size": getattr(lens.design, "polish", None)}
+        if isinstance(lens.design, SupervisedSettings):
+            parts |= {f"{name}.size": descent for name, descent in lens.design.descents.items()}
+        for key, part in parts.items():
             size = getattr(part, "size", None)
             if size is not None and not kernel_size // 2 < size <= self.images.size:
                 raise ValueError(
@@ -188,7 +193,7 @@ class Study(Frozen):
                 )
         start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
         if start == "best_imaging" and not self.imaging_designs:
-            raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot or least_squares")
+            raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_error")
 
     def _check_ablation(self, name: str) -> None:
         ablation = self.ablations[name]
@@ -250,9 +255,8 @@ class Study(Frozen):
     @property
     def imaging_designs(self) -> tuple[str, ...]:
         """Names of the imaging designs: those without a classifier."""
-        return tuple(
-            name for name, design in self.designs.items() if isinstance(design, SpotSettings | LeastSquaresSettings)
-        )
+        methods = SpotSettings | LeastSquaresSettings | ImageErrorSettings
+        return tuple(name for name, design in self.designs.items() if isinstance(design, methods))
 
     def lens(self, name: str) -> LensEntry:
         """Return the lens `name`; raises StudyError with the known names."""

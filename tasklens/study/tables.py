@@ -1,13 +1,9 @@
 """Contents of the tables and of the verification of a study; no torch here."""
 
+from collections.abc import Iterable
+
 from tasklens.study import names
-from tasklens.study.design_settings import (
-    EndToEndSettings,
-    ImportedLens,
-    LeastSquaresSettings,
-    SpotSettings,
-    TaskDrivenSettings,
-)
+from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
@@ -21,6 +17,7 @@ class TableContents(Frozen):
         name: `table1` .. `table4`.
         lenses, classifiers, seeds: names and seeds of its rows.
         restored: whether captures are restored.
+        gaps: the other lenses of the same elements, by task-driven lens, in tables 1 and 3.
     """
 
     study: str
@@ -29,6 +26,7 @@ class TableContents(Frozen):
     classifiers: tuple[str, ...]
     seeds: tuple[int, ...]
     restored: bool
+    gaps: dict[str, tuple[str, ...]]
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
@@ -44,10 +42,11 @@ def table(study: Study, name: str) -> TableContents:
     Tables 1, 2 and 4 compare task-driven designs with imaging designs and imported lenses, table 3 with end-to-end
     designs; table 4 has only the elements in `restored`. Table 2 has all classifiers, the others the supervisor.
     """
-    methods: tuple[type, ...] = (TaskDrivenSettings, SpotSettings, LeastSquaresSettings, ImportedLens)
-    if name == "table3":
-        methods = (TaskDrivenSettings, EndToEndSettings)
-    lenses = [lens for lens in study.lenses.values() if isinstance(lens.design, methods)]
+    lenses = [
+        lens
+        for lens in study.lenses.values()
+        if (lens.classified if name == "table3" else not isinstance(lens.design, EndToEndSettings))
+    ]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
     return TableContents(
@@ -57,7 +56,18 @@ def table(study: Study, name: str) -> TableContents:
         classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
         seeds=study.seeds,
         restored=name == "table4",
+        gaps=_gaps(study, [lens.name for lens in lenses]) if name in ("table1", "table3") else {},
     )
+
+
+def _gaps(study: Study, lenses: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the other lenses of the same elements, by task-driven lens."""
+    entries = [study.lens(name) for name in lenses]
+    return {
+        lens.name: tuple(other.name for other in entries if other.elements == lens.elements and other != lens)
+        for lens in entries
+        if isinstance(lens.design, TaskDrivenSettings)
+    }
 
 
 def tables(study: Study) -> tuple[TableContents, ...]:
@@ -92,6 +102,8 @@ class VerificationContents(Frozen):
         efl_tolerance: largest relative deviation from it.
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
+        supervisor: classifier of the optimality gaps.
+        gaps: the other lenses of the same elements, by task-driven lens; of those that the supervisor measures.
         seeds: seeds of the study.
     """
 
@@ -101,18 +113,23 @@ class VerificationContents(Frozen):
     efl_tolerance: float
     tables: tuple[TableContents, ...]
     measured: tuple[tuple[str, str], ...]
+    supervisor: str
+    gaps: dict[str, tuple[str, ...]]
     seeds: tuple[int, ...]
 
 
 def verification(study: Study) -> VerificationContents:
     """Return the contents of the verification of a study."""
     entries = {name: study.lens(name) for name in table_lenses(study)}
+    measured = tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured))
     return VerificationContents(
         lenses=tuple(entries),
         constrained=tuple(name for name, lens in entries.items() if lens.constrained),
         efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in entries.items()},
         efl_tolerance=study.constraints.efl_tolerance,
         tables=tables(study),
-        measured=tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured)),
+        measured=measured,
+        supervisor=study.supervisor,
+        gaps=_gaps(study, [name for name in entries if (name, study.supervisor) in measured]),
         seeds=study.seeds,
     )

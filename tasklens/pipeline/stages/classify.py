@@ -18,12 +18,12 @@ _OUTPUTS = ("weights", "metrics", "predictions")
 
 
 def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
-    """Write the weights of a classifier, its metrics of every field, and its prediction for every test image."""
+    """Write weights, metrics by field, predictions by test image, and losses before the training by minival image."""
     _fine_tune(settings, inputs, dict.fromkeys(settings.classifiers, outputs), checkpoint)
 
 
 def fine_tune_others(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
-    """Write the same of several classifiers."""
+    """Write the same of several classifiers, without those losses."""
     paths = vars(outputs)
     by_name = {n: Files(**{key: paths[f"{key}_{n}"] for key in _OUTPUTS}) for n in settings.classifiers}
     _fine_tune(settings, inputs, by_name, checkpoint)
@@ -39,10 +39,15 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
         }
         pipeline = _capture_pipeline(settings, inputs, group.device)
         before: dict[str, list[dict]] = {}
+        frozen: dict[str, list[dict]] = {}
         if group.is_first:
             for name, network in networks.items():
                 label = f"zero-shot evaluation of {name}"
                 before[name] = evaluation.zero_shot(network.eval(), splits["test"], pipeline, label, checkpoint)
+                if "frozen" in vars(outputs[name]):
+                    label = f"losses of {name}, frozen"
+                    losses = evaluation.losses(network, splits["minival"], pipeline, label, checkpoint)
+                    frozen[name] = evaluation.by_image(losses, splits["minival"])
         training.fit(
             networks,
             splits["train"],
@@ -60,6 +65,8 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
         model = {"model": settings.classifiers[name].model}
         write_tensors(outputs[name].weights, network.network.state_dict(), model)
         rows = settings.rows | {"classifier": name}
+        if name in frozen:
+            write_rows(outputs[name].frozen, frozen[name])
         write_rows(outputs[name].metrics, [rows | row for row in before[name] + metrics])
         write_rows(outputs[name].predictions, predictions)
 
@@ -71,7 +78,7 @@ def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
     pipeline = _capture_pipeline(settings, inputs, device)
     correct, _ = evaluation.evaluate([classifier], test, pipeline, "test", checkpoint)
-    write_rows(outputs.predictions, evaluation.predictions_by_image(correct[0], test))
+    write_rows(outputs.predictions, evaluation.by_image(correct[0].int(), test))
 
 
 def _capture_pipeline(settings: Slice, inputs: Files, device: torch.device) -> CapturePipeline:

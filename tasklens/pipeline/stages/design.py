@@ -14,10 +14,11 @@ from tasklens.study.design_settings import LensDesign
 def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
     """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields."""
     classifier = train = None
-    if settings.classifier is not None:
+    if inputs.train:
         device = claim()
         train = dataset.read(*inputs.train, device=device)
-        classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
+        if settings.classifier is not None:
+            classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
     baselines = {}
     if inputs.baselines:
         from tasklens.recognition.metrics import mean_metrics

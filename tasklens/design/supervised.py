@@ -1,56 +1,64 @@
-"""Task-driven design: ray-space descent on the loss of a frozen classifier, with restarts.
+"""Supervised design: ray-space descent on the loss of captures, with restarts, by a classifier or by the image error.
 
 Gradient descent from flat plates ends in poor lenses, for two reasons: equal steps of the variables cause very
 different ray displacements, and results depend strongly on the image order. So each step is measured in ray
 displacement (see `ray_space`), and of several restarts from the plates the one with the smallest validation loss is
-refined.
+refined. Losses of a few images say little about a lens: each descent ends with the lens of the smallest loss on a fixed
+set of images.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from tasklens.design.driver import Descent, History, Step, divergence, run
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import LinearModel, RaySpace
 from tasklens.design.schedule import cosine, geometric
-from tasklens.design.supervision import Supervisor, energy_in_window
+from tasklens.design.supervision import VALIDATIONS, Criterion, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
-from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import Shuffled
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
+from tasklens.study.design_settings import RaySpaceSettings, SupervisedSettings
 
 _LEEWAY_MM = 0.05  # increase of the violation norm above which a step is halved
 _HALVINGS = 5  # maximum number of halvings of a step
-_SELECTION_IMAGES = 64  # images for the selection among restarts
 
 
 class RaySpaceDescent(Descent):
-    """Descent on a frozen classifier's loss with steps of given ray displacement.
+    """Descent on the loss of captures with steps of given ray displacement.
+
+    Its result is the lens of the smallest validation loss, taken at the last pixel pitch.
 
     Args:
         start: starting lens.
-        supervisor: supervisor with the frozen classifier.
-        task: numbers of rays and images per step.
+        supervisor: supervisor of the lens.
+        design: numbers of rays and images per step.
         settings: settings of the descent.
         seed: seed of the rays and of the image order.
     """
 
     def __init__(
-        self, start: Lens, supervisor: Supervisor, task: TaskDrivenSettings, settings: RaySpaceSettings, seed: int
+        self,
+        start: Lens,
+        supervisor: Supervisor,
+        design: SupervisedSettings,
+        settings: RaySpaceSettings,
+        seed: int,
     ):
         problem = supervisor.problem
-        self.supervisor, self.task, self.settings, self.seed = supervisor, task, settings, seed
+        self.supervisor, self.design, self.settings, self.seed = supervisor, design, settings, seed
         self.steps = settings.steps
         self.space = RaySpace(start, problem.view, problem.limits)
-        self.vector = self.finite = self.space.start
+        self.vector = self.best = self.space.start
+        self.least = True, math.inf  # whether the best lens is far outside its limits, and its validation loss
         self.mean = torch.zeros_like(self.vector)
         self.model = self.space.linearise(self.vector)
-        self.order = Shuffled(len(supervisor.dataset), task.batch_size, torch.Generator().manual_seed(seed))
+        self.order = Shuffled(len(supervisor.dataset), design.batch_size, torch.Generator().manual_seed(seed))
         self.holders = {"order": self.order}
 
     def step(self, step: int) -> Step:
@@ -58,18 +66,20 @@ class RaySpaceDescent(Descent):
         settings, view = self.settings, self.supervisor.problem.view
         indices = self.order.next()
         pixels, step_um = self._schedule((step - 1) / self.steps)
+        numbers: dict[str, float] = {}
+        if pixels == settings.pixels[1] and (step - 1) % max(1, self.steps // VALIDATIONS) == 0:
+            numbers["validation_loss"] = self._validate()
         leaf = self.vector.clone().requires_grad_()
         lens = self.space.lens(leaf)
-        pupil = sobol_disc(self.task.rays, self.seed + step)
+        pupil = sobol_disc(self.design.rays, self.seed + step)
         rays, grid = self.supervisor.trace(lens, pupil, pixels)
         losses, gradient = self.supervisor.loss(indices, grid)
         (slope,) = torch.autograd.grad(grid, leaf, gradient)
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         change = self.model.step(self.mean / (1 - settings.momentum**step), step_um, settings.damping)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
-            self.vector = self.finite
             raise divergence(lens, view, pupil, losses)
-        numbers = {
+        numbers |= {
             "loss": losses.mean().item(),
             "worst_field": losses.max().item(),
             "energy_in_window": energy_in_window(grid),
@@ -77,9 +87,23 @@ class RaySpaceDescent(Descent):
             "step_size_um": step_um,
             "violation": self.model.violation_norm,
         }
-        self.finite = self.vector
+        if math.isinf(self.least[1]):  # before the first validation the last finite lens is the best known
+            self.best = self.vector
         self.vector, self.model = self._advance(change)
+        if step == self.steps:
+            numbers["validation_loss"] = self._validate()
         return Step(rays, losses, numbers)
+
+    def _validate(self) -> float:
+        """Compute the loss of the present lens on the fixed images, and remember the lens if it is the best.
+
+        A lens far outside its limits is not the best: its repair would make another one of it.
+        """
+        loss = self.supervisor.validation_loss(self.space.lens(self.vector), self.settings.pixels[1])
+        found = self.model.violation_norm > _LEEWAY_MM, loss
+        if found < self.least:
+            self.least, self.best = found, self.vector
+        return loss
 
     def _schedule(self, done: float) -> tuple[float, float]:
         """Return pixel pitch [sensor pixels] and step size [um] after a fraction `done` of the steps."""
@@ -101,43 +125,47 @@ class RaySpaceDescent(Descent):
         return moved, model
 
     def state(self) -> dict[str, Any]:
-        """Return the variables, the mean gradient, and the last variables with a finite loss."""
-        return {"vector": self.vector, "mean": self.mean, "finite": self.finite}
+        """Return the variables, the mean gradient, and the best variables with their validation loss."""
+        return {"vector": self.vector, "mean": self.mean, "best": self.best, "least": self.least}
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Resume from `state`, and linearise again."""
-        self.vector, self.mean, self.finite = (state[name] for name in ("vector", "mean", "finite"))
+        self.vector, self.mean, self.best, self.least = (state[name] for name in ("vector", "mean", "best", "least"))
         self.model = self.space.linearise(self.vector)
 
     def lens(self) -> Lens:
-        """Return the present lens."""
-        return self.space.lens(self.vector)
+        """Return the lens of the smallest validation loss; before the first validation, the last finite one."""
+        return self.space.lens(self.best)
 
 
 def design(
     start: Lens,
-    classifier: nn.Module,
+    criteria: Mapping[str, Criterion],
     problem: Problem,
-    settings: TaskDrivenSettings,
+    settings: SupervisedSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, History]:
-    """Return the refined best restart from `start`, and the history of all; the classifier is not changed."""
-    classifier = frozen(classifier, settings.batch_norm)
-    supervisor = Supervisor(classifier, problem, settings.size, settings.augment, settings.micro_batch)
+    """Return the refined best restart from `start`, and the history of all.
+
+    Args:
+        criteria: criteria by the names that descents call them.
+    """
     torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     generator = torch.Generator().manual_seed(problem.seed)
-    selection = torch.randperm(len(supervisor.dataset), generator=generator)[:_SELECTION_IMAGES]
-    seeds = [int(torch.randint(2**31, (), generator=generator)) for _ in range(settings.restarts + 1)]
-    pupil, pixels = sobol_disc(settings.rays, problem.seed), settings.restart.pixels[1]
     history: History = []
-    found = []
-    for k, seed in enumerate(seeds[:-1]):
-        label = f"restart {k + 1} of {settings.restarts}"
-        lens, rows = run(RaySpaceDescent(start, supervisor, settings, settings.restart, seed), label, checkpoint)
-        loss = supervisor.validation_loss(lens, selection, pupil, pixels)
-        history += [*rows, {"phase": f"{label}, selection", "step": settings.restart.steps, "loss": loss}]
-        found.append((loss, k, lens))
-    best = min(found, key=lambda entry: entry[:2])[2]
-    refinement = RaySpaceDescent(best, supervisor, settings, settings.refinement, seeds[-1])
-    lens, rows = run(refinement, "refinement", checkpoint)
-    return lens, history + rows
+
+    def descend(lens: Lens, part: RaySpaceSettings, label: str) -> tuple[float, Lens]:
+        seed = int(torch.randint(2**31, (), generator=generator))
+        supervisor = Supervisor(criteria[part.criterion], problem, part.size, settings.augment, settings.micro_batch)
+        descent = RaySpaceDescent(lens, supervisor, settings, part, seed)
+        found, rows = run(descent, label, checkpoint)
+        history.extend(rows)
+        return descent.least[1], found
+
+    labels = [f"restart {k + 1} of {settings.restarts}" for k in range(settings.restarts)]
+    restarts = [descend(start, settings.restart, label) for label in labels]
+    lens = min(restarts, key=lambda found: found[0])[1]
+    _, lens = descend(lens, settings.refinement, "refinement")
+    if settings.finish is not None:
+        _, lens = descend(lens, settings.finish, "finish")
+    return lens, history
