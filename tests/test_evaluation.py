@@ -1,6 +1,7 @@
 """What a classifier sees, and how well it recognises it."""
 
 import copy
+import math
 
 import pytest
 import torch
@@ -54,6 +55,21 @@ class Dimming(Camera):
 
     def single(self, images, fields):
         return self.factors[fields, 0] * images
+
+
+def test_losses_by_hand():
+    """Logits are minus the distances from 0.1, 0.5 and 0.9; field 1 halves the light. 90 images take two batches."""
+    dataset = grey_images([51, 204] * 45, [0, 2] * 45)
+    found = evaluation.losses(Brightness(), dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    assert found.shape == (2, 90)
+    for field, values in enumerate([(0.2, 0.8), (0.1, 0.4)]):
+        for image, (value, label) in enumerate(zip(values, (0, 2), strict=True)):
+            logits = [-abs(value - middle) for middle in (0.1, 0.5, 0.9)]
+            expected = math.log(sum(map(math.exp, logits))) - logits[label]
+            assert found[field, image::2].tolist() == pytest.approx([expected] * 45, rel=1e-5)
+    rows = evaluation.by_image(found, dataset)
+    assert len(rows) == 90 and list(rows[1]) == ["image", "label", "field0", "field1"]
+    assert (rows[1]["image"], rows[1]["label"], rows[1]["field1"]) == (1, "bright", found[1, 1].item())
 
 
 def test_every_field_is_evaluated_on_every_image():

@@ -81,7 +81,7 @@ def design(study: Study, lens: str, seed: int) -> Plan:
         "baselines": {name: _lens(study, name, seed) for name in baselines},
         "metrics": {name: _measured(study, name, study.supervisor, seed, "metrics") for name in baselines},
     }
-    return Plan(settings, inputs, gpus=int(entry.classified))
+    return Plan(settings, inputs, gpus=int(entry.supervised))
 
 
 def _lens(study: Study, lens: str, seed: int) -> Path:

@@ -127,19 +127,19 @@ def losses(
         label, checkpoint: as of `evaluate`.
     """
     part = checkpoint.part(label)
-    if part.result is None:
-        found = []
-        batches = torch.arange(len(dataset)).split(_BATCH)
-        progress = Progress(label, len(batches))
-        for step, indices in enumerate(batches, 1):
-            images, labels = dataset.batch(indices)
-            captures = pipeline.all_fields(images)
-            fields = [F.cross_entropy(classifier(field), labels, reduction="none") for field in captures]
-            found.append(torch.stack(fields).cpu())
-            progress(step)
-        part.finish(losses=torch.cat(found, 1))
-        return torch.cat(found, 1)
-    return part.result["losses"]
+    if part.result is not None:
+        return part.result["losses"]
+    found = []
+    batches = torch.arange(len(dataset)).split(_BATCH)
+    progress = Progress(label, len(batches))
+    for step, indices in enumerate(batches, 1):
+        images, labels = dataset.batch(indices)
+        captures = pipeline.all_fields(images)
+        fields = [F.cross_entropy(classifier(field), labels, reduction="none") for field in captures]
+        found.append(torch.stack(fields).cpu())
+        progress(step)
+    part.finish(losses=torch.cat(found, 1))
+    return torch.cat(found, 1)
 
 
 def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:

@@ -12,6 +12,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.traced import Inputs, Traced
 
+_OUTPUTS = (0, 1, 3, 4, 5, 6)  # rows of the image without z, which is zero
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
 
 
@@ -37,25 +38,28 @@ class _Call(torch.autograd.Function):
 
 
 class _Trace(torch.autograd.Function):
-    """Trace of `Inputs` to the image plane: x, y, z, l, m, n and path (7, ..., W, N)."""
+    """Trace of `Inputs` to the image plane: x, y, l, m, n and path, each (..., W, N)."""
 
     @staticmethod
     def forward(notes, *inputs):
         notes.traced = Traced(Inputs(*inputs), *notes.inputs)
-        return notes.traced.of_rays(notes.traced.image)
+        return tuple(notes.traced.of_rays(notes.traced.image[k]) for k in _OUTPUTS)
 
     @staticmethod
     def setup_context(ctx, inputs, output):
         ctx.notes = inputs[0]
+        ctx.set_materialize_grads(False)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, gradient):
-        return None, *_Call.apply(lambda g: ctx.notes.traced.reverse(g, ctx.needs_input_grad[1:]), gradient)
+    def backward(ctx, *gradients):
+        return None, *_Call.apply(
+            lambda *g: ctx.notes.traced.reverse(g, _OUTPUTS, ctx.needs_input_grad[1:]), *gradients
+        )
 
     @staticmethod
     def jvp(ctx, _, *changes):
-        return _Call.apply(lambda *along: ctx.notes.traced.image_change(along), *changes)
+        return _Call.apply(lambda *along: ctx.notes.traced.image_change(along, _OUTPUTS), *changes)
 
 
 def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
@@ -96,8 +100,7 @@ def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays
     components = (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = torch.stack([v if v.shape == size else v.expand(size) for v in components]).to(lens.dtype)
     notes = _Notes(lens.semi_diameter, rays.status, rays.lost_at, record)
-    image = _Trace.apply(notes, *_inputs(lens, start, indices))
-    x, y, _, l, m, n, path = image.unbind()
+    x, y, l, m, n, path = _Trace.apply(notes, *_inputs(lens, start, indices))
     traced = notes.traced
     status, lost_at = traced.of_rays(traced.status), traced.of_rays(traced.lost_at)
     return Rays(x, y, torch.zeros_like(x), l, m, n, path, status, lost_at), traced

@@ -54,8 +54,10 @@ class Traced:
         """Return values (..., R) as a tensor of the rays' shape."""
         return torch.from_numpy(values).reshape(*values.shape[:-1], *self.shape)
 
-    def reverse(self, gradient: Tensor, wanted: Sequence[bool]) -> list[Tensor | None]:
-        """Compute the gradients of the wanted `Inputs` from that of the image, (7, ..., W, N)."""
+    def reverse(
+        self, gradients: Sequence[Tensor | None], rows: Sequence[int], wanted: Sequence[bool]
+    ) -> list[Tensor | None]:
+        """Compute the gradients of the wanted `Inputs` from those of rows of the image, (..., W, N); None is zero."""
         surfaces, rays = self.distances.shape
         groups = -(-rays // GROUP)
         to_rays, to_indices, to_poses = wanted[0], wanted[1], any(wanted[6:]) or self.lens[3].any()
@@ -63,7 +65,10 @@ class Traced:
         b_lens = numpy.zeros((groups, surfaces, 3 + self.orders))
         b_indices = numpy.zeros((groups, surfaces + 1 if to_indices else 0, self.shape[-2]))
         b_poses = numpy.zeros((groups, surfaces if to_poses else 0, 4, 3))
-        b_image = gradient.contiguous().numpy().reshape(7, -1)
+        b_image = numpy.zeros((7, rays), self.start.dtype)
+        for row, gradient in zip(rows, gradients, strict=True):
+            if gradient is not None:
+                b_image[row].reshape(self.shape)[:] = gradient.numpy()
         known = (*self.start_of, self.status, self.distances, b_image, b_start, b_lens, b_indices, b_poses)
         _in_parts(rays, lambda *part: derivatives.reverse(*part, *known))
         dtype = self.start.dtype
@@ -116,9 +121,10 @@ class Traced:
         _in_parts(rays, lambda *part: derivatives.forward(*part, *known, d_image, d_record))
         return d_image, d_record
 
-    def image_change(self, changes: Sequence[Tensor | None]) -> Tensor:
-        """Compute the change of the image, (7, ..., W, N), for one change of the `Inputs`."""
-        return self.of_rays(self.forward([None if v is None else v[None] for v in changes])[0][0])
+    def image_change(self, changes: Sequence[Tensor | None], rows: Sequence[int]) -> tuple[Tensor, ...]:
+        """Compute the changes of rows of the image, each (..., W, N), for one change of the `Inputs`."""
+        change = self.forward([None if v is None else v[None] for v in changes])[0][0]
+        return tuple(self.of_rays(change[row]) for row in rows)
 
 
 def _tables(inputs: Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]:
