@@ -32,7 +32,7 @@ _VALIDATION_RAYS = 1024  # rays per field and colour
 
 
 class Criterion(ABC):
-    """What supervises a lens: a loss for each capture."""
+    """A loss for each capture, by which a lens is supervised."""
 
     @abstractmethod
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
