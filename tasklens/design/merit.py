@@ -1,6 +1,5 @@
 """Merit function of damped least squares: two residuals per ray and one per limit, with derivatives."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
@@ -54,7 +53,7 @@ class Merit:
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
         self.view, self.limits = replace(view, fields=fields), limits
         self.reference, self.max_chief_ray_angle_deg = reference, max_chief_ray_angle_deg
-        self.linear_beyond = math.inf if linear_beyond_um is None else 1e-3 * linear_beyond_um  # [mm]
+        self.linear_beyond = None if linear_beyond_um is None else 1e-3 * linear_beyond_um  # [mm]
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
@@ -81,7 +80,9 @@ class Merit:
         rays, behind, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
         valid = rays.valid[..., : len(self.weight)]
         x, y = self._errors(rays.x, rays.y, valid, change=False)
-        weakened = (1 + (x**2 + y**2) / self.linear_beyond**2) ** -0.25  # 1 where the cost is the square
+        weakened = torch.ones(())
+        if self.linear_beyond is not None:
+            weakened = (1 + (x**2 + y**2) / self.linear_beyond**2) ** -0.25
         errors = [
             torch.where(valid, 1e3 * self.share * error * weakened, _LOST_RAY_UM * self.share) for error in (x, y)
         ]
@@ -98,11 +99,10 @@ class Merit:
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, _, dm, dn), changes_behind = derivative(changes)
             ex, ey = self._errors(dx, dy, valid, change=True)
-            radial = (x * ex + y * ey) / 2 * (weakened**2 / self.linear_beyond) ** 2
-            rows = [
-                torch.where(valid, 1e3 * self.share * (change - error * radial) * weakened, 0.0).flatten(1)
-                for error, change in ((x, ex), (y, ey))
-            ]
+            if self.linear_beyond is not None:
+                radial = (x * ex + y * ey) / 2 * (weakened**2 / self.linear_beyond) ** 2
+                ex, ey = (ex - x * radial) * weakened, (ey - y * radial) * weakened
+            rows = [torch.where(valid, 1e3 * self.share * change, 0.0).flatten(1) for change in (ex, ey)]
             chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dm, dn)], 1)
             aperture = [
                 (x * dx.flatten(1)[:, i] + y * dy.flatten(1)[:, i]) / height
