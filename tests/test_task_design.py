@@ -45,7 +45,7 @@ def designed(network, lens, limits=LIMITS, **settings):
     given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
     design = TaskDrivenSettings(method="task", **(given | settings))
     criteria = {"classification": Classification(frozen(network, design.batch_norm))}
-    return supervised.design(lens, criteria, problem(limits), design)
+    return supervised.design(lens, {}, criteria, problem(limits), design)[::2]
 
 
 def spot_lens(start):
@@ -138,7 +138,7 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
     wanted = wanted.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
     monkeypatch.setattr(spot, "design", lambda *rest: (lens, []))
     monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
-    _, notes, _ = methods.design(wanted, None, None, {})
+    _, notes, _ = methods.design(wanted, None, None, {}, {})
     assert notes["worst_margin"]["value"] > 0
     assert methods.with_notes(lens, clear_semi_diameters(lens, LOOKS), wanted, {})[1]["worst_margin"]["value"] < -0.02
 
@@ -164,7 +164,7 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
     far = RaySpaceSettings(steps=40, pixels=pixels, duration=0.5, step_size=step_size, criterion="log_image_error")
     still = far.model_copy(update={"steps": 2, "step_size": 1e-9, "pixels": (5, 5)})
     settings = ImageErrorSettings(method="image_error", batch_size=4, rays=16, restart=far, refinement=still)
-    _, history = supervised.design(start, IMAGE_ERRORS, problem(NO_LIMITS), settings)
+    _, _, history = supervised.design(start, {}, IMAGE_ERRORS, problem(NO_LIMITS), settings)
     validated = [row["validation_loss"] for row in history if "validation_loss" in row]
     restart, first_of_refinement = validated[:-2], validated[-2]
     assert len(restart) == (21 if pixels == (5, 5) else 11) and restart[-1] > min(restart)
@@ -186,7 +186,7 @@ def test_the_image_error_alone_makes_a_lens():
     steps = RaySpaceSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
     given = {"batch_size": 6, "rays": 32, "augment": False, "restart": steps, "refinement": steps}
     design = ImageErrorSettings(method="image_error", **given)
-    lens, _ = supervised.design(plates, IMAGE_ERRORS, replace(problem(), dataset=images), design)
+    lens, _, _ = supervised.design(plates, {}, IMAGE_ERRORS, replace(problem(), dataset=images), design)
     assert quality(lens) > quality(plates) + 3
 
 

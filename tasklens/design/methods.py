@@ -24,7 +24,6 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import (
     EndToEndSettings,
-    ImageErrorSettings,
     ImportedLens,
     LeastSquaresSettings,
     LensDesign,
@@ -45,6 +44,7 @@ def design(
     classifier: nn.Module | None,
     dataset: ImageDataset | None,
     baselines: Baselines,
+    candidates: Mapping[str, Lens],
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, Notes, History]:
     """Design a lens by its method, or import it from its file.
@@ -52,7 +52,8 @@ def design(
     Args:
         wanted: specification and method of the lens.
         classifier, dataset: trained classifier and training images, for supervised designs.
-        baselines: lenses of which the best one is the start, if any.
+        baselines: lenses of which the best one by accuracy is the start, if any.
+        candidates: lenses that compete for the finish of a supervised design.
         checkpoint: checkpoint of the job.
 
     Returns:
@@ -71,7 +72,11 @@ def design(
         start_name = max(baselines, key=lambda name: baselines[name][1])
         start = open_apertures(baselines[start_name][0])
     problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
-    lens, history = _descend(start, problem, settings, classifier, checkpoint)
+    if isinstance(settings, SupervisedSettings):
+        lens, chosen, history = _supervised(start, candidates, problem, settings, classifier, checkpoint)
+        start_name = chosen or start_name
+    else:
+        lens, history = _descend(start, problem, settings, classifier, checkpoint)
     origin = {
         "design": wanted.entry.design_name,
         "method": settings.method,
@@ -89,7 +94,7 @@ def design(
 def _descend(
     start: Lens,
     problem: Problem,
-    settings: SupervisedSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings,
+    settings: EndToEndSettings | SpotSettings | LeastSquaresSettings,
     classifier: nn.Module | None,
     checkpoint: Checkpoint,
 ) -> tuple[Lens, History]:
@@ -98,20 +103,31 @@ def _descend(
         return spot.design(start, problem, settings, checkpoint)
     if isinstance(settings, LeastSquaresSettings):
         return least_squares.design(start, problem, settings, checkpoint)
+    assert classifier is not None  # end-to-end designs have one
+    return end_to_end.design(start, classifier, problem, settings, "end-to-end", checkpoint)
+
+
+def _supervised(
+    start: Lens,
+    candidates: Mapping[str, Lens],
+    problem: Problem,
+    settings: SupervisedSettings,
+    classifier: nn.Module | None,
+    checkpoint: Checkpoint,
+) -> tuple[Lens, str | None, History]:
+    """Design by a supervisor; return the lens, the candidate that it was finished from, if any, and the history."""
+    opened = {name: open_apertures(lens) for name, lens in candidates.items()}
     criteria: dict[str, Criterion] = {"image_error": ImageError(False), "log_image_error": ImageError(True)}
-    if isinstance(settings, ImageErrorSettings):
-        return supervised.design(start, criteria, problem, settings, checkpoint)
-    assert classifier is not None  # the other designs have one
-    if isinstance(settings, EndToEndSettings):
-        return end_to_end.design(start, classifier, problem, settings, "end-to-end", checkpoint)
-    assert isinstance(settings, TaskDrivenSettings)
-    criteria["classification"] = Classification(frozen(classifier, settings.batch_norm))
-    lens, history = supervised.design(start, criteria, problem, settings, checkpoint)
-    if settings.polish is None:
-        return lens, history
-    fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
-    lens, rows = end_to_end.design(lens, classifier, fresh, settings.polish, "polish", checkpoint)
-    return lens, history + rows
+    if isinstance(settings, TaskDrivenSettings):
+        assert classifier is not None  # it supervises
+        criteria["classification"] = Classification(frozen(classifier, settings.batch_norm))
+    lens, chosen, history = supervised.design(start, opened, criteria, problem, settings, checkpoint)
+    if isinstance(settings, TaskDrivenSettings) and settings.polish is not None:
+        assert classifier is not None
+        fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
+        lens, rows = end_to_end.design(lens, classifier, fresh, settings.polish, "polish", checkpoint)
+        history = history + rows
+    return lens, chosen, history
 
 
 def open_apertures(lens: Lens) -> Lens:

@@ -3,8 +3,8 @@
 Gradient descent from flat plates ends in poor lenses, for two reasons: equal steps of the variables cause very
 different ray displacements, and results depend strongly on the image order. So each step is measured in ray
 displacement (see `ray_space`), and of several restarts from the plates the one with the smallest validation loss is
-refined. Losses of a few images say little about a lens: each descent ends with the lens of the smallest loss on a fixed
-set of images.
+refined. It may compete with imaging lenses for a last descent, the finish. Losses of a few images say little about a
+lens: each descent ends with the lens of the smallest loss on a fixed set of images.
 """
 
 import math
@@ -140,24 +140,32 @@ class RaySpaceDescent(Descent):
 
 def design(
     start: Lens,
+    candidates: Mapping[str, Lens],
     criteria: Mapping[str, Criterion],
     problem: Problem,
     settings: SupervisedSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> tuple[Lens, History]:
-    """Return the refined best restart from `start`, and the history of all.
+) -> tuple[Lens, str | None, History]:
+    """Refine the best restart from `start`, and finish it, or the candidate of a smaller validation loss.
 
     Args:
+        candidates: imaging lenses by name.
         criteria: criteria by the names that descents call them.
+
+    Returns:
+        The lens, the name of the candidate that was finished, or None, and the history of all descents.
     """
     torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     generator = torch.Generator().manual_seed(problem.seed)
     history: History = []
 
+    def supervisor(part: RaySpaceSettings) -> Supervisor:
+        criterion = criteria[part.criterion]
+        return Supervisor(criterion, problem, part.size, settings.augment, settings.micro_batch, part.centre)
+
     def descend(lens: Lens, part: RaySpaceSettings, label: str) -> tuple[float, Lens]:
         seed = int(torch.randint(2**31, (), generator=generator))
-        supervisor = Supervisor(criteria[part.criterion], problem, part.size, settings.augment, settings.micro_batch)
-        descent = RaySpaceDescent(lens, supervisor, settings, part, seed)
+        descent = RaySpaceDescent(lens, supervisor(part), settings, part, seed)
         found, rows = run(descent, label, checkpoint)
         history.extend(rows)
         return descent.least[1], found
@@ -166,6 +174,12 @@ def design(
     restarts = [descend(start, settings.restart, label) for label in labels]
     lens = min(restarts, key=lambda found: found[0])[1]
     _, lens = descend(lens, settings.refinement, "refinement")
-    if settings.finish is not None:
-        _, lens = descend(lens, settings.finish, "finish")
-    return lens, history
+    if settings.finish is None:
+        return lens, None, history
+    finisher, pixels = supervisor(settings.finish), settings.finish.pixels[0]
+    competing = {"refinement": lens, **candidates}
+    losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items()}
+    history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
+    chosen = min(losses, key=lambda name: losses[name])
+    _, lens = descend(competing[chosen], settings.finish, "finish")
+    return lens, chosen if chosen in candidates else None, history

@@ -9,6 +9,7 @@ for one micro-batch per step.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -19,7 +20,7 @@ from torchvision.transforms.v2.functional import resize
 from tasklens.design.problem import Problem
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import trace_fields
+from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
@@ -113,6 +114,7 @@ class Supervisor:
         size: side of the resized images [pixels]; None: not resized.
         augment: whether TrivialAugment is applied to the sharp images.
         micro_batch: maximum number of captures that the criterion takes at once.
+        centre: centre of PSFs; on the pinhole points errors of focal length and distortion increase the loss.
     """
 
     criterion: Criterion
@@ -120,6 +122,7 @@ class Supervisor:
     size: int | None
     augment: bool
     micro_batch: int
+    centre: Literal["pinhole", "chief_ray"] = "pinhole"
 
     @property
     def dataset(self) -> ImageDataset:
@@ -145,13 +148,11 @@ class Supervisor:
         return images.float() / 255, dataset.labels[indices].to(dataset.device)
 
     def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
-        """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels.
-
-        PSFs are centred on the pinhole points, so that errors of focal length and distortion increase the loss.
-        """
+        """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""
         view = self.problem.view
         rays = trace_fields(lens, view, pupil)
-        return rays, psf(rays, view.fields, view.pixel_pitch * pixels, view.kernel_size)
+        centre = view.fields if self.centre == "pinhole" else chief_points(lens, view)
+        return rays, psf(rays, centre, view.pixel_pitch * pixels, view.kernel_size)
 
     def loss(self, indices: Tensor, grid: Tensor) -> tuple[Tensor, Tensor]:
         """Compute the loss (F,) of each field on these images through PSFs, and the gradient of its mean at these."""

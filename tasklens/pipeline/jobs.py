@@ -73,11 +73,12 @@ def design(study: Study, lens: str, seed: int) -> Plan:
         rays=study.evaluation_rays,
         seed=seed,
     )
-    baselines = paper_tables.imaging_baselines(study, lens)
+    baselines, candidates = paper_tables.imaging_baselines(study, lens), paper_tables.candidates(study, lens)
     inputs = {
         "train": split(study, "train") if entry.supervised else None,
         "weights": reference.output(study, "weights", classifier=study.supervisor) if entry.classified else None,
         "files": list(entry.design.sources) if isinstance(entry.design, ImportedLens) else None,
+        "candidates": {name: _lens(study, name, seed) for name in candidates},
         "baselines": {name: _lens(study, name, seed) for name in baselines},
         "metrics": {name: _measured(study, name, study.supervisor, seed, "metrics") for name in baselines},
     }
@@ -133,9 +134,8 @@ def _fine_tuning(study: Study, lens: str, classifiers: Iterable[str], restored: 
     if not chosen:
         raise StudyError(f"classifiers: expected more than the supervisor {study.supervisor}")
     captures, inputs = _captures(study, lens, restored, seed)
-    elements, design_name = "", "reference"
-    if lens != SHARP:
-        elements, design_name = study.lens(lens).elements, study.lens(lens).design_name
+    entry = None if lens == SHARP else study.lens(lens)
+    elements, design_name = (entry.elements, entry.design_name) if entry else ("", "reference")
     rows = {"elements": elements, "design": design_name, "classifier": "", "restored": restored, "seed": seed}
     inputs["images"] = {name: split(study, name) for name in SPLITS}
     inputs["weights"] = {name: reference.output(study, "weights", classifier=name) for name in chosen}

@@ -23,7 +23,7 @@ class Classifier(nn.Module):
     """A timm network with its normalisation of the input, which is applied after the optics.
 
     Args:
-        outputs: (C,) indices of the outputs of the images' classes; None: all outputs.
+        outputs: indices of the outputs that are used, those of the images' classes first; None: all in their order.
     """
 
     mean: Tensor
@@ -46,7 +46,7 @@ class Classifier(nn.Module):
             return self.network(normalised.contiguous(memory_format=torch.channels_last)).float()
 
     def forward(self, images: Tensor) -> Tensor:
-        """Compute the logits (B, classes) of images (B, 3, H, W) in [0, 1]."""
+        """Compute the logits (B, used outputs) of images (B, 3, H, W) in [0, 1]."""
         logits = self.all_outputs(images)
         return logits if self.outputs is None else logits[:, self.outputs]
 
@@ -61,7 +61,7 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         FileError: weights that do not fit the network, or classes that ImageNet does not have.
         InputError: a published head with another number of classes, and no training.
     """
-    outputs = imagenet_outputs(classes) if settings.outputs == "imagenet" else None
+    outputs = None if settings.outputs == "classes" else imagenet_outputs(classes)
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
     pretrained = settings.pretrained and weights is None
     if pretrained and settings.training is None:
@@ -83,6 +83,9 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
             raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {error}") from error
         if path.suffix == ".npz" and torch.equal(head, before):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
+    if outputs is not None and settings.outputs == "all_imagenet":
+        asked = set(outputs.tolist())
+        outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in asked])])
     return Classifier(network, outputs)
 
 

@@ -97,7 +97,7 @@ def zero_shot(
     label: str = "zero-shot evaluation",
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> list[dict]:
-    """Measure the accuracy among all outputs of a network with more outputs than the images have classes.
+    """Measure the accuracy among all outputs of a network that has more of them than are used.
 
     Args:
         label, checkpoint: as of `evaluate`.
@@ -105,7 +105,7 @@ def zero_shot(
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
     """
-    if classifier.outputs is None:
+    if classifier.outputs is None or len(classifier.outputs) == classifier.network.num_classes:
         return []
     among_all = replace(dataset, labels=classifier.outputs.cpu()[dataset.labels])
     correct, _ = evaluate([classifier.all_outputs], among_all, pipeline, label, checkpoint)
@@ -178,7 +178,8 @@ def measure(
     found = []
     for classifier, test, minival in zip(classifiers, correct, chosen, strict=True):
         rows = _metrics(test, minival, quality if pipeline.camera is not None else None)
-        whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(splits["test"].classes)}
+        answers = splits["test"].classes if classifier.outputs is None else classifier.outputs
+        whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
         rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
         found.append((rows, by_image(test.int(), splits["test"])))
     return found

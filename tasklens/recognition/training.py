@@ -85,7 +85,7 @@ def fit(
     share = group.share(training.batch_size)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    steps = max(1, round(training.epochs * len(dataset) / training.batch_size))
+    steps = max(1, round(training.epochs * len(dataset) / training.batch_size)) if training.epochs else 0
     trainees = {name: _Trainee(network, training, steps, group) for name, network in networks.items()}
     order = Shuffled(len(dataset), training.batch_size, generator)
     progress = Progress(label, steps)

@@ -101,6 +101,11 @@ class RaySpaceSettings(Frozen):
         "image (paper, Eq. 2), or its logarithm.",
     )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
+    centre: Literal["pinhole", "chief_ray"] = Field(
+        "pinhole",
+        description="Centre of PSFs: the pinhole point, so that lost light finds the focal length, or the chief ray, "
+        "as in all evaluation, so that distortion costs nothing within its limit.",
+    )
 
 
 class SupervisedSettings(Frozen):
@@ -121,11 +126,22 @@ class SupervisedSettings(Frozen):
     restarts: Count = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
     restart: RaySpaceSettings = Field(description="Descent of each restart.")
     refinement: RaySpaceSettings = Field(description="Descent that refines the best restart.")
+    candidates: tuple[Name, ...] = Field(
+        (),
+        description="Designs by spot or least_squares whose lenses of the same elements and seed compete with the "
+        "refined lens: the finish starts from that of the smallest validation loss.",
+    )
     finish: RaySpaceSettings | None = Field(None, description="Descent after the refinement; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Count = Field(
         64, description="Captures per forward pass; with stored batch-norm statistics it affects only memory."
     )
+
+    @model_validator(mode="after")
+    def _candidates_are_finished(self) -> "SupervisedSettings":
+        if self.candidates and self.finish is None:
+            raise ValueError("candidates: expected a `finish`, which one of them is the start of")
+        return self
 
     @property
     def descents(self) -> dict[str, RaySpaceSettings]:

@@ -168,7 +168,10 @@ class TrainingSettings(Frozen):
 
     _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
 
-    epochs: Positive = Field(description="Passes over the training images, not necessarily whole.")
+    epochs: float = Field(
+        ge=0,
+        description="Passes over the training images, not necessarily whole; 0: no training, as in a zero-shot study.",
+    )
     learning_rate: Positive = Field(description="Largest learning rate, after the warm-up.")
     batch_size: Count = Field(64, description="Images per step.")
     weight_decay: float = Field(0.05, ge=0, description="Weight decay of matrices and convolutions.")
@@ -186,10 +189,11 @@ class ClassifierSettings(Frozen):
         description="Start from a local file: .safetensors; .pth, of which only tensors are read; .npz, where timm's "
         "model reads it.",
     )
-    outputs: Literal["classes", "imagenet"] = Field(
+    outputs: Literal["classes", "imagenet", "all_imagenet"] = Field(
         "classes",
         description="One output per class of the images; or ImageNet's 1000, of which those of the folders, named by "
-        "WordNet ids, are used. The others count only in the zero-shot accuracy.",
+        "WordNet ids, are used and the others count only in the zero-shot accuracy; or all of these as answers, right "
+        "or wrong.",
     )
     training: TrainingSettings | None = Field(None, description="Training on the sharp images; null: none.")
     processes: Count = Field(
@@ -202,7 +206,7 @@ class ClassifierSettings(Frozen):
     def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:
             raise ValueError("take either `pretrained` or `weights`, not both")
-        if not (self.pretrained or self.weights or self.training):
+        if not (self.pretrained or self.weights or (self.training and self.training.epochs)):
             raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network classifies nothing")
         return self
 

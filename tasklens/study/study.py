@@ -191,6 +191,10 @@ class Study(Frozen):
                     f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
                     f"and at most images.size = {self.images.size}, got {size}"
                 )
+        if isinstance(lens.design, SupervisedSettings):
+            for name in lens.design.candidates:
+                if not isinstance(self.designs.get(name), SpotSettings | LeastSquaresSettings):
+                    raise ValueError(f"{where}.candidates: {name!r} is not a design by spot or least_squares")
         start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
         if start == "best_imaging" and not self.imaging_designs:
             raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_error")

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from tasklens.study import names
-from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
+from tasklens.study.design_settings import EndToEndSettings, SupervisedSettings, TaskDrivenSettings
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
@@ -82,7 +82,7 @@ def table_lenses(study: Study) -> tuple[str, ...]:
 
 
 def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the imaging lenses that a design from the best imaging lens may start from; empty for other designs.
+    """Return the imaging lenses of which the best one by minival accuracy is the start of a design; empty for others.
 
     Imported lenses are left out, so that importing a baseline changes no other row.
     """
@@ -90,6 +90,13 @@ def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
     if not (isinstance(entry.design, EndToEndSettings) and entry.design.start == "best_imaging"):
         return ()
     return tuple(f"{entry.elements}-{name}" for name in study.imaging_designs)
+
+
+def candidates(study: Study, lens: str) -> tuple[str, ...]:
+    """Return the imaging lenses that compete for the finish of a supervised design; empty for other designs."""
+    entry = study.lens(lens)
+    named = entry.design.candidates if isinstance(entry.design, SupervisedSettings) else ()
+    return tuple(f"{entry.elements}-{name}" for name in named)
 
 
 class VerificationContents(Frozen):

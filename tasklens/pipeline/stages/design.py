@@ -27,7 +27,8 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
             name: (prescription.read(path)[0].lens, mean_metrics(inputs.metrics[name])["minival_accuracy"])
             for name, path in inputs.baselines.items()
         }
-    lens, notes, history = methods.design(settings, classifier, train, baselines, checkpoint)
+    candidates = {name: prescription.read(path)[0].lens for name, path in (inputs.candidates or {}).items()}
+    lens, notes, history = methods.design(settings, classifier, train, baselines, candidates, checkpoint)
     write_rows(outputs.history, history)
     prescription.write(outputs.lens, prescription.Prescription(lens), notes)
     _write_psf(settings, outputs)
