@@ -3,8 +3,8 @@
 Gradient descent from flat plates ends in poor lenses, for two reasons: equal steps of the variables cause very
 different ray displacements, and results depend strongly on the image order. So each step is measured in ray
 displacement (see `ray_space`), and of several restarts from the plates the one with the smallest validation loss is
-refined. It may compete with imaging lenses for a last descent, the finish. Losses of a few images say little about a
-lens: each descent ends with the lens of the smallest loss on a fixed set of images.
+refined. It competes with imaging lenses, if there are any, for a last descent, the finish. Losses of a few images say
+little about a lens: each descent ends with the lens of the smallest loss on a fixed set of images.
 """
 
 import math
@@ -146,7 +146,7 @@ def design(
     settings: SupervisedSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, str | None, History]:
-    """Refine the best restart from `start`, and finish it, or the candidate of a smaller validation loss.
+    """Refine the best restart from `start`, and finish it, or a candidate of a smaller validation loss.
 
     Args:
         candidates: imaging lenses by name.
@@ -170,14 +170,16 @@ def design(
         history.extend(rows)
         return descent.least[1], found
 
-    labels = [f"restart {k + 1} of {settings.restarts}" for k in range(settings.restarts)]
-    restarts = [descend(start, settings.restart, label) for label in labels]
-    lens = min(restarts, key=lambda found: found[0])[1]
-    _, lens = descend(lens, settings.refinement, "refinement")
-    if settings.finish is None:
-        return lens, None, history
+    competing = dict(candidates)
+    if settings.restart is not None and settings.refinement is not None:
+        labels = [f"restart {k + 1} of {settings.restarts}" for k in range(settings.restarts)]
+        restarts = [descend(start, settings.restart, label) for label in labels]
+        _, lens = descend(min(restarts, key=lambda found: found[0])[1], settings.refinement, "refinement")
+        if settings.finish is None:
+            return lens, None, history
+        competing["refinement"] = lens
+    assert settings.finish is not None  # candidates have one
     finisher, pixels = supervisor(settings.finish), settings.finish.pixels[0]
-    competing = {"refinement": lens, **candidates}
     losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items()}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     chosen = min(losses, key=lambda name: losses[name])

@@ -109,7 +109,11 @@ class RaySpaceSettings(Frozen):
 
 
 class SupervisedSettings(Frozen):
-    """Settings of supervised design from flat plates by ray-space descent."""
+    """Settings of supervised design by ray-space descent: from flat plates, or from imaging lenses, or from both.
+
+    Restarts from flat plates and a refinement of the best of them make one lens. It competes with the lenses of
+    `candidates`, and the best by validation loss is finished.
+    """
 
     _renamed = renamed(
         {
@@ -124,23 +128,25 @@ class SupervisedSettings(Frozen):
     batch_size: Count = Field(64, description="Images per step, each at all nine fields.")
     rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
     restarts: Count = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
-    restart: RaySpaceSettings = Field(description="Descent of each restart.")
-    refinement: RaySpaceSettings = Field(description="Descent that refines the best restart.")
+    restart: RaySpaceSettings | None = Field(None, description="Descent of each restart; null: none from flat plates.")
+    refinement: RaySpaceSettings | None = Field(None, description="Descent that refines the best restart.")
     candidates: tuple[Name, ...] = Field(
-        (),
-        description="Designs by spot or least_squares whose lenses of the same elements and seed compete with the "
-        "refined lens: the finish starts from that of the smallest validation loss.",
+        (), description="Imaging designs whose lenses of the same elements and seed compete for the finish."
     )
-    finish: RaySpaceSettings | None = Field(None, description="Descent after the refinement; null: none.")
+    finish: RaySpaceSettings | None = Field(None, description="Last descent; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Count = Field(
         64, description="Captures per forward pass; with stored batch-norm statistics it affects only memory."
     )
 
     @model_validator(mode="after")
-    def _candidates_are_finished(self) -> "SupervisedSettings":
+    def _descents_have_starts(self) -> "SupervisedSettings":
+        if (self.restart is None) != (self.refinement is None):
+            raise ValueError("restart, refinement: expected both, or none of them")
+        if self.restart is None and not self.candidates:
+            raise ValueError("expected `restart` and `refinement`, or `candidates`: there is no lens to start from")
         if self.candidates and self.finish is None:
-            raise ValueError("candidates: expected a `finish`, which one of them is the start of")
+            raise ValueError("candidates: expected a `finish`, which starts from the best of them")
         return self
 
     @property

@@ -192,9 +192,12 @@ class Study(Frozen):
                     f"and at most images.size = {self.images.size}, got {size}"
                 )
         if isinstance(lens.design, SupervisedSettings):
+            known = self.imaging_designs
+            if isinstance(lens.design, ImageErrorSettings):
+                known = tuple(name for name in known if not isinstance(self.designs[name], ImageErrorSettings))
             for name in lens.design.candidates:
-                if not isinstance(self.designs.get(name), SpotSettings | LeastSquaresSettings):
-                    raise ValueError(f"{where}.candidates: {name!r} is not a design by spot or least_squares")
+                if name not in known:
+                    raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")
         start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
         if start == "best_imaging" and not self.imaging_designs:
             raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_error")
