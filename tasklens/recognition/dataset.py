@@ -76,8 +76,8 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
     test: ImageDataset | folders.Listing
     if images.folder is None:
         assert images.train is not None and images.test is not None  # rendered images need counts
-        pool = _rendered(images.train + images.minival, images.size, 2 * images.seed)
-        test = _rendered(images.test, images.size, 2 * images.seed + 1)
+        pool = _rendered(images.train + images.minival, 2 * images.seed, images)
+        test = _rendered(images.test, 2 * images.seed + 1, images)
     else:
         limit = None if images.train is None else images.train + images.minival
         pool = folders.find(images.folder, ("train",), limit, images.seed)
@@ -93,10 +93,10 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
     return pool.take(order[images.minival :]), pool.take(order[: images.minival]), test
 
 
-def _rendered(count: int, size: int, seed: int) -> ImageDataset:
+def _rendered(count: int, seed: int, images: ImageSettings) -> ImageDataset:
     from tasklens.recognition import scenes
 
-    return ImageDataset(*scenes.render(count, size, seed), scenes.CLASSES)
+    return ImageDataset(*scenes.render(count, images.size, seed, images.periods), scenes.CLASSES)
 
 
 def write(dataset: ImageDataset, images: Path, labels: Path) -> None:

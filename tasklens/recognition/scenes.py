@@ -12,7 +12,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-PERIOD = (5.0, 16.0)  # range of texture periods, sampled log-uniformly [pixels]
 EDGE = 0.7  # scale of the smooth step across a texture's edges, which avoids aliasing [pixels]
 NOISE = 0.015  # standard deviation of the sensor noise, full scale 1
 CHUNK = 200  # images rendered at a time
@@ -111,13 +110,14 @@ def _filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
     return field / field.std((-2, -1), keepdim=True)
 
 
-def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Tensor:
+def _scenes(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
     """Render scenes of one class.
 
     Args:
         name: class, one of `CLASSES`.
         count: number of images.
         size: height and width [pixels].
+        periods: range of texture periods, sampled log-uniformly [pixels].
         generator: generator of all random numbers.
 
     Returns:
@@ -131,11 +131,11 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
         return torch.randn(count, channels, size, size, generator=generator)
 
     # Pose: position, perspective, stretch, rotation and scale of the texture on the object.
-    period = torch.exp(uniform(math.log(PERIOD[0]), math.log(PERIOD[1])))
+    period = torch.exp(uniform(*map(math.log, periods)))
     angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
     pixels = torch.arange(size) - half + 0.5
     x, y = pixels - uniform(-half / 2, half / 2), pixels[:, None] - uniform(-half / 2, half / 2)
-    depth = 1 + (uniform(-0.05, 0.05) * x + uniform(-0.05, 0.05) * y) / half  # keeps periods above 3 pixels
+    depth = 1 + (uniform(-0.05, 0.05) * x + uniform(-0.05, 0.05) * y) / half  # with `stretch`, down to 0.8 periods
     u = (angle.cos() * x + angle.sin() * y) * stretch / (period * depth)
     v = (angle.cos() * y - angle.sin() * x) / (stretch * period * depth)
     texture = _TEXTURES[name]
@@ -162,13 +162,14 @@ def _scenes(name: str, count: int, size: int, generator: torch.Generator) -> Ten
     return (image * 255).round().clamp(0, 255).byte()
 
 
-def render(count: int, size: int, seed: int) -> tuple[Tensor, Tensor]:
+def render(count: int, size: int, seed: int, periods: tuple[float, float] = (5.0, 16.0)) -> tuple[Tensor, Tensor]:
     """Render a balanced, shuffled set of labelled images on the CPU.
 
     Args:
         count: number of images, at least one per class.
         size: height and width [pixels], at least 16.
         seed: seed of all random numbers.
+        periods: range of texture periods [pixels].
 
     Returns:
         Images, (count, 3, size, size), uint8, and their indices into `CLASSES`, (count,), int64.
@@ -185,6 +186,6 @@ def render(count: int, size: int, seed: int) -> tuple[Tensor, Tensor]:
     images = torch.empty(count, 3, size, size, dtype=torch.uint8)
     for label, name in enumerate(CLASSES):
         for rows in (labels == label).nonzero().squeeze(1).split(CHUNK):
-            images[rows] = _scenes(name, len(rows), size, generator)
+            images[rows] = _scenes(name, len(rows), size, periods, generator)
     order = torch.randperm(count, generator=generator)
     return images[order], labels[order]
