@@ -8,7 +8,7 @@ from functools import cache
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
-from tasklens.pipeline import jobs
+from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES, flatten, results
@@ -51,25 +51,25 @@ wildcard_constraints:
     ablation="|".join(study.ablations),
 
 
-TABLES = {name: [jobs.table.output(study, "csv", table=name)] for name in studies.TABLES}
-ABLATIONS = {f"ablation_{name}": [jobs.ablation.output(study, "csv", ablation=name)] for name in study.ablations}
+TABLES = {name: [report_jobs.table.output(study, "csv", table=name)] for name in studies.TABLES}
+ABLATIONS = {f"ablation_{name}": [report_jobs.ablation.output(study, "csv", ablation=name)] for name in study.ablations}
 TARGETS = {  # targets of the command line; the first is the default
     "tables": [
         *sum((TABLES[name] for name in study.tables), []),
-        jobs.verdicts.output(study, "csv"),
-        jobs.psf_tail.output(study, "csv"),
+        report_jobs.verdicts.output(study, "csv"),
+        report_jobs.psf_tail.output(study, "csv"),
     ],
     **TABLES,
     "backbones": TABLES["table2"],  # the single ablations of the paper's section 5
     "end_to_end": TABLES["table3"],
     "restoration": TABLES["table4"],
-    "figures": [jobs.certificate.output(study, "figure", **lens) for lens in LENSES],
+    "figures": [report_jobs.certificate.output(study, "figure", **lens) for lens in LENSES],
     "figure3": [
-        jobs.comparison.output(study, "figure", elements=study.lens(claim.lens).elements, seed=seed)
+        report_jobs.comparison.output(study, "figure", elements=study.lens(claim.lens).elements, seed=seed)
         for claim in claims.regime_claims(study).claims
         for seed in study.seeds
     ],
-    "certificates": [jobs.certificate.output(study, "page", **lens) for lens in LENSES],
+    "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in LENSES],
     "ablations": sum(ABLATIONS.values(), []),
     **ABLATIONS,
 }
@@ -105,7 +105,7 @@ onstart:
         shell("tasklens check {RESOLVED} {networks} > /dev/null")
     found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
-        found.discard(str(jobs.verdicts.output(study, "md")))
+        found.discard(str(report_jobs.verdicts.output(study, "md")))
     shown.extend(sorted(path for path in found if path.endswith(".md")))
     print(durations.forecast([job.rule.name for job in running if job.rule.name in STAGES], workflow.cores or 1))
 

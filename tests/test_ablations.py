@@ -7,7 +7,7 @@ from examples import changed, finish, tiny_study
 from test_jobs import slices
 from test_verdicts import results
 
-from tasklens.pipeline import jobs
+from tasklens.pipeline import jobs, report_jobs
 from tasklens.report.verdicts import HOLDS, UNDECIDED
 from tasklens.study import claims
 from tasklens.study.loading import dump, parse
@@ -115,7 +115,7 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     content = yaml.safe_load(worst.read_text())
     content["worst_margin"]["value"] = -0.2  # in one seed of five, too, it is the worst
     worst.write_text(yaml.safe_dump(content))
-    outputs = finish(jobs.ablation, study, ablation="mine")
+    outputs = finish(report_jobs.ablation, study, ablation="mine")
     rows = pandas.read_csv(outputs.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
     first, other = (rows.loc[lens] for lens in lenses)

@@ -148,6 +148,15 @@ def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
         classifiers.build(settings, ["cat", "n01440764"])
 
 
+def test_all_of_imagenets_classes_may_be_answers():
+    """The classes that there are come first, so that their labels are theirs, then the others, each once."""
+    training = TrainingSettings(epochs=1, learning_rate=1e-2)
+    settings = ClassifierSettings(model="test_resnet", outputs="all_imagenet", training=training)
+    classifier = classifiers.build(settings, ["n01443537", "n02102040", "n01440764"]).eval()
+    assert classifier.outputs[:5].tolist() == [1, 217, 0, 2, 3]
+    assert classifier.outputs.sort().values.tolist() == list(range(1000))
+
+
 @pytest.mark.skipif(not SHARED.exists(), reason="needs photographs and weights that we do not distribute")
 def test_published_weights_reproduce_their_accuracy():
     """MobileNetV2 on sharp photographs of Imagenette at 224 pixels: 99.0 % of ten classes, 75.6 % of a thousand."""

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from examples import read_rows, tiny_study
 
-from tasklens.pipeline import cli, jobs
+from tasklens.pipeline import cli, jobs, report_jobs
 from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.study.loading import parse
 from tasklens.study.names import split
@@ -121,8 +121,8 @@ def test_other_weights_do_not_reproduce(finished, capsys, name):
 
 
 def test_tails_of_all_lenses(finished):
-    found = read_rows(jobs.psf_tail.output(STUDY, "csv"))
+    found = read_rows(report_jobs.psf_tail.output(STUDY, "csv"))
     assert sorted(row["lens"] for row in found) == sorted(f"singlet-{name}" for name in STUDY.designs)
-    curves = read_rows(jobs.psf_tail.output(STUDY, "encircled_energy"))
+    curves = read_rows(report_jobs.psf_tail.output(STUDY, "encircled_energy"))
     assert {row["lens"] for row in curves} == {row["lens"] for row in found}
     assert all(0 <= float(row["fraction"]) <= 1 for row in curves)

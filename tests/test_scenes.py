@@ -19,6 +19,19 @@ def test_scenes_depend_on_the_seed_only():
     assert not torch.equal(first[0], other[0])
 
 
+def test_shorter_periods_have_higher_frequencies():
+    """The mean frequency of the textures' power, weighted by it, grows as the periods fall."""
+
+    def frequency(periods):
+        images = scenes.render(100, 64, 3, periods)[0].double()
+        power = torch.fft.rfft2(images - images.mean((-2, -1), keepdim=True)).abs().square().mean((0, 1))
+        radius = torch.hypot(torch.fft.fftfreq(64)[:, None], torch.fft.rfftfreq(64)).double()
+        high = radius > 1 / 20  # the ground is soft
+        return float((power * radius)[high].sum() / power[high].sum())
+
+    assert frequency((3.5, 8.0)) > 1.3 * frequency((5.0, 16.0)) > 1.3 * frequency((12.0, 16.0))
+
+
 def test_means_tell_nothing_about_the_class():
     """Brightness and contrast have one distribution: class means differ by no more than chance, F(9, 590) < 3."""
     images, labels = scenes.render(600, 32, seed=2)

@@ -14,7 +14,7 @@ import pytest
 
 from tasklens.pipeline import (
     digest,
-    jobs,  # noqa: F401  declares the stages
+    report_jobs,  # noqa: F401  declares the stages
 )
 from tasklens.pipeline.stage import STAGES
 from tasklens.runtime import files
@@ -106,7 +106,9 @@ def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
 
 def test_parsing_a_study_needs_no_torch():
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
-    pipeline = [f"tasklens.pipeline.{name}" for name in ("digest", "stage", "jobs", "run", "forecast", "cli")]
+    pipeline = [
+        f"tasklens.pipeline.{name}" for name in ("digest", "stage", "jobs", "report_jobs", "run", "forecast", "cli")
+    ]
     study = [name_of(path) for path in (ROOT / "tasklens" / "study").glob("*.py")]
     others = ["tasklens.runtime.files", "tasklens.runtime.errors", "tasklens.materials.catalogues"]
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
@@ -303,7 +305,8 @@ READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tu
 JUDGE = {"verdicts", "regimes", "ablation"}
 FIGURES = {"certificate", "comparison"}
 MEASUREMENTS = {"table", "verify", "comparison", *JUDGE}
-OPTICS = {"design", "psf_tail", *FIGURES}
+PSFS = {"design", "diffraction"}
+OPTICS = {*PSFS, "psf_tail", *FIGURES}
 SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce"}
 
 
@@ -313,8 +316,8 @@ SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce"}
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/pipeline/stages/design.py", '"""Write the PSFs', '"""Write all PSFs'),
-        ("tasklens/pipeline/jobs.py", '"""Make the tables of core', '"""Make all tables of core'),
+        ("tasklens/pipeline/stages/design.py", '"""Write the prescription', '"""Write a prescription'),
+        ("tasklens/pipeline/report_jobs.py", '"""Make the tables of core', '"""Make all tables of core'),
     ],
 )
 def test_words_do_not_change_a_digest(digests, edited, path, old, new):
@@ -336,6 +339,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
         ("tasklens/pipeline/stages/design.py", "grid.float()", "grid", {"design"}),
+        ("tasklens/optics/analysis/diffraction.py", "_MARGIN = 8.0", "_MARGIN = 9.0", OPTICS),
         ("tasklens/pipeline/stages/classify.py", ".requires_grad_(False)", "", SEE - {"restore"}),
         ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail"}),
         ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from examples import changed, finish, inputs_of, tiny_study, write
 
-from tasklens.pipeline import cli, jobs
-from tasklens.pipeline.jobs import PAPER as PAPER_FILE
+from tasklens.pipeline import cli, jobs, report_jobs
+from tasklens.pipeline.report_jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
 from tasklens.report.convergence import converged
 from tasklens.report.measurements import Measurements
@@ -91,7 +91,7 @@ def metrics_file(study, lens, measured_name, seed) -> Path:
 
 def table(study, name):
     """A table from the files that its job is given, by design."""
-    contents, inputs = table_of(study, name), inputs_of(jobs.table, study, table=name)
+    contents, inputs = table_of(study, name), inputs_of(report_jobs.table, study, table=name)
     rows = tables.collect(contents, Measurements(inputs.lenses, inputs.metrics, frozen=inputs.frozen))
     return tables.summarise(contents, rows, PAPER).set_index("design")
 
@@ -175,7 +175,7 @@ def test_a_missing_measurement_is_named(study):
     path = metrics_file(study, "doublet-imaging1", "small", 1)
     path.unlink()
     with pytest.raises(FileError, match=f"table/table1: missing input {path}; `snakemake`"):
-        finish(jobs.table, study, table="table1")
+        finish(report_jobs.table, study, table="table1")
     assert not Path("results/tiny/tables").exists()
 
 
@@ -214,7 +214,7 @@ def test_nothing_measured_yet_is_said(study, capsys):
 @pytest.mark.parametrize("name", TABLES)
 def test_files_of_a_table_agree(study, name):
     """CSV, Markdown and LaTeX have the same rows; the sidecar says what made them."""
-    outputs = finish(jobs.table, study, table=name)
+    outputs = finish(report_jobs.table, study, table=name)
     rows = pandas.read_csv(outputs.csv, keep_default_na=False)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == {"table1": 5, "table2": 8, "table3": 3, "table4": 4}[name]
@@ -230,8 +230,8 @@ def test_files_of_a_table_agree(study, name):
 
 def test_latex_escapes_underscores_everywhere(study):
     contents = table_of(study, "table1").model_copy(update={"study": "my_study"})
-    outputs = Files(**jobs.table.outputs(study, table="table1"))
-    tables.make(contents, inputs_of(jobs.table, study, table="table1"), outputs)
+    outputs = Files(**report_jobs.table.outputs(study, table="table1"))
+    tables.make(contents, inputs_of(report_jobs.table, study, table="table1"), outputs)
     latex = outputs.tex.read_text()
     assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)
 

@@ -171,6 +171,36 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
     assert first_of_refinement == pytest.approx(min(restart), rel=1e-12)
 
 
+def test_a_better_candidate_is_finished_instead(start):
+    """Plates lose to a lens in focus, and win against themselves after descents; losses stand in the history."""
+    settings = RaySpaceSettings(steps=2, pixels=(5, 5), step_size=1e-9, criterion="log_image_error")
+    given = {"batch_size": 4, "rays": 16, "augment": False, "candidates": ["sharp", "plates"], "finish": settings}
+    sharp = spot_lens(start)
+    plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
+    for restarts in ({}, {"restart": settings, "refinement": settings}):
+        design = ImageErrorSettings(method="image_error", **given, **restarts)
+        candidates = {"plates": plates, "sharp": sharp}
+        lens, chosen, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(), design)
+        losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
+        assert chosen == "sharp" and losses["candidate sharp"] == min(losses.values())
+        assert ("candidate refinement" in losses) == bool(restarts)
+        torch.testing.assert_close(lens.curvature, sharp.curvature, rtol=0, atol=1e-6)
+
+
+def test_distortion_costs_nothing_about_the_chief_ray(start):
+    """Behind a lens in focus for 3 % more distance, light is where its chief ray is, not where a pinhole's is."""
+    view = problem().view
+    lens = replace(start, curvature=0 * start.curvature)
+    moved = replace(lens, thickness=1.03 * lens.thickness)
+    pupil = 0.01 * sobol_disc(16, 0)  # a narrow stop, so that plates make points
+    seen = {}
+    for centre in ("pinhole", "chief_ray"):
+        supervisor = Supervisor(ImageError(True), problem(), None, False, 12, centre)
+        seen[centre] = supervisor.trace(moved, pupil, 1.0)[1].sum((-2, -1)).mean(-1)
+    outer = view.radii > 20e-3 * view.kernel_size * view.pixel_pitch
+    assert outer.any() and (seen["chief_ray"] > 0.999).all() and (seen["pinhole"][outer] < 0.001).all()
+
+
 def test_the_image_error_alone_makes_a_lens():
     """Without a classifier, from plates: captures of soft images come nearer to the sharp ones, by 3 dB at least."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)

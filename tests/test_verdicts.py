@@ -9,7 +9,7 @@ import pytest
 import yaml
 from examples import changed, finish, inputs_of, measurements_of, read_rows, tiny_study, write
 
-from tasklens.pipeline import jobs
+from tasklens.pipeline import jobs, report_jobs
 from tasklens.report import verdicts
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.runtime.files import FileError
@@ -76,7 +76,7 @@ def judged(study, accuracy, **others) -> pandas.DataFrame:
 
 def collected(study) -> pandas.DataFrame:
     """The verdicts, by the files that their job is given."""
-    return verdicts.collect(claims.claims(study), measurements_of(inputs_of(jobs.verdicts, study)))
+    return verdicts.collect(claims.claims(study), measurements_of(inputs_of(report_jobs.verdicts, study)))
 
 
 def by_design(**accuracies):
@@ -140,7 +140,7 @@ def test_claims_about_absent_lenses_are_left_out():
     study = parse(tiny_study() | {"designs": designs})
     job = claims.claims(study)
     assert job.claims == ()
-    outputs = finish(jobs.verdicts, study)
+    outputs = finish(report_jobs.verdicts, study)
     assert list(pandas.read_csv(outputs.csv)) == verdicts.COLUMNS
     assert "Study `tiny` has no lenses that the paper's claims are about" in outputs.md.read_text()
 
@@ -277,7 +277,7 @@ def test_other_images_are_refused():
 def test_files_of_the_verdicts_agree():
     study = study_of(1)
     results(study, by_design(tasklens=0.6))
-    outputs = finish(jobs.verdicts, study)
+    outputs = finish(report_jobs.verdicts, study)
     rows = pandas.read_csv(outputs.csv)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 7 + 14 + 4 + 7
@@ -312,7 +312,7 @@ def test_map_of_regimes():
         path = jobs.design.output(study, "lens", lens=lens.name, seed=0)
         spec = study.spec_of(lens.elements).model_dump(mode="json")
         path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"spec": spec}))
-    outputs = finish(jobs.regimes, study)
+    outputs = finish(report_jobs.regimes, study)
     rows = pandas.read_csv(outputs.csv).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from examples import finish, inputs_of, measurements_of, tiny_study, with_imported, write
 
-from tasklens.pipeline import jobs
+from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.run import run
 from tasklens.report import verification
 from tasklens.runtime.files import FileError
@@ -47,7 +47,7 @@ def results(tmp_path, monkeypatch, study):
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm)))
     for name in study.tables:
         if tables.table(study, name).lenses:
-            finish(jobs.table, study, table=name)
+            finish(report_jobs.table, study, table=name)
 
 
 def metrics(study, lens, name) -> Path:
@@ -80,7 +80,7 @@ def lens_content(efl_mm, **margins) -> dict:
 def verified(study, **changes) -> verification.Findings:
     """What is found in the files that the job is given; `changes` are to its settings."""
     contents = tables.verification(study).model_copy(update=changes)
-    inputs = inputs_of(jobs.verify, study)
+    inputs = inputs_of(report_jobs.verify, study)
     return verification.verify(contents, measurements_of(inputs), inputs.reproduced, inputs.tables)
 
 
@@ -209,7 +209,7 @@ def test_an_edited_table(study):
     def better(frame):
         frame["accuracy"] += 1.0
 
-    edited(jobs.table.output(study, "csv", table="table1"), better)
+    edited(report_jobs.table.output(study, "csv", table="table1"), better)
     expected = "small: table1: 76.00 % in the table, 75.00 % from the weights"
     assert failures(study) == [f"{lens} seed 0: {expected}" for lens in (SHARP, LENS, "singlet-tasklens")]
 
@@ -220,18 +220,18 @@ def test_other_images_do_not_reproduce(study):
 
 
 def test_a_missing_reproduction_is_named(study):
-    write(jobs.verdicts.output(study, "md"), "")
+    write(report_jobs.verdicts.output(study, "md"), "")
     path = reproduced(study, LENS, "small")
     path.unlink()
     with pytest.raises(FileError, match=f"verify: missing input {path}; "):
-        run(jobs.verify, study, {})
+        run(report_jobs.verify, study, {})
 
 
 def test_the_stage_says_what_it_found_and_fails_by_its_status(study, capsys):
     """All on standard output, below the verdicts; 0 where nothing fails."""
-    write(jobs.verdicts.output(study, "md"), "the verdicts\n")
-    assert run(jobs.verify, study, {}) == 0
+    write(report_jobs.verdicts.output(study, "md"), "the verdicts\n")
+    assert run(report_jobs.verify, study, {}) == 0
     assert capsys.readouterr().out == "the verdicts\n\nChecked 2 lenses and 8 measurements: 0 failures.\n"
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(study.spec.efl_mm, max_slope=-0.1)))
-    assert run(jobs.verify, study, {}) == 1
+    assert run(report_jobs.verify, study, {}) == 1
     assert "failed: singlet-imaging1 seed 0: max_slope: margin -0.1" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from examples import changed, make_lens, tiny_study
 
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
-from tasklens.pipeline import jobs  # noqa: F401  declares the stages
+from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.stage import STAGES
 from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings

@@ -180,8 +180,8 @@ def design(
         competing["refinement"] = lens
     assert settings.finish is not None  # candidates have one
     finisher, pixels = supervisor(settings.finish), settings.finish.pixels[0]
-    losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items()}
+    losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items() if candidates}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
-    chosen = min(losses, key=lambda name: losses[name])
+    chosen = min(competing, key=lambda name: losses.get(name, 0.0))
     _, lens = descend(competing[chosen], settings.finish, "finish")
     return lens, chosen if chosen in candidates else None, history

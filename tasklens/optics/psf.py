@@ -1,9 +1,12 @@
 """Point spread functions by inverse bilinear interpolation of rays, Eqs. (5) and (6) of Yang et al. 2024."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
 
 
 def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Tensor:
@@ -42,3 +45,13 @@ def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Ten
     energy = torch.zeros(fields * channels * kernel_size * kernel_size, dtype=rays.x.dtype)
     energy = energy.index_add(0, torch.stack(indices).flatten(), torch.stack(weights).flatten())
     return energy.reshape(fields, channels, kernel_size, kernel_size) / count
+
+
+def psf_notes(view: View, grid: Tensor) -> dict[str, Any]:
+    """Return what a file of PSFs (F, W, K, K) says about them: fields, wavelengths, pixel pitch, energies inside."""
+    return {
+        "fields_mm": view.fields.tolist(),
+        "wavelengths_um": view.wavelengths,
+        "pixel_pitch_um": view.pixel_pitch,
+        "energy_inside": grid.sum((-2, -1)).tolist(),
+    }

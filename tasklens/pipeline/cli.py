@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tasklens.pipeline import jobs
+from tasklens.pipeline import report_jobs
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage
 from tasklens.runtime.errors import InputError
@@ -102,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
         added = command(stage.name, stage.plan.__doc__, partial(_run_stage, stage), "study", *words)
         if SEED in stage.wildcards:
             added.add_argument("--seed", type=int, help="by default the first seed of the study")
-        if stage is jobs.table:
+        if stage is report_jobs.table:
             added.add_argument("--partial", action="store_true", help="write <table>-partial, of what is measured")
     added = command("check", check.__doc__, check, "study")
     added.add_argument("--networks", action="store_true", help="build every classifier once, without weights")

@@ -131,7 +131,7 @@ def _scenes(name: str, count: int, size: int, periods: tuple[float, float], gene
         return torch.randn(count, channels, size, size, generator=generator)
 
     # Pose: position, perspective, stretch, rotation and scale of the texture on the object.
-    period = torch.exp(uniform(*map(math.log, periods)))
+    period = torch.exp(uniform(math.log(periods[0]), math.log(periods[1])))
     angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
     pixels = torch.arange(size) - half + 0.5
     x, y = pixels - uniform(-half / 2, half / 2), pixels[:, None] - uniform(-half / 2, half / 2)

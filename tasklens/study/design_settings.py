@@ -22,7 +22,6 @@ from tasklens.study.settings import (
 Magnification = Annotated[float, Field(ge=1)]
 Part = Annotated[float, Field(gt=0, le=1)]
 
-
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
     "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},
     "ours": {"curvature": 4e-3, "thickness": 2e-3, "alpha_4": 4e-3, "decay": 0.5, "final": 0.05},
@@ -111,8 +110,8 @@ class RaySpaceSettings(Frozen):
 class SupervisedSettings(Frozen):
     """Settings of supervised design by ray-space descent: from flat plates, or from imaging lenses, or from both.
 
-    Restarts from flat plates and a refinement of the best of them make one lens. It competes with the lenses of
-    `candidates`, and the best by validation loss is finished.
+    The refined best of some restarts from flat plates competes with the lenses of `candidates`; the best by validation
+    loss is finished.
     """
 
     _renamed = renamed(
@@ -141,10 +140,8 @@ class SupervisedSettings(Frozen):
 
     @model_validator(mode="after")
     def _descents_have_starts(self) -> "SupervisedSettings":
-        if (self.restart is None) != (self.refinement is None):
-            raise ValueError("restart, refinement: expected both, or none of them")
-        if self.restart is None and not self.candidates:
-            raise ValueError("expected `restart` and `refinement`, or `candidates`: there is no lens to start from")
+        if (self.restart is None) != (self.refinement is None) or not (self.restart or self.candidates):
+            raise ValueError("expected `restart` and `refinement`, or `candidates`, or all: what designs start from")
         if self.candidates and self.finish is None:
             raise ValueError("candidates: expected a `finish`, which starts from the best of them")
         return self

@@ -260,3 +260,6 @@ class CaptureSettings(Frozen):
     colour: Literal["srgb", "linear"] = Field(
         "srgb", description="Convolution of sRGB values (our reading of the paper) or of linear light."
     )
+    diffraction: bool = Field(
+        False, description="Whether the PSFs of training and measurement have diffraction; designs are geometric."
+    )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.diffraction import diffraction_psf
 from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
@@ -136,11 +137,15 @@ def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Ten
     return torch.stack(heights)
 
 
-def evaluation_psf(lens: Lens, view: View, rays: int) -> Tensor:
-    """Compute the PSFs (F, W, K, K), centred on the chief rays, from `rays` fixed pupil points.
+def evaluation_psf(lens: Lens, view: View, rays: int, diffraction: bool = False) -> Tensor:
+    """Compute the PSFs (F, W, K, K), centred on the chief rays, from `rays` fixed pupil points or with diffraction.
 
     They are normalised to the rays that are not vignetted: vignetted light does not count as outside the window.
     """
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
     passed = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)
-    return psf(traced, chief_points(lens, view), view.pixel_pitch, view.kernel_size) / passed[..., None, None]
+    centre = chief_points(lens, view)
+    grid = (
+        diffraction_psf(lens, view, centre) if diffraction else psf(traced, centre, view.pixel_pitch, view.kernel_size)
+    )
+    return grid / passed[..., None, None]

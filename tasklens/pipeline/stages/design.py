@@ -3,6 +3,7 @@
 from tasklens.design import methods
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
+from tasklens.optics.psf import psf_notes
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
@@ -31,18 +32,6 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
     lens, notes, history = methods.design(settings, classifier, train, baselines, candidates, checkpoint)
     write_rows(outputs.history, history)
     prescription.write(outputs.lens, prescription.Prescription(lens), notes)
-    _write_psf(settings, outputs)
-
-
-def _write_psf(settings: LensDesign, outputs: Files) -> None:
-    """Write the PSFs (F, 3, K, K) float32, with fields, wavelengths, pixel pitch, energies and number of rays."""
-    spec = settings.spec
-    grid = evaluation_psf(prescription.read(outputs.lens)[0].lens, view_of_spec(spec), settings.rays)
-    notes = {
-        "fields_mm": spec.fields_mm,
-        "wavelengths_um": spec.wavelengths_um,
-        "pixel_pitch_um": spec.pixel_pitch_um,
-        "energy_inside": grid.sum((-2, -1)).tolist(),
-        "rays": settings.rays,
-    }
-    write_tensors(outputs.psf, {"psf": grid.float()}, notes)
+    view = view_of_spec(settings.spec)
+    grid = evaluation_psf(prescription.read(outputs.lens)[0].lens, view, settings.rays)
+    write_tensors(outputs.psf, {"psf": grid.float()}, psf_notes(view, grid) | {"rays": settings.rays})

@@ -1,0 +1,144 @@
+"""Point spread functions with diffraction: the field on the image plane as a sum of plane waves along the rays.
+
+U(x, y) = (1 / lambda) sum_i w_i sqrt(pi |J_i|) exp(2 pi i (L_i + n' (l_i (x - x_i) + m_i (y - y_i))) / lambda)
+
+Ray i carries the fraction w_i of the energy, L_i is its optical path from a plane of equal phase to its point
+(x_i, y_i) of the image plane, n' the index there, and J_i the determinant of d(n' l, n' m) / d(pupil x, y). This is the
+integral of Debye and Wolf over the directions of the rays, in which each small area of the pupil is a plane wave. Its
+energy is that of the rays, and for short wavelengths it is the geometric spot.
+
+Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves in Focal Regions (1986).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.pupil import collimated_rays
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import View
+
+_LEAST_SAMPLES = 4  # samples of the irradiance per pixel and direction
+_SHIFT = 1e-5  # change of a pupil point in the differences for J
+_MARGIN = 8.0  # distance from the points [wavelength / aperture] beyond which rays are left out
+_LEAST_RINGS = 24  # of pupil points
+_COARSE = 6  # rings that show where the rays are
+
+
+def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: Tensor) -> Tensor:
+    """Compute the irradiance (Y, X) of a point at one field and wavelength [1/mm^2]; its integral is the energy.
+
+    Args:
+        x, y: (X,) and (Y,) coordinates on the image plane [mm].
+
+    Returns:
+        Irradiance for an energy of 1 of all launched rays; lost ones lack in it.
+    """
+    wavelength = 1e-3 * view.wavelengths[channel]
+    coarse = _waves(lens, view, field, channel, _COARSE, 4 * _COARSE)
+    beyond = _MARGIN * wavelength / coarse.aperture
+    coarse = coarse.near(x, y, beyond)
+    # Rings and arms resolve the phase between any ray and any point.
+    reach = 2 * beyond + max(torch.hypot(coarse.x - a, coarse.y - b).max() for a in x[[0, -1]] for b in y[[0, -1]])
+    cycles = float(reach) * coarse.aperture / 2 / wavelength  # across the radius of the pupil
+    rings = max(_LEAST_RINGS, math.ceil(1.2 * math.pi * cycles))
+    waves = _waves(lens, view, field, channel, rings, 4 * rings).near(x, y, beyond)
+    amplitude = torch.sqrt(math.pi * waves.determinant) * waves.weight / wavelength
+    along_x = _turned(x[:, None] * waves.l / wavelength) * amplitude.float()
+    along_y = _turned((y[:, None] * waves.m + waves.length) / wavelength)
+    return (along_y @ along_x.T).abs().square().double()
+
+
+def diffraction_psf(lens: Lens, view: View, centre: Tensor) -> Tensor:
+    """Compute the PSFs (F, W, K, K) of a lens with diffraction; rows along y, columns along x.
+
+    As `psf` distributes rays, the irradiance is distributed over the nearest pixels: PSF(p) is its integral with
+    tri((p_x - x) / L) tri((p_y - y) / L). The sum is the energy inside the window.
+
+    Args:
+        centre: (F, 2) centre of the window on the image plane [mm].
+    """
+    pitch, size = 1e-3 * view.pixel_pitch, view.kernel_size
+    grids = []
+    for field in range(len(view.fields)):
+        for channel, wavelength in enumerate(view.wavelengths):
+            # The irradiance has no frequencies above aperture / wavelength.
+            aperture = _waves(lens, view, field, channel, _COARSE, 4 * _COARSE).aperture
+            count = max(_LEAST_SAMPLES, math.ceil(1.05 * view.pixel_pitch * aperture / wavelength))
+            offsets = torch.arange(-count * (size // 2 + 1), count * (size // 2 + 1) + 1, dtype=torch.float64) / count
+            tri = (1 - (torch.arange(size)[:, None] - size // 2 - offsets).abs()).clamp(min=0)
+            x, y = (pitch * offsets + centre[field, k] for k in (0, 1))
+            grids.append(tri @ irradiance(lens, view, field, channel, x, y) @ tri.T * (pitch / count) ** 2)
+    return torch.stack(grids).reshape(len(view.fields), -1, size, size)
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """Plane waves along N rays, without lost ones.
+
+    Attributes:
+        x, y: points of the rays on the image plane [mm].
+        l, m: direction cosines times the index.
+        length: optical path at x = y = 0 of the image plane [mm].
+        determinant: |J|.
+        weight: fraction of the energy of each ray.
+    """
+
+    x: Tensor
+    y: Tensor
+    l: Tensor
+    m: Tensor
+    length: Tensor
+    determinant: Tensor
+    weight: Tensor
+
+    @property
+    def aperture(self) -> float:
+        """Largest extent of the direction cosines times the index; tiny without rays."""
+        spans = [float(v.max() - v.min()) for v in (self.l, self.m) if len(v)]
+        return max([*spans, 1e-6])
+
+    def near(self, x: Tensor, y: Tensor, beyond: float) -> "_Waves":
+        """Return the waves of rays that land at most `beyond` [mm] outside these points; of one at least.
+
+        The others have no light here, and their phase is not resolved.
+        """
+        dx, dy = (torch.maximum(p.min() - v, v - p.max()).clamp(min=0) for p, v in ((x, self.x), (y, self.y)))
+        outside = torch.maximum(dx, dy)
+        return self.chosen(outside <= outside.min().clamp(min=beyond)) if len(outside) else self
+
+    def chosen(self, which: Tensor) -> "_Waves":
+        """Return some of the waves."""
+        return _Waves(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: int) -> _Waves:
+    """Trace rays through Gauss-Legendre points in rho^2, equally spaced in angle."""
+    node, share = numpy.polynomial.legendre.leggauss(rings)
+    radius = torch.from_numpy(numpy.sqrt((node + 1) / 2))[:, None]
+    angle = 2 * math.pi * (torch.arange(arms, dtype=torch.float64) + 0.5) / arms
+    pupil = torch.stack([radius * angle.cos(), radius * angle.sin()], -1).reshape(-1, 2)
+    weight = (torch.from_numpy(share / 2)[:, None] / arms).expand(-1, arms).reshape(-1)
+    # Shifted towards the centre, so that no ray is lost by it.
+    shifts = -_SHIFT * torch.where(pupil < 0, -1.0, 1.0)
+    points = torch.cat([pupil, pupil + shifts * torch.tensor([1.0, 0.0]), pupil + shifts * torch.tensor([0.0, 1.0])])
+    wavelengths = (view.wavelengths[channel],)
+    indices = lens.refractive_indices(wavelengths)
+    start = collimated_rays(lens, view.tangents[field : field + 1], points, wavelengths)
+    rays = trace(lens, start, indices)
+    l, m = (indices[-1, 0] * v.reshape(3, -1) for v in (rays.l, rays.m))
+    dl, dm = ((v[1:] - v[0]) / shifts.T for v in (l, m))
+    phase = indices[0, 0] * (start.x * start.l + start.y * start.m + start.z * start.n) + rays.path
+    valid, x, y, length = (v.reshape(3, -1)[0] for v in (rays.valid, rays.x, rays.y, phase))
+    determinant = (dl[0] * dm[1] - dl[1] * dm[0]).abs()
+    return _Waves(x, y, l[0], m[0], length - l[0] * x - m[0] * y, determinant, weight).chosen(valid)
+
+
+def _turned(cycles: Tensor) -> Tensor:
+    """Compute exp(2 pi i cycles), in single precision from the fraction of a cycle."""
+    angle = (2 * math.pi * (cycles - cycles.round())).float()
+    return torch.complex(angle.cos(), angle.sin())

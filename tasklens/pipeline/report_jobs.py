@@ -1,0 +1,116 @@
+"""Declaration of the jobs that tell the results of a study: tables, verdicts, figures, verification."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from tasklens.pipeline.jobs import LENS_FOLDER, STAGES, lens_file, measurement, psf_file, reproduce
+from tasklens.pipeline.stage import Plan, stage
+from tasklens.study import claims as paper_claims
+from tasklens.study import tables as paper_tables
+from tasklens.study.claims import Claims
+from tasklens.study.names import SHARP
+from tasklens.study.settings import Slice
+from tasklens.study.study import Study
+
+PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
+REPORT = "tasklens.report"
+
+
+def _measurements(study: Study, lenses: Iterable[str], measured: Iterable[tuple[str, str]]) -> dict[str, Any]:
+    """Return files of lenses by (lens, seed); metrics, predictions, frozen losses by (lens, measured name, seed)."""
+    keys = [(*pair, seed) for pair in measured for seed in study.seeds]
+    files = {name: {key: measurement(study, *key, name) for key in keys} for name in ("metrics", "predictions")}
+    files["frozen"] = {key: measurement(study, *key, "frozen") for key in keys if key[1] == study.supervisor}
+    return files | {"lenses": {(lens, seed): lens_file(study, lens, seed) for lens in lenses for seed in study.seeds}}
+
+
+def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
+    """Return the files of measurements that claims need."""
+    lenses = dict.fromkeys(lens for claim in claims.claims for lens in claim.lenses)
+    measured = dict.fromkeys((lens, claim.classifier) for claim in claims.claims for lens in claim.lenses)
+    sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if not claim.baselines)
+    return _measurements(study, lenses, measured | sharp)
+
+
+def _published(name: str, *suffixes: str) -> dict[str, str]:
+    """Return path patterns of the files of a table by suffix."""
+    return {suffix.replace(".", "_"): f"tables/{name}.{suffix}" for suffix in (*suffixes, "csv", "md")}
+
+
+@stage(f"{REPORT}.tables.make", _published("{table}", "seeds.csv", "tex", "json"))
+def table(study: Study, table: str) -> Plan:
+    """Make one table of the paper as CSV, Markdown and LaTeX."""
+    contents = paper_tables.table(study, table)
+    inputs = _measurements(study, contents.lenses, contents.measured)
+    return Plan(contents, {name: inputs[name] for name in ("lenses", "metrics", "frozen")} | {"paper": PAPER})
+
+
+@stage(
+    f"{STAGES}.psf_tail.run",
+    _published("psf_tail", "fields.csv") | {"encircled_energy": "tables/encircled_energy.csv"},
+)
+def psf_tail(study: Study) -> Plan:
+    """Make the tables of core, tail and encircled energy of all PSFs."""
+    lenses = paper_tables.table_lenses(study)
+    specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
+    settings = Slice(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
+    return Plan(settings, {"lenses": _measurements(study, lenses, ())["lenses"]})
+
+
+@stage(f"{REPORT}.verdicts.make", _published("verdicts"))
+def verdicts(study: Study) -> Plan:
+    """Make the table of verdicts on the paper's claims from the measured accuracies."""
+    claims = paper_claims.claims(study)
+    return Plan(claims, _claimed(study, claims))
+
+
+@stage(f"{REPORT}.regimes.make", _published("regimes"))
+def regimes(study: Study) -> Plan:
+    """Make the table of the gain of task-driven design by element counts and specifications."""
+    claims = paper_claims.regime_claims(study)
+    return Plan(claims, _claimed(study, claims))
+
+
+@stage(f"{REPORT}.ablations.make", _published("ablation_{ablation}"))
+def ablation(study: Study, ablation: str) -> Plan:
+    """Make the table of one ablation: a design and its variants."""
+    compared = paper_claims.ablation_claims(study, ablation)
+    return Plan(compared, _claimed(study, compared.claims))
+
+
+@stage(
+    f"{STAGES}.certificate.run", {"page": f"{LENS_FOLDER}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"}
+)
+def certificate(study: Study, lens: str, seed: int) -> Plan:
+    """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
+    return Plan(Slice(lens=lens, seed=seed), {"lens": lens_file(study, lens, seed), "psf": psf_file(study, lens, seed)})
+
+
+@stage(f"{STAGES}.comparison.run", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
+def comparison(study: Study, elements: str, seed: int) -> Plan:
+    """Draw the task-driven lens of some elements and the best imaging lens (figure 3)."""
+    claim = paper_claims.regime_claim(study, elements)
+    keys = [(lens, claim.classifier, seed) for lens in claim.baselines]
+    inputs = {
+        "lenses": {lens: lens_file(study, lens, seed) for lens in claim.lenses},
+        "psfs": {lens: psf_file(study, lens, seed) for lens in claim.lenses},
+        "metrics": {key: measurement(study, *key, "metrics") for key in keys},
+    }
+    return Plan(Slice(claim=claim, seed=seed), inputs)
+
+
+@stage(f"{REPORT}.verification.run", {})  # without output, it runs on every request
+def verify(study: Study) -> Plan:
+    """Verify limits and accuracies of a finished study; print failures and verdicts."""
+    contents = paper_tables.verification(study)
+    inputs = _measurements(study, contents.lenses, contents.measured) | {
+        "reproduced": {
+            (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)
+            for lens, name in contents.measured
+            for seed in study.seeds
+        },
+        "tables": {each.name: table.output(study, "csv", table=each.name) for each in contents.tables},
+        "verdicts": verdicts.output(study, "md"),
+    }
+    return Plan(contents, inputs)

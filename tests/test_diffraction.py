@@ -1,0 +1,108 @@
+"""Point spread functions with diffraction: Airy's pattern, energy, the geometric limit, Optiland's Huygens PSF."""
+
+import math
+from dataclasses import replace
+
+import numpy
+import pytest
+import torch
+from examples import f64
+from reference_files import SHIPPED
+from scipy.special import j0, j1
+from test_wavefront import hyperboloid
+
+from tasklens.optics.analysis.diffraction import diffraction_psf, irradiance
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.spots import chief_points, evaluation_psf, trace_fields
+from tasklens.optics.io import zemax
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+
+WAVELENGTH = 0.5893  # um, at which the hyperboloid is made
+
+
+def perfect() -> tuple[Lens, View, float]:
+    """A lens without aberrations on the axis, its view, and wave number times numerical aperture [1/mm]."""
+    lens, view = hyperboloid(f=10.0, radius=1.0), View(f64([[0.0, 0.0]]), 10.0, (WAVELENGTH,), 1.8, 31)
+    sine = float(trace_fields(lens, view, f64([[0.0, 1.0]])).m.abs())
+    assert sine == pytest.approx(0.1, rel=0.02)
+    return lens, view, 2 * math.pi / (1e-3 * WAVELENGTH) * sine
+
+
+def encircled(v: float) -> float:
+    """Rayleigh's fraction of the energy within v = k sin(alpha) r."""
+    return 1 - j0(v) ** 2 - j1(v) ** 2
+
+
+def test_a_perfect_lens_has_the_pattern_of_airy():
+    """Within 0.5 % of the peak out to the sixth dark ring; the energy within 20 um is Rayleigh's within 0.2 %."""
+    lens, view, k = perfect()
+    x = torch.linspace(-0.02, 0.02, 201, dtype=torch.float64)
+    found = irradiance(lens, view, 0, 0, x, x).numpy()
+    radius = torch.hypot(x, x[:, None]).numpy()
+    v = numpy.maximum(k * radius, 1e-9)
+    airy = k**2 / (4 * math.pi) * (2 * j1(v) / v) ** 2
+    assert numpy.abs(found - airy).max() < 5e-3 * airy.max()
+    energy = found[radius <= 0.02].sum() * float(x[1] - x[0]) ** 2
+    assert energy == pytest.approx(encircled(0.02 * k), abs=2e-3)
+
+
+def test_pixels_share_the_energy():
+    """A window of 31 pixels holds what Rayleigh's circles inside and around it allow; halves of it are equal."""
+    lens, view, k = perfect()
+    grid = diffraction_psf(lens, view, f64([[0.0, 0.0]]))[0, 0]
+    half = 15.5e-3 * view.pixel_pitch
+    assert encircled(0.95 * half * k) < float(grid.sum()) < encircled(1.05 * math.sqrt(2) * half * k)
+    for other in (grid.flip(0), grid.flip(1), grid.T):
+        torch.testing.assert_close(other, grid, rtol=0, atol=1e-6)
+    shifted = diffraction_psf(lens, view, f64([[1e-3 * view.pixel_pitch, 0.0]]))[0, 0]
+    torch.testing.assert_close(shifted[:, :-1], grid[:, 1:], rtol=0, atol=1e-5)
+
+
+def test_short_wavelengths_give_the_spot():
+    """Out of focus by 0.4 mm, 80 um wide: what differs from the geometric spot falls as the root of the wavelength."""
+    lens, view, _ = perfect()
+    blurred = replace(lens, thickness=lens.thickness + f64([0.0, 0.4]))
+
+    def difference(wavelength: float) -> float:
+        colour = replace(view, wavelengths=(wavelength,), kernel_size=61)
+        # As sharp as at its own wavelength, but for the dispersion.
+        focus = paraxial(blurred, wavelength).bfl - paraxial(blurred, WAVELENGTH).bfl
+        moved = replace(blurred, thickness=blurred.thickness + torch.stack([0 * focus, focus]))
+        pair = [evaluation_psf(moved, colour, 2**16, diffraction=each)[0, 0] for each in (False, True)]
+        return float((pair[0] - pair[1]).abs().sum() / 2)
+
+    long, short = difference(1.6), difference(0.4)
+    assert short < 0.2 and 0.4 < short / long < 0.7
+
+
+def test_lost_light_lacks_in_it_and_is_normalised():
+    """An aperture of 0.8 of the radius behind the stop passes 64 % of the energy."""
+    lens, view, _ = perfect()
+    stopped = replace(lens, semi_diameter=f64([float(lens.semi_diameter[0]), 0.8]))
+    centre = chief_points(stopped, view)
+    ratio = diffraction_psf(stopped, view, centre).sum() / diffraction_psf(lens, view, centre).sum()
+    assert float(ratio) == pytest.approx(0.64, abs=0.02)
+    assert 0.95 < float(evaluation_psf(stopped, view, 4096, diffraction=True).sum()) < 1
+
+
+@pytest.mark.parametrize("name", ["US-12078784-B2-e6", "US-12032142-B2-e3"])
+def test_against_huygens_in_optiland(name):
+    """Phone lenses on the axis and off it: within 1 % of the peak. Optiland samples the pupil on a grid of 128 rays."""
+    optiland = pytest.importorskip("optiland_lenses")
+    from optiland.psf import HuygensPSF
+
+    found = zemax.read(SHIPPED / f"lenses/cellphone/source/{name}.zmx", list((SHIPPED / "glass").glob("*.AGF")))
+    lens, channel = found.lens, found.primary
+    is_stop = torch.arange(len(lens.semi_diameter)) == lens.stop
+    lens = replace(lens, semi_diameter=torch.where(is_stop, lens.semi_diameter, torch.inf))
+    efl = float(paraxial(lens, found.wavelengths_um[channel]).efl)
+    view = View(efl * f64([[0.0, 0.0], [0.15, 0.25]]), efl, found.wavelengths_um, 1.8, 51)
+    optic, fields = optiland.in_optiland(lens, view)
+    for field, theirs in enumerate(map(tuple, fields)):
+        psf = HuygensPSF(optic, theirs, view.wavelengths[channel], num_rays=128, image_size=40, pixel_pitch=0.8e-3)
+        x = torch.linspace(-16e-3, 16e-3, 40, dtype=torch.float64)
+        ours = irradiance(lens, view, field, channel, x + float(psf.cx), x + float(psf.cy)).flatten()
+        other = f64(numpy.asarray(psf.psf)).flatten()
+        scale = (ours @ other) / (other @ other)  # of their unit, 100 for the peak of a perfect lens
+        assert float((ours - scale * other).abs().max() / ours.max()) < 0.01
