@@ -26,13 +26,17 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import RaySpaceSettings, SupervisedSettings
 
 _LEEWAY_MM = 0.05  # increase of the violation norm above which a step is halved
+_STATE = ("vector", "mean", "averaged", "factor", "failures", "best", "least")
+_PATIENCE = 3  # validations without a better lens
 _HALVINGS = 5  # maximum number of halvings of a step
 
 
 class RaySpaceDescent(Descent):
     """Descent on the loss of captures with steps of given ray displacement.
 
-    Its result is the lens of the smallest validation loss, taken at the last pixel pitch.
+    Its result is the lens of the smallest validation loss, taken at the last pixel pitch. After a few
+    validations without a better lens the descent goes back to the best, with half the step size: how large a step may
+    be depends on how sharp the lens is.
 
     Args:
         start: starting lens.
@@ -57,6 +61,9 @@ class RaySpaceDescent(Descent):
         self.vector = self.best = self.space.start
         self.least = True, math.inf  # whether the best lens is far outside its limits, and its validation loss
         self.mean = torch.zeros_like(self.vector)
+        self.averaged = 0  # steps in the mean gradient
+        self.factor = 1.0  # on the step size
+        self.failures = 0  # validations since the best lens
         self.model = self.space.linearise(self.vector)
         self.order = Shuffled(len(supervisor.dataset), design.batch_size, torch.Generator().manual_seed(seed))
         self.holders = {"order": self.order}
@@ -65,10 +72,11 @@ class RaySpaceDescent(Descent):
         """Take a step along the mean gradient, with the step size and pixel pitch of this step."""
         settings, view = self.settings, self.supervisor.problem.view
         indices = self.order.next()
-        pixels, step_um = self._schedule((step - 1) / self.steps)
         numbers: dict[str, float] = {}
+        pixels, step_um = self._schedule((step - 1) / self.steps)
         if pixels == settings.pixels[1] and (step - 1) % max(1, self.steps // VALIDATIONS) == 0:
             numbers["validation_loss"] = self._validate()
+            pixels, step_um = self._schedule((step - 1) / self.steps)
         leaf = self.vector.clone().requires_grad_()
         lens = self.space.lens(leaf)
         pupil = sobol_disc(self.design.rays, self.seed + step)
@@ -76,7 +84,8 @@ class RaySpaceDescent(Descent):
         losses, gradient = self.supervisor.loss(indices, grid)
         (slope,) = torch.autograd.grad(grid, leaf, gradient)
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
-        change = self.model.step(self.mean / (1 - settings.momentum**step), step_um, settings.damping)
+        self.averaged += 1
+        change = self.model.step(self.mean / (1 - settings.momentum**self.averaged), step_um, settings.damping)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
             raise divergence(lens, view, pupil, losses)
         numbers |= {
@@ -101,8 +110,14 @@ class RaySpaceDescent(Descent):
         """
         loss = self.supervisor.validation_loss(self.space.lens(self.vector), self.settings.pixels[1])
         found = self.model.violation_norm > _LEEWAY_MM, loss
-        if found < self.least:
-            self.least, self.best = found, self.vector
+        if found <= self.least:
+            self.least, self.best, self.failures = found, self.vector, 0
+            return loss
+        self.failures += 1
+        if self.failures == _PATIENCE:
+            self.failures = 0
+            self.vector, self.model, self.factor = self.best, self.space.linearise(self.best), self.factor / 2
+            self.mean, self.averaged = torch.zeros_like(self.mean), 0
         return loss
 
     def _schedule(self, done: float) -> tuple[float, float]:
@@ -110,7 +125,7 @@ class RaySpaceDescent(Descent):
         settings = self.settings
         first, last = settings.pixels
         pixels = last * geometric(first / last, done / settings.duration)
-        step_um = settings.step_size * self.supervisor.problem.view.pixel_pitch * pixels
+        step_um = self.factor * settings.step_size * self.supervisor.problem.view.pixel_pitch * pixels
         if done > settings.duration:
             step_um *= cosine((done - settings.duration) / (1 - settings.duration), settings.final)
         return pixels, step_um
@@ -125,12 +140,13 @@ class RaySpaceDescent(Descent):
         return moved, model
 
     def state(self) -> dict[str, Any]:
-        """Return the variables, the mean gradient, and the best variables with their validation loss."""
-        return {"vector": self.vector, "mean": self.mean, "best": self.best, "least": self.least}
+        """Return the variables, the mean gradient, the step size, and the best variables with their loss."""
+        return {name: getattr(self, name) for name in _STATE}
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Resume from `state`, and linearise again."""
-        self.vector, self.mean, self.best, self.least = (state[name] for name in ("vector", "mean", "best", "least"))
+        for name in _STATE:
+            setattr(self, name, state[name])
         self.model = self.space.linearise(self.vector)
 
     def lens(self) -> Lens:
