@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.report.convergence import converged
+from tasklens.report.failure import failed
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import GAP, publish, rounded
 from tasklens.runtime.files import FileError, Files, write_text
@@ -31,9 +31,10 @@ _COLUMNS = {
         "core_radius_um",
         "energy_in_window",
         "worst_margin",
+        "failed",
     ],
     "table2": ["parameters_m", "reference_accuracy", "accuracy"],
-    "table3": ["accuracy", "frozen_loss", "gap", "energy_in_window", "worst_margin", "converged"],
+    "table3": ["accuracy", "frozen_loss", "gap", "energy_in_window", "worst_margin", "failed"],
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
 _DIGITS = {"": ".2f", "energy": ".3f", "frozen": ".3f", "gap": "+.3f", "worst": ".3f"}
@@ -71,9 +72,9 @@ def _row(
     """Return the row of a lens, from its metrics and those of the sharp images."""
     elements, _, design = lens.partition("-")
     values = metrics | measured.lens_values(lens, seed) | {"reference_accuracy": sharp["accuracy"]}
-    reached = converged(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
+    lost = failed(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
     keys = {"elements": elements, "design": design, "classifier": classifier, "seed": seed}
-    return keys | values | {"converged": reached}
+    return keys | values | {"failed": float(lost)}
 
 
 def _frozen_values(
@@ -98,16 +99,22 @@ def _columns(contents: TableContents, rows: pandas.DataFrame) -> list[str]:
 
 
 def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
-    """Compute means over seeds, with `_std` for several seeds, and add the paper's values.
+    """Compute means over seeds, and add the paper's values.
 
-    Margins are the worst of all seeds, and a design converged if it did for every seed.
+    Margins are the worst of all seeds; `failed` is the fraction of seeds whose design failed. For several seeds there
+    are standard deviations (`_std`), and of accuracies in tables 1 and 3 the median and that of the seed which is best
+    by minival accuracy: means say little of a method that may be run again.
     """
     columns = _columns(contents, rows)
     keys = ["elements", "design", *(["classifier"] if contents.name == "table2" else [])]
     groups = rows.groupby(keys, sort=False)
-    table = groups.agg({c: {"converged": "all", "worst_margin": "min"}.get(c, "mean") for c in columns})
+    table = groups.agg({c: {"worst_margin": "min"}.get(c, "mean") for c in columns})
     if len(contents.seeds) > 1:
-        spread = groups[[c for c in columns if c not in ("converged", "worst_margin")]].std(ddof=1)
+        if "failed" in columns:
+            table.insert(1, "accuracy_median", groups["accuracy"].median())
+            best = rows.dropna(subset="minival_accuracy").groupby(keys, sort=False)["minival_accuracy"].idxmax()
+            table.insert(2, "accuracy_best", rows.loc[best].set_index(keys)["accuracy"])
+        spread = groups[[c for c in columns if c not in ("failed", "worst_margin")]].std(ddof=1)
         table = table.join(spread.add_suffix("_std"))
     table = table.reset_index()
     wanted = paper[paper["table"] == contents.name]
@@ -117,10 +124,10 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
 
 
 def printed(table: pandas.DataFrame) -> pandas.DataFrame:
-    """Format the table: rounded, missing values as dashes, a cross where a design did not converge."""
+    """Format the table: rounded, missing values as dashes, failures in per cent of the seeds."""
     shown = rounded(table, _DIGITS)
-    for column in [column for column in table.columns if str(column).startswith("converged")]:
-        shown[column] = table[column].map(lambda v: GAP if pandas.isna(v) else "yes" if v else "×")
+    for column in [column for column in table.columns if str(column).startswith("failed")]:
+        shown[column] = table[column].map(lambda v: GAP if pandas.isna(v) else f"{v:.0%}")
     return shown
 
 

@@ -18,7 +18,7 @@ import numpy
 import pandas
 
 from tasklens.report import bootstrap, predictions
-from tasklens.report.convergence import LEAST_ENERGY, least_accuracy
+from tasklens.report.failure import LEAST_ENERGY, least_accuracy
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
 from tasklens.runtime.files import Files
@@ -37,7 +37,7 @@ Study `{study}`. Differences in points of accuracy with their 95 % interval, ove
 where the difference is above zero, or for "at least as accurate" above -{margin:g} points, and does not hold where it
 is below, significantly at 5 % after Holm's correction for the claims of its table (`p_holm`); it is undecided else, or
 with fewer than {least} seeds. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in
-how many seeds). For the claim about convergence, the difference is how far the rule of table 3 is missed: half of the
+how many seeds). For the claim about failure, the difference is how far the rule of `failed` is missed: half of the
 light in the window, half of the accuracy above chance."""
 
 
@@ -82,9 +82,9 @@ def advantage(
 ) -> tuple[pandas.DataFrame, numpy.ndarray]:
     """Compute the advantage of a claim [points], and the lower bounds of its means over images.
 
-    For a claim about two lenses it is the difference of their accuracies, without bound. For a claim that a design does
-    not converge, it is half of the sum of sharp accuracy and chance, minus the accuracy; its bound is 50 %
-    minus the energy in the PSF window.
+    For a claim about two lenses it is the difference of their accuracies, without bound. For a claim that a design
+    fails, it is half of the sum of sharp accuracy and chance, minus the accuracy; its bound is 50 % minus the energy in
+    the PSF window.
 
     Args:
         baselines: strongest baseline by seed.
@@ -97,7 +97,7 @@ def advantage(
     """
     seeds = list(baselines)
     own = accuracy_by_image(dict.fromkeys(seeds, claim.lens), claim.classifier, measurements)
-    if not claim.baselines:  # a claim about convergence
+    if not claim.baselines:  # a claim about failure
         sharp = accuracy_by_image(dict.fromkeys(seeds, SHARP), claim.reference, measurements)
         chance = measurements.values(SHARP, claim.reference, seeds[0])["chance"]
         inside = [measurements.lens_values(claim.lens, seed)["energy_in_window"] for seed in seeds]

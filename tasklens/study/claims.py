@@ -21,11 +21,11 @@ FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
 MARGIN = 1.0  # points by which a lens that is "at least as accurate" may be worse
 OVER_BASE = "more accurate than the design that it varies"  # only in `ablation_claims`
-FLAT_FAILS = "end-to-end design from flat does not converge"
+FLAT_FAILS = "end-to-end design from flat fails"
 
 
 class Claim(Frozen):
-    """A claim that a lens is better than its strongest baseline; without baselines, that its design does not converge.
+    """A claim that a lens is better than its strongest baseline; without baselines, that its design fails.
 
     Attributes:
         table: table of the paper, or "ablation".
