@@ -85,9 +85,9 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
         with clock("augmentation"):
             ours.images(indices, augment=True)
         with clock("captures and their backward"):
-            nothing.loss(indices, grid)
+            nothing.loss(indices, grid, lens, 0)
         with clock(NETWORK):
-            _, gradient = ours.loss(indices, grid)
+            _, gradient = ours.loss(indices, grid, lens, 0)
         with clock("their backward"):
             torch.autograd.backward([grid, bounds], [gradient, None])
         with clock("optimiser"):

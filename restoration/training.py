@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from restoration.nafnet import NAFNet, build
-from tasklens.imaging import Camera, psnr
+from tasklens.imaging import Camera, noise, psnr
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import Shuffled
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
@@ -66,7 +66,8 @@ def train(
     for step in range(part.step + 1, settings.steps + 1):
         images, _ = dataset.batch(order.next())
         fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
-        quality = _step(network, optimizer, camera.single(images, fields), images)
+        drawn = None if camera.sensor is None else noise(images.shape, generator)
+        quality = _step(network, optimizer, camera.single(images, fields, drawn), images)
         if not math.isfinite(quality):
             raise FloatingPointError(f"restoration: the PSNR became {quality} at step {step}; lower its learning_rate")
         progress(step, psnr_db=quality)

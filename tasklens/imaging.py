@@ -3,10 +3,10 @@
 capture = image * PSF + (1 - sum(PSF)) mean(image) = (image - mean(image)) * PSF + mean(image)
 
 The second term is the light outside the PSF window, modelled as a uniform veil, so that the mean flux is conserved.
-Borders are reflected.
+Borders are reflected. A sensor, if there is one, adds noise and rounds.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -15,6 +15,8 @@ from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from scipy.fft import next_fast_len
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+
+from tasklens.study.settings import SensorSettings
 
 _IMAGES = 16  # images that a CPU prepares at once
 _PLANE_BYTES = 2**20  # spectra that a CPU transforms at once, so that they stay in its cache
@@ -129,27 +131,48 @@ class Camera:
         psf: (F, 3, K, K) one PSF per field and colour, K odd.
         outside_window: "veil" as above, or "renormalise" the PSF to unit energy, without light outside the window.
         colour: convolution of sRGB values ("srgb", our reading of the paper) or of "linear" light.
+        sensor: sensor; None: neither noise nor rounding.
+        illumination: (F,) relative illumination of the fields, for a sensor; None: as on the axis.
     """
 
-    def __init__(self, psf: Tensor, outside_window: str = "veil", colour: str = "srgb"):
+    def __init__(
+        self,
+        psf: Tensor,
+        outside_window: str = "veil",
+        colour: str = "srgb",
+        sensor: SensorSettings | None = None,
+        illumination: Tensor | None = None,
+    ):
         if outside_window == "renormalise":
             psf = psf / psf.sum((-2, -1), keepdim=True).clamp(min=1e-12)
         self.psf = psf.float()
         self.linear = colour == "linear"
+        self.sensor = sensor
+        self.illumination = (psf.new_ones(len(psf)) if illumination is None else illumination).to(self.psf)
         self._kernels: dict[tuple[int, int], list[Tensor]] = {}
 
-    def grid(self, images: Tensor) -> Tensor:
-        """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W)."""
+    def grid(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
+
+        `generator` is that of the noise; without one it is the same at every call.
+        """
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
             pairs = torch.cat([block, block[: len(block) % 2]]).unflatten(0, (-1, 2))
             runs = [_Run(field, 0, len(pairs)) for field in range(len(self.psf))]
             found = self._render(pairs, runs).unflatten(0, (len(runs), -1))
             captures.append(found.flatten(1, 2)[:, : len(block)])
-        return captures[0] if len(captures) == 1 else torch.cat(captures, 1)
+        found = captures[0] if len(captures) == 1 else torch.cat(captures, 1)
+        if self.sensor is None:
+            return found
+        illumination = self.illumination[:, None].expand(found.shape[:2])
+        return expose(found, self.sensor, illumination, noise(found.shape, generator).to(found))
 
-    def single(self, images: Tensor, fields: Tensor) -> Tensor:
-        """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W)."""
+    def single(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
+
+        A sensor needs `noise`, standard normal numbers like the images.
+        """
         order: list[int] = []  # of the images by field, an even number each
         runs = []
         at = fields.tolist()
@@ -160,7 +183,11 @@ class Camera:
             runs.append(_Run(field, start, len(order) // 2))
         captures = self._render(images[order].unflatten(0, (-1, 2)), runs).flatten(0, 1)
         position = {image: place for place, image in enumerate(order)}
-        return captures[[position[image] for image in range(len(images))]]
+        found = captures[[position[image] for image in range(len(images))]]
+        if self.sensor is None:
+            return found
+        assert noise is not None
+        return expose(found, self.sensor, self.illumination[fields], noise.to(found))
 
     def _render(self, images: Tensor, runs: list[_Run]) -> Tensor:
         """Render pairs of images (P, 2, 3, H, W) to captures (N, 2, 3, H, W), in the order of the runs.
@@ -187,6 +214,32 @@ class Camera:
             self._kernels[size] = [k for block in blocks for k in torch.fft.fft2(block, size, norm="forward")]
         captures = _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
         return linear_rgb_to_rgb(captures) if self.linear else captures
+
+
+def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:
+    """Return standard normal numbers; without a generator always the same."""
+    return torch.randn(tuple(shape), generator=generator or torch.Generator().manual_seed(0))
+
+
+def expose(captures: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:
+    """Expose a sensor to captures: shot and read noise, correction of the illumination, sRGB values of a few bits.
+
+    N = W E + sqrt(W E + r^2) z,  value = N / W,  W = illumination * full_well / gain
+
+    E is the linear light of the capture, 1 for white, and r the read noise. The Gaussian has the mean and variance of
+    Poisson's distribution. The gradient passes the rounding unchanged.
+
+    Args:
+        captures: (..., 3, H, W) sRGB values; clipped to [0, 1].
+        illumination: (...) relative illumination.
+        noise: standard normal numbers z, like `captures`.
+    """
+    white = (sensor.full_well / sensor.gain * illumination).clamp(min=1e-6)[..., None, None, None]
+    electrons = white * rgb_to_linear_rgb(captures.clamp(0, 1))
+    deviation = torch.sqrt(electrons + max(sensor.read_noise, 1e-3) ** 2)
+    exact = linear_rgb_to_rgb(((electrons + deviation * noise) / white).clamp(0, 1))
+    levels = 2**sensor.bits - 1
+    return exact + ((exact * levels).round() / levels - exact).detach()
 
 
 def psnr(images: Tensor, reference: Tensor) -> Tensor:

@@ -55,7 +55,7 @@ class Dimming(Camera):
     def grid(self, images):
         return self.factors * images
 
-    def single(self, images, fields):
+    def single(self, images, fields, noise=None):
         return self.factors[fields, 0] * images
 
 

@@ -160,15 +160,29 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
 
 @pytest.mark.parametrize("pixels, step_size", [((5, 5), 20.0), ((20, 5), 4.0)])
 def test_a_descent_returns_its_best_lens(start, pixels, step_size):
-    """Steps far too long destroy the lens; the result is that of the least loss on the fixed images."""
-    far = RaySpaceSettings(steps=40, pixels=pixels, duration=0.5, step_size=step_size, criterion="log_image_error")
+    """Steps far too long destroy the lens; the result is that of the least loss on the fixed images.
+
+    After three validations without a better lens it goes back there, with half the step size.
+    """
+    far = RaySpaceSettings(
+        steps=40, pixels=pixels, duration=0.5, step_size=step_size, final=1.0, criterion="log_image_error"
+    )
     still = far.model_copy(update={"steps": 2, "step_size": 1e-9, "pixels": (5, 5)})
     settings = ImageErrorSettings(method="image_error", batch_size=4, rays=16, restart=far, refinement=still)
     _, _, history = supervised.design(start, {}, IMAGE_ERRORS, problem(NO_LIMITS), settings)
-    validated = [row["validation_loss"] for row in history if "validation_loss" in row]
+    rows = [row for row in history if "validation_loss" in row]
+    validated, steps = [row["validation_loss"] for row in rows], [row["step_size_um"] for row in rows]
     restart, first_of_refinement = validated[:-2], validated[-2]
-    assert len(restart) == (21 if pixels == (5, 5) else 11) and restart[-1] > min(restart)
+    assert len(restart) == (21 if pixels == (5, 5) else 11)
+    assert any(later > min(restart[:k]) for k, later in enumerate(restart) if k)
     assert first_of_refinement == pytest.approx(min(restart), rel=1e-12)
+    best, failures = math.inf, 0
+    for k, loss in enumerate(restart[:-1]):  # the last is after the last step
+        best, failures = (loss, 0) if loss <= best else (best, failures + 1)
+        halved = failures == 3
+        failures = 0 if halved else failures
+        assert k == 0 or steps[k] == pytest.approx(steps[k - 1] / (2 if halved else 1))
+    assert steps[-3] < steps[0]
 
 
 def test_a_better_candidate_is_finished_instead(start):

@@ -60,11 +60,12 @@ class JointDescent(GradientDescent):
         if pixels == stop == 1 and (step - 1) % max(1, self.steps // VALIDATIONS) == 0:
             numbers["validation_loss"] = self._validate()
         lens = self.assemble()
-        pupil = sobol_disc(self.settings.rays, self.problem.seed * self.steps + step)
+        seed = self.problem.seed * self.steps + step
+        pupil = sobol_disc(self.settings.rays, seed)
         stopped = lens.with_stop_scaled(stop)
         rays, grid = self.supervisor.trace(stopped, pupil, pixels)
         bounds = self.penalty(lens)
-        losses, gradient = self.supervisor.loss(indices, grid)
+        losses, gradient = self.supervisor.loss(indices, grid, stopped, seed)
         if not torch.isfinite(losses.mean() + bounds):
             raise divergence(stopped, view, pupil, losses)
         if math.isinf(self.least_loss):

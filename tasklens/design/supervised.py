@@ -81,7 +81,7 @@ class RaySpaceDescent(Descent):
         lens = self.space.lens(leaf)
         pupil = sobol_disc(self.design.rays, self.seed + step)
         rays, grid = self.supervisor.trace(lens, pupil, pixels)
-        losses, gradient = self.supervisor.loss(indices, grid)
+        losses, gradient = self.supervisor.loss(indices, grid, lens, self.seed + step)
         (slope,) = torch.autograd.grad(grid, leaf, gradient)
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         self.averaged += 1

@@ -19,6 +19,7 @@ from torchvision.transforms.v2.functional import resize
 
 from tasklens.design.problem import Problem
 from tasklens.imaging import Camera
+from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.lens import Lens
@@ -68,7 +69,14 @@ class ImageError(Criterion):
 
 
 def loss_at_psf(
-    criterion: Criterion, images: Tensor, labels: Tensor, grid: Tensor, capture: CaptureSettings, micro_batch: int
+    criterion: Criterion,
+    images: Tensor,
+    labels: Tensor,
+    grid: Tensor,
+    capture: CaptureSettings,
+    micro_batch: int,
+    illumination: Tensor | None = None,
+    seed: int = 0,
 ) -> tuple[Tensor, Tensor]:
     """Compute the mean loss over all captures, and its gradient at the PSFs.
 
@@ -79,12 +87,15 @@ def loss_at_psf(
         labels: (B,) labels.
         grid: (F, 3, K, K) PSFs.
         micro_batch: maximum number of the F B captures that the criterion takes at once.
+        illumination: (F,) relative illumination, for a sensor.
+        seed: seed of the noise.
 
     Returns:
         Loss of each field (F,), whose mean is the loss L, and dL/dPSF like `grid`; on its device and of its dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
-    captures = Camera(leaf, capture.outside_window, capture.colour).grid(images)
+    camera = Camera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
+    captures = camera.grid(images, torch.Generator().manual_seed(seed))
     inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
     parts = math.ceil(len(inputs) / micro_batch)
     losses, gradients = [], []
@@ -154,10 +165,20 @@ class Supervisor:
         centre = view.fields if self.centre == "pinhole" else chief_points(lens, view)
         return rays, psf(rays, centre, view.pixel_pitch * pixels, view.kernel_size)
 
-    def loss(self, indices: Tensor, grid: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the loss (F,) of each field on these images through PSFs, and the gradient of its mean at these."""
+    def illumination(self, lens: Lens) -> Tensor | None:
+        """Compute the relative illumination (F,), which a sensor needs, without gradient."""
+        return relative_illumination(lens.detached(), self.problem.view) if self.capture.sensor else None
+
+    def loss(self, indices: Tensor, grid: Tensor, lens: Lens, seed: int) -> tuple[Tensor, Tensor]:
+        """Compute the loss (F,) of each field on these images through PSFs, and the gradient of its mean at these.
+
+        Args:
+            lens: lens of the PSFs, for its illumination.
+            seed: seed of a sensor's noise.
+        """
         images, labels = self.images(indices, self.augment)
-        return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch)
+        light = self.illumination(lens)
+        return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
 
     @torch.no_grad()
     def validation_loss(self, lens: Lens, pixels: float) -> float:
@@ -166,7 +187,9 @@ class Supervisor:
         generator = torch.Generator().manual_seed(self.problem.seed)
         fixed = torch.randperm(len(self.dataset), generator=generator)[:_VALIDATION_IMAGES]
         images, labels = self.images(fixed, augment=False)
-        camera = Camera(grid.to(images), self.capture.outside_window, self.capture.colour)
+        capture = self.capture
+        light = self.illumination(lens)
+        camera = Camera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
         found = []
         # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
         at_once = max(1, self.micro_batch // len(grid))

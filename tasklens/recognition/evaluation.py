@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.imaging import Camera, psnr
+from tasklens.imaging import Camera, noise, psnr
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
@@ -31,7 +31,8 @@ class CapturePipeline:
         if self.camera is None:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
-        return self._restored(self.camera.single(images[share], send(fields[share], images.device)))
+        drawn = None if self.camera.sensor is None else noise(images.shape, generator)[share]
+        return self._restored(self.camera.single(images[share], send(fields[share], images.device), drawn))
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera."""

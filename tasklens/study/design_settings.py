@@ -13,13 +13,13 @@ from tasklens.study.settings import (
     Count,
     Fraction,
     Frozen,
+    Magnification,
     Name,
     Positive,
     Spec,
     renamed,
 )
 
-Magnification = Annotated[float, Field(ge=1)]
 Part = Annotated[float, Field(gt=0, le=1)]
 
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates

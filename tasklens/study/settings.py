@@ -23,6 +23,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(gt=0)]
+Magnification = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 
 
@@ -247,8 +248,17 @@ class RestorationSettings(Frozen):
         return 2 ** len(self.encoder)
 
 
+class SensorSettings(Frozen):
+    """Settings of a sensor's noise and levels; the defaults are our choice, about those of a phone in daylight."""
+
+    full_well: Positive = Field(6000, description="Electrons of a pixel at white with gain 1.")
+    gain: Magnification = Field(1, description="Gain: white is at full_well / gain electrons; about 16 indoors.")
+    read_noise: float = Field(2, ge=0, description="Standard deviation of the read noise [electrons].")
+    bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
+
+
 class CaptureSettings(Frozen):
-    """Settings of captures: light outside the PSF window, and the colour values that are convolved."""
+    """Settings of captures: light outside the PSF window, colour values that are convolved, diffraction, the sensor."""
 
     _renamed = renamed({"outside": "outside_window"})
 
@@ -259,6 +269,11 @@ class CaptureSettings(Frozen):
     )
     colour: Literal["srgb", "linear"] = Field(
         "srgb", description="Convolution of sRGB values (our reading of the paper) or of linear light."
+    )
+    sensor: SensorSettings | None = Field(
+        None,
+        description="Shot noise, read noise and rounding, at the lens' relative illumination, which is corrected "
+        "afterwards; in design, training and measurement. Null: none.",
     )
     diffraction: bool = Field(
         False, description="Whether the PSFs of training and measurement have diffraction; designs are geometric."

@@ -85,8 +85,9 @@ def _capture_pipeline(settings: Slice, inputs: Files, device: torch.device) -> C
     """Build the capture pipeline from cached PSFs, if any, and the trained restoration, if any."""
     camera = network = None
     if settings.capture is not None:
-        psf = read_tensors(inputs.psf)[0]["psf"].to(device)
-        camera = Camera(psf, settings.capture.outside_window, settings.capture.colour)
+        tensors = {name: tensor.to(device) for name, tensor in read_tensors(inputs.psf)[0].items()}
+        capture = settings.capture
+        camera = Camera(tensors["psf"], capture.outside_window, capture.colour, capture.sensor, tensors["illumination"])
     if settings.restoration is not None:
         network = build(settings.restoration).eval().requires_grad_(False)
         network.load_state_dict(read_tensors(inputs.restoration)[0])

@@ -1,6 +1,7 @@
 """Design of a lens, or import from its file, and its PSFs."""
 
 from tasklens.design import methods
+from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf_notes
@@ -33,5 +34,7 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
     write_rows(outputs.history, history)
     prescription.write(outputs.lens, prescription.Prescription(lens), notes)
     view = view_of_spec(settings.spec)
-    grid = evaluation_psf(prescription.read(outputs.lens)[0].lens, view, settings.rays)
-    write_tensors(outputs.psf, {"psf": grid.float()}, psf_notes(view, grid) | {"rays": settings.rays})
+    lens = prescription.read(outputs.lens)[0].lens
+    grid = evaluation_psf(lens, view, settings.rays)
+    tensors = {"psf": grid.float(), "illumination": relative_illumination(lens, view).float()}
+    write_tensors(outputs.psf, tensors, psf_notes(view, grid) | {"rays": settings.rays})

@@ -12,7 +12,8 @@ from tasklens.study.settings import Slice
 def run(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
     """Write the weights, and the history of the training."""
     device, capture = claim(), settings.capture
-    camera = Camera(read_tensors(inputs.psf)[0]["psf"].to(device), capture.outside_window, capture.colour)
+    tensors = {name: tensor.to(device) for name, tensor in read_tensors(inputs.psf)[0].items()}
+    camera = Camera(tensors["psf"], capture.outside_window, capture.colour, capture.sensor, tensors["illumination"])
     train, minival = (dataset.read(*inputs.images[name], device=device) for name in ("train", "minival"))
     network, history = training.train(settings.restoration, train, minival, camera, settings.seed, checkpoint)
     write_rows(outputs.history, history)
