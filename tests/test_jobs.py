@@ -128,6 +128,17 @@ def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value,
     assert touched == {job for job in before if reads(job)} != set()
 
 
+def test_diffraction_changes_no_design():
+    """It adds a job for each lens, whose PSFs are those of training, restoration and measurement."""
+    study = parse(changed(tiny_study(), "capture", {"diffraction": True}))
+    before, after = slices(tiny_study()), slices(changed(tiny_study(), "capture", {"diffraction": True}))
+    assert {job for job in after if job not in before} == {("diffraction", lens) for lens in study.lenses}
+    assert all(after[job] == before[job] for job in before if job[0] == "design")
+    psf = jobs.diffraction.output(study, "psf", lens="singlet-imaging1", seed=0)
+    for stage, rest in (("fine_tune", {"measured_name": "small"}), ("fine_tune_others", {}), ("restore", {})):
+        assert STAGES[stage].plan(study, lens="singlet-imaging1", seed=0, **rest).inputs["psf"] == psf
+
+
 def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
     study = changed(tiny_study(), "elements", {"doublet": ["OKP4", "MINE"], "singlet": ["COC"]})
     mine = builtin("COC").definition()

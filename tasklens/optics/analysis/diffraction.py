@@ -26,6 +26,7 @@ _LEAST_SAMPLES = 4  # samples of the irradiance per pixel and direction
 _SHIFT = 1e-5  # change of a pupil point in the differences for J
 _MARGIN = 8.0  # distance from the points [wavelength / aperture] beyond which rays are left out
 _LEAST_RINGS = 24  # of pupil points
+_BLOCK = 4096  # rays at a time, which bounds the memory
 _COARSE = 6  # rings that show where the rays are
 
 
@@ -48,9 +49,12 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
     rings = max(_LEAST_RINGS, math.ceil(1.2 * math.pi * cycles))
     waves = _waves(lens, view, field, channel, rings, 4 * rings).near(x, y, beyond)
     amplitude = torch.sqrt(math.pi * waves.determinant) * waves.weight / wavelength
-    along_x = _turned(x[:, None] * waves.l / wavelength) * amplitude.float()
-    along_y = _turned((y[:, None] * waves.m + waves.length) / wavelength)
-    return (along_y @ along_x.T).abs().square().double()
+    field_there = torch.zeros(len(y), len(x), dtype=torch.complex64)
+    for block in torch.arange(len(amplitude)).split(_BLOCK):
+        along_x = _turned(x[:, None] * waves.l[block] / wavelength) * amplitude[block].float()
+        along_y = _turned((y[:, None] * waves.m[block] + waves.length[block]) / wavelength)
+        field_there += along_y @ along_x.T
+    return field_there.abs().square().double()
 
 
 def diffraction_psf(lens: Lens, view: View, centre: Tensor) -> Tensor:
