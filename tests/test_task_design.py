@@ -194,9 +194,11 @@ def test_a_better_candidate_is_finished_instead(start):
     for restarts in ({}, {"restart": settings, "refinement": settings}):
         design = ImageErrorSettings(method="image_error", **given, **restarts)
         candidates = {"plates": plates, "sharp": sharp}
-        lens, chosen, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(), design)
+        lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(), design)
         losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
-        assert chosen == "sharp" and losses["candidate sharp"] == min(losses.values())
+        assert origin["start"] == "sharp" and losses["candidate sharp"] == min(losses.values())
+        assert origin["candidate_losses"] == {name.removeprefix("candidate "): loss for name, loss in losses.items()}
+        assert origin["validation_loss"] == pytest.approx(losses["candidate sharp"], rel=1e-6)
         assert ("candidate refinement" in losses) == bool(restarts)
         torch.testing.assert_close(lens.curvature, sharp.curvature, rtol=0, atol=1e-6)
 

@@ -73,15 +73,16 @@ def design(
         start = open_apertures(baselines[start_name][0])
     problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
     if isinstance(settings, SupervisedSettings):
-        lens, chosen, history = _supervised(start, candidates, problem, settings, classifier, checkpoint)
-        start_name = chosen or start_name
+        lens, found, history = _supervised(start, candidates, problem, settings, classifier, checkpoint)
     else:
+        found = {}
         lens, history = _descend(start, problem, settings, classifier, checkpoint)
     origin = {
         "design": wanted.entry.design_name,
         "method": settings.method,
         "seed": wanted.seed,
         "start": start_name,
+        **found,
     }
     # Only divergence after the selection concerns the lens: a diverged restart may not have been selected.
     wrong = [row for row in history if "cause" in row and not row["phase"].startswith("restart")]
@@ -114,20 +115,20 @@ def _supervised(
     settings: SupervisedSettings,
     classifier: nn.Module | None,
     checkpoint: Checkpoint,
-) -> tuple[Lens, str | None, History]:
-    """Design by a supervisor; return the lens, the candidate that it was finished from, if any, and the history."""
+) -> tuple[Lens, Notes, History]:
+    """Design by a supervisor; return the lens, what its file says of its origin, and the history."""
     opened = {name: open_apertures(lens) for name, lens in candidates.items()}
     criteria: dict[str, Criterion] = {"image_error": ImageError(False), "log_image_error": ImageError(True)}
     if isinstance(settings, TaskDrivenSettings):
         assert classifier is not None  # it supervises
         criteria["classification"] = Classification(frozen(classifier, settings.batch_norm))
-    lens, chosen, history = supervised.design(start, opened, criteria, problem, settings, checkpoint)
+    lens, found, history = supervised.design(start, opened, criteria, problem, settings, checkpoint)
     if isinstance(settings, TaskDrivenSettings) and settings.polish is not None:
         assert classifier is not None
         fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
         lens, rows = end_to_end.design(lens, classifier, fresh, settings.polish, "polish", checkpoint)
         history = history + rows
-    return lens, chosen, history
+    return lens, found, history
 
 
 def open_apertures(lens: Lens) -> Lens:

@@ -161,7 +161,7 @@ def design(
     problem: Problem,
     settings: SupervisedSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> tuple[Lens, str | None, History]:
+) -> tuple[Lens, dict[str, Any], History]:
     """Refine the best restart from `start`, and finish it, or a candidate of a smaller validation loss.
 
     Args:
@@ -169,7 +169,8 @@ def design(
         criteria: criteria by the names that descents call them.
 
     Returns:
-        The lens, the name of the candidate that was finished, or None, and the history of all descents.
+        The lens; what its file says of its origin: the validation loss, those of all candidates before the finish, and
+        the candidate that it was finished from as `start`; and the history of all descents.
     """
     torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     generator = torch.Generator().manual_seed(problem.seed)
@@ -190,14 +191,15 @@ def design(
     if settings.restart is not None and settings.refinement is not None:
         labels = [f"restart {k + 1} of {settings.restarts}" for k in range(settings.restarts)]
         restarts = [descend(start, settings.restart, label) for label in labels]
-        _, lens = descend(min(restarts, key=lambda found: found[0])[1], settings.refinement, "refinement")
+        least, lens = descend(min(restarts, key=lambda found: found[0])[1], settings.refinement, "refinement")
         if settings.finish is None:
-            return lens, None, history
+            return lens, {"validation_loss": least}, history
         competing["refinement"] = lens
     assert settings.finish is not None  # candidates have one
     finisher, pixels = supervisor(settings.finish), settings.finish.pixels[0]
     losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items() if candidates}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     chosen = min(competing, key=lambda name: losses.get(name, 0.0))
-    _, lens = descend(competing[chosen], settings.finish, "finish")
-    return lens, chosen if chosen in candidates else None, history
+    least, lens = descend(competing[chosen], settings.finish, "finish")
+    origin: dict[str, Any] = {"start": chosen} if chosen in candidates else {}
+    return lens, origin | {"validation_loss": least, "candidate_losses": losses}, history
