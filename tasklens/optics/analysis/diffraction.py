@@ -13,11 +13,10 @@ Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves 
 import math
 from dataclasses import dataclass
 
-import numpy
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.pupil import collimated_rays
+from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
@@ -121,12 +120,9 @@ class _Waves:
 
 
 def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: int) -> _Waves:
-    """Trace rays through Gauss-Legendre points in rho^2, equally spaced in angle."""
-    node, share = numpy.polynomial.legendre.leggauss(rings)
-    radius = torch.from_numpy(numpy.sqrt((node + 1) / 2))[:, None]
-    angle = 2 * math.pi * (torch.arange(arms, dtype=torch.float64) + 0.5) / arms
-    pupil = torch.stack([radius * angle.cos(), radius * angle.sin()], -1).reshape(-1, 2)
-    weight = (torch.from_numpy(share / 2)[:, None] / arms).expand(-1, arms).reshape(-1)
+    """Trace rays through the points of a quadrature on the whole disc, `arms` of them on each ring."""
+    half, share = gauss_quadrature(rings, arms // 2)
+    pupil, weight = torch.cat([half, half * torch.tensor([-1.0, 1.0])]), torch.cat([share, share]) / 2
     # Shifted towards the centre, so that no ray is lost by it.
     shifts = -_SHIFT * torch.where(pupil < 0, -1.0, 1.0)
     points = torch.cat([pupil, pupil + shifts * torch.tensor([1.0, 0.0]), pupil + shifts * torch.tensor([0.0, 1.0])])
