@@ -19,7 +19,7 @@ from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
 from tasklens.runtime.files import FileError
-from tasklens.study.design_settings import ImportedLens
+from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from examples import changed, materials, random_images, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
+from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
 
 from tasklens.design import least_squares, methods, spot, supervised
@@ -15,7 +16,7 @@ from tasklens.design.constraints import first_order_margins, manufacturing_margi
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Classification, ImageError, Supervisor, loss_at_psf
+from tasklens.design.supervision import Classification, ImageError, JointClassification, Supervisor, loss_at_psf
 from tasklens.imaging import Camera, psnr
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
@@ -25,6 +26,7 @@ from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
 from tasklens.study.design_settings import (
     ImageErrorSettings,
+    JointRaySpaceSettings,
     LearningRates,
     RaySpaceSettings,
     SpotSettings,
@@ -36,7 +38,7 @@ from tasklens.study.settings import CaptureSettings, Constraints, Spec, Training
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9})
 
-IMAGE_ERRORS = {"image_error": ImageError(False), "log_image_error": ImageError(True)}
+IMAGE_ERRORS = {"image_error": lambda part: ImageError(False), "log_image_error": lambda part: ImageError(True)}
 FAST = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
 
 
@@ -44,7 +46,7 @@ def designed(network, lens, limits=LIMITS, **settings):
     restart, refinement = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
     given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
     design = TaskDrivenSettings(method="task", **(given | settings))
-    criteria = {"classification": Classification(frozen(network, design.batch_norm))}
+    criteria = {"classification": lambda part: Classification(frozen(network, design.batch_norm))}
     return supervised.design(lens, {}, criteria, problem(limits), design)[::2]
 
 
@@ -234,6 +236,30 @@ def test_the_image_error_alone_makes_a_lens():
     design = ImageErrorSettings(method="image_error", **given)
     lens, _, _ = supervised.design(plates, {}, IMAGE_ERRORS, replace(problem(), dataset=images), design)
     assert quality(lens) > quality(plates) + 3
+
+
+def test_a_joint_descent_trains_a_classifier_of_its_own(start):
+    """Restart and refinement each begin with the trained classifier, move a copy of it, and leave the original."""
+    network, seen = small_network().train(), []
+    before = copy.deepcopy(network.state_dict())
+
+    def joint(part):
+        seen.append(JointClassification(copy.deepcopy(network), 1e-2, part.steps, part.final))
+        return seen[-1]
+
+    descent = RaySpaceSettings(steps=3, pixels=(5, 5))
+    settings = {"batch_size": 4, "rays": 16, "micro_batch": 36, "augment": False, "network_learning_rate": 1e-2}
+    settings |= {"restart": descent, "refinement": descent}
+    design = JointRaySpaceSettings(method="joint_ray_space", **settings)
+    supervised.design(start, {}, {"classification": joint}, problem(NO_LIMITS), design)
+    assert len(seen) == 2 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
+    for criterion in seen:
+        trained = criterion.classifier
+        assert trained.training and criterion.schedule.last_epoch == descent.steps
+        assert all(not torch.equal(v, before[k]) for k, v in trained.state_dict().items())
+        # Validations count no batch: batch norms have seen the batches of the steps alone.
+        batches = [m.num_batches_tracked for m in trained.modules() if isinstance(m, BatchNorm2d)]
+        assert batches and all(int(count) == descent.steps for count in batches)
 
 
 def test_descending_lowers_the_loss(start):

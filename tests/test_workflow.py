@@ -18,7 +18,7 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.stage import STAGES
-from tasklens.study.design_settings import EndToEndSettings, TaskDrivenSettings
+from tasklens.study.design_settings import EndToEndSettings, JointRaySpaceSettings, TaskDrivenSettings
 from tasklens.study.loading import load, parse
 from tasklens.study.study import Study
 
@@ -100,7 +100,7 @@ class Expected:
     def _is_in(self, table: str, lens) -> bool:
         if table == "table4" and self.study.restored is not None and lens.elements not in self.study.restored:
             return False
-        joint = isinstance(lens.design, EndToEndSettings)
+        joint = isinstance(lens.design, EndToEndSettings | JointRaySpaceSettings)
         return joint or isinstance(lens.design, TaskDrivenSettings) if table == "table3" else not joint
 
     def add_starts(self, lenses) -> None:
@@ -118,7 +118,9 @@ class Expected:
         """Jobs of these lenses and measurements; the numbers of `others` are per seed."""
         supervised = [self.study.lens(name).design for name in self.designed]
         needed = {classifier for _, classifier, _ in self.measured}
-        if any(isinstance(design, TaskDrivenSettings | EndToEndSettings) for design in supervised):
+        if any(
+            isinstance(design, TaskDrivenSettings | EndToEndSettings | JointRaySpaceSettings) for design in supervised
+        ):
             needed |= {self.study.supervisor}
         by_seed = {
             "design": len(self.designed),

@@ -11,11 +11,17 @@ from tasklens.design.driver import History, Step, divergence, run
 from tasklens.design.gradient_descent import GradientDescent
 from tasklens.design.problem import Problem
 from tasklens.design.schedule import geometric
-from tasklens.design.supervision import VALIDATIONS, Classification, Supervisor, energy_in_window
+from tasklens.design.supervision import (
+    VALIDATIONS,
+    Classification,
+    Criterion,
+    JointClassification,
+    Supervisor,
+    energy_in_window,
+)
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.recognition.training import Shuffled
-from tasklens.recognition.training import parameter_groups as network_groups
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import JointDescentSettings
 
@@ -30,23 +36,17 @@ class JointDescent(GradientDescent):
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
         rate = settings.network_learning_rate
-        classifier.train(rate is not None).requires_grad_(rate is not None)
+        criterion: Criterion
+        if rate is None:
+            criterion = Classification(classifier.eval().requires_grad_(False))
+        else:
+            criterion = JointClassification(classifier, rate, settings.steps, settings.learning_rates.final)
         captures = settings.batch_size * len(problem.view.fields)
-        self.supervisor = Supervisor(Classification(classifier), problem, settings.size, settings.augment, captures)
+        self.supervisor = Supervisor(criterion, problem, settings.size, settings.augment, captures)
         generator = torch.Generator().manual_seed(problem.seed)
         self.order = Shuffled(len(self.supervisor.dataset), settings.batch_size, generator)
-        groups = network_groups(classifier, weight_decay=0.05) if rate is not None else []
-        groups = [group | {"lr": rate} for group in groups]
-        super().__init__(
-            start,
-            problem,
-            settings.steps,
-            settings.learning_rates,
-            tuple(groups),
-            network=classifier,
-            order=self.order,
-        )
-        self.settings, self.classifier, self.least_loss = settings, classifier, math.inf
+        super().__init__(start, problem, settings.steps, settings.learning_rates, order=self.order, **criterion.holders)
+        self.settings, self.least_loss = settings, math.inf
 
     def step(self, step: int) -> Step:
         """Take a step of AdamW on the loss of a batch, with the pixel pitch and stop of this step."""
@@ -72,6 +72,7 @@ class JointDescent(GradientDescent):
             self.remember()
         torch.autograd.backward([grid, self.settings.penalty * bounds], [gradient, None])
         self.advance()
+        self.supervisor.criterion.train()
         numbers |= {
             "loss": losses.mean().item(),
             "penalty": bounds.item(),
@@ -86,10 +87,7 @@ class JointDescent(GradientDescent):
 
     def _validate(self) -> float:
         """Compute the loss of the present lens and network on fixed images, and remember the lens if it is the best."""
-        training = self.classifier.training
-        self.classifier.eval()
         loss = self.supervisor.validation_loss(self.assemble(), pixels=1.0)
-        self.classifier.train(training)
         if loss < self.least_loss:
             self.least_loss = loss
             self.remember()

@@ -23,7 +23,6 @@ class GradientDescent(Descent):
         problem: fields, limits, seed.
         steps: number of steps.
         rates: learning rates of the lens.
-        groups: further parameter groups of the optimizer.
         betas: betas of AdamW.
         holders: holders of a subclass, in addition to optimizer and schedule.
     """
@@ -34,14 +33,13 @@ class GradientDescent(Descent):
         problem: Problem,
         steps: int,
         rates: LearningRates,
-        groups: tuple[dict[str, Any], ...] = (),
         betas: tuple[float, float] = (0.9, 0.999),
         **holders: Any,
     ):
         self.problem, self.steps = problem, steps
         self.variables = Variables.for_learning_rates(start, problem.view, rates)
         self.values = {name: value.requires_grad_() for name, value in self.variables.values().items()}
-        self.optimizer = torch.optim.AdamW([*parameter_groups(self.values, rates), *groups], betas=betas)
+        self.optimizer = torch.optim.AdamW(parameter_groups(self.values, rates), betas=betas)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(
             self.optimizer, lambda step: cosine(step / steps, rates.final)
         )

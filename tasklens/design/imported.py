@@ -14,7 +14,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
-from tasklens.study.design_settings import ImportedLens
+from tasklens.study.lens_entries import ImportedLens
 
 
 def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:

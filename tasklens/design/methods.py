@@ -1,6 +1,7 @@
 """Design of a lens from its settings: method, then repair, figures and margins."""
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from tasklens.design.driver import History
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Classification, Criterion, ImageError
+from tasklens.design.supervision import Classification, Criterion, ImageError, JointClassification
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_points, clear_semi_diameters
@@ -24,13 +25,14 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import (
     EndToEndSettings,
-    ImportedLens,
+    JointRaySpaceSettings,
     LeastSquaresSettings,
-    LensDesign,
+    RaySpaceSettings,
     SpotSettings,
     SupervisedSettings,
     TaskDrivenSettings,
 )
+from tasklens.study.lens_entries import ImportedLens, LensDesign
 
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not begin with the first images of the design
 _APERTURE = 1.02  # clear aperture of an imported lens without one, over the radius that light uses
@@ -118,10 +120,20 @@ def _supervised(
 ) -> tuple[Lens, Notes, History]:
     """Design by a supervisor; return the lens, what its file says of its origin, and the history."""
     opened = {name: open_apertures(lens) for name, lens in candidates.items()}
-    criteria: dict[str, Criterion] = {"image_error": ImageError(False), "log_image_error": ImageError(True)}
+    criteria: dict[str, Callable[[RaySpaceSettings], Criterion]] = {
+        "image_error": lambda part: ImageError(logarithm=False),
+        "log_image_error": lambda part: ImageError(logarithm=True),
+    }
     if isinstance(settings, TaskDrivenSettings):
         assert classifier is not None  # it supervises
-        criteria["classification"] = Classification(frozen(classifier, settings.batch_norm))
+        supervisor = Classification(frozen(classifier, settings.batch_norm))
+        criteria["classification"] = lambda part: supervisor
+    elif isinstance(settings, JointRaySpaceSettings):
+        assert classifier is not None
+        rate = settings.network_learning_rate
+        criteria["classification"] = lambda part: JointClassification(
+            copy.deepcopy(classifier), rate, part.steps, part.final
+        )
     lens, found, history = supervised.design(start, opened, criteria, problem, settings, checkpoint)
     if isinstance(settings, TaskDrivenSettings) and settings.polish is not None:
         assert classifier is not None

@@ -8,7 +8,7 @@ little about a lens: each descent ends with the lens of the smallest loss on a f
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -29,6 +29,8 @@ _LEEWAY_MM = 0.05  # increase of the violation norm above which a step is halved
 _STATE = ("vector", "mean", "averaged", "factor", "failures", "best", "least")
 _PATIENCE = 3  # validations without a better lens
 _HALVINGS = 5  # maximum number of halvings of a step
+
+Criteria = Mapping[str, Callable[[RaySpaceSettings], Criterion]]  # the criterion of a descent, by the name it is given
 
 
 class RaySpaceDescent(Descent):
@@ -66,7 +68,7 @@ class RaySpaceDescent(Descent):
         self.failures = 0  # validations since the best lens
         self.model = self.space.linearise(self.vector)
         self.order = Shuffled(len(supervisor.dataset), design.batch_size, torch.Generator().manual_seed(seed))
-        self.holders = {"order": self.order}
+        self.holders = {"order": self.order, **supervisor.criterion.holders}
 
     def step(self, step: int) -> Step:
         """Take a step along the mean gradient, with the step size and pixel pitch of this step."""
@@ -88,6 +90,7 @@ class RaySpaceDescent(Descent):
         change = self.model.step(self.mean / (1 - settings.momentum**self.averaged), step_um, settings.damping)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
             raise divergence(lens, view, pupil, losses)
+        self.supervisor.criterion.train()
         numbers |= {
             "loss": losses.mean().item(),
             "worst_field": losses.max().item(),
@@ -157,7 +160,7 @@ class RaySpaceDescent(Descent):
 def design(
     start: Lens,
     candidates: Mapping[str, Lens],
-    criteria: Mapping[str, Criterion],
+    criteria: Criteria,
     problem: Problem,
     settings: SupervisedSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
@@ -166,7 +169,7 @@ def design(
 
     Args:
         candidates: imaging lenses by name.
-        criteria: criteria by the names that descents call them.
+        criteria: makers of criteria by the names that descents call them; one is made for each descent.
 
     Returns:
         The lens; what its file says of its origin: the validation loss, those of all candidates before the finish, and
@@ -177,7 +180,7 @@ def design(
     history: History = []
 
     def supervisor(part: RaySpaceSettings) -> Supervisor:
-        criterion = criteria[part.criterion]
+        criterion = criteria[part.criterion](part)
         return Supervisor(criterion, problem, part.size, settings.augment, settings.micro_batch, part.centre)
 
     def descend(lens: Lens, part: RaySpaceSettings, label: str) -> tuple[float, Lens]:

@@ -8,8 +8,10 @@ for one micro-batch per step.
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
@@ -18,6 +20,7 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
 from tasklens.design.problem import Problem
+from tasklens.design.schedule import cosine
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -26,11 +29,13 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.training import parameter_groups
 from tasklens.study.settings import CaptureSettings
 
 VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
 _VALIDATION_IMAGES = 48  # a batch of 8 photographs has losses from 0.1 to 2 for the same lens
 _VALIDATION_RAYS = 1024  # rays per field and colour
+_WEIGHT_DECAY = 0.05  # of a classifier that is trained with a lens
 
 
 class Criterion(ABC):
@@ -40,16 +45,65 @@ class Criterion(ABC):
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
         """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
 
+    @property
+    def holders(self) -> dict[str, Any]:
+        """Parts with `state_dict` and `load_state_dict` by name; none, unless the criterion is trained."""
+        return {}
 
-@dataclass(frozen=True)
+    def train(self) -> None:  # noqa: B027  most criteria have nothing to train
+        """Take a training step with the accumulated gradients, if the criterion is trained."""
+
+    @contextmanager
+    def evaluating(self) -> Iterator[None]:
+        """Give losses as of a finished training."""
+        yield
+
+
 class Classification(Criterion):
     """Cross-entropy of a classifier's logits."""
 
-    classifier: nn.Module
+    def __init__(self, classifier: nn.Module):
+        self.classifier = classifier
 
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
         """Compute the cross-entropy (N,)."""
         return F.cross_entropy(self.classifier(captures), labels, reduction="none")
+
+
+class JointClassification(Classification):
+    """Cross-entropy of a classifier that is trained in place with the lens, by AdamW.
+
+    The batch statistics of its batch norms are those of a micro-batch.
+
+    Args:
+        classifier: classifier, left in `train()`.
+        learning_rate: its learning rate at the first step.
+        steps: number of steps.
+        final: learning rate at the last step, as a fraction; cosine schedule.
+    """
+
+    def __init__(self, classifier: nn.Module, learning_rate: float, steps: int, final: float):
+        super().__init__(classifier.train().requires_grad_(True))
+        self.optimizer = torch.optim.AdamW(parameter_groups(classifier, _WEIGHT_DECAY), lr=learning_rate)
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
+
+    @property
+    def holders(self) -> dict[str, Any]:
+        """Classifier, optimizer and schedule."""
+        return {"network": self.classifier, "network_optimizer": self.optimizer, "network_schedule": self.schedule}
+
+    def train(self) -> None:
+        """Take a step of the classifier."""
+        self.optimizer.step()
+        self.schedule.step()
+        self.optimizer.zero_grad()
+
+    @contextmanager
+    def evaluating(self) -> Iterator[None]:
+        """Put the classifier into `eval()` for a while."""
+        self.classifier.eval()
+        yield
+        self.classifier.train()
 
 
 @dataclass(frozen=True)
@@ -193,10 +247,11 @@ class Supervisor:
         found = []
         # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
         at_once = max(1, self.micro_batch // len(grid))
-        for some, classes in zip(images.split(at_once), labels.split(at_once), strict=True):
-            captures = camera.grid(some)
-            sharp, targets = some.repeat(len(grid), 1, 1, 1), classes.repeat(len(grid))
-            found.append(self.criterion.losses(captures.flatten(0, 1), sharp, targets))
+        with self.criterion.evaluating():
+            for some, classes in zip(images.split(at_once), labels.split(at_once), strict=True):
+                captures = camera.grid(some)
+                sharp, targets = some.repeat(len(grid), 1, 1, 1), classes.repeat(len(grid))
+                found.append(self.criterion.losses(captures.flatten(0, 1), sharp, targets))
         return float(torch.cat(found).mean())
 
 

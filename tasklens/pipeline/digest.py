@@ -18,7 +18,17 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("tasklens", "restoration")
 DATA_ONLY = tuple(
     f"tasklens.study.{name}"
-    for name in ("settings", "design_settings", "ablations", "feasibility", "study", "loading", "tables", "claims")
+    for name in (
+        "settings",
+        "design_settings",
+        "lens_entries",
+        "ablations",
+        "feasibility",
+        "study",
+        "loading",
+        "tables",
+        "claims",
+    )
 )
 
 

@@ -11,7 +11,7 @@ from tasklens.pipeline.digest import folder_digest
 from tasklens.pipeline.stage import Plan, stage
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
-from tasklens.study.design_settings import ImportedLens, LensDesign
+from tasklens.study.lens_entries import ImportedLens, LensDesign
 from tasklens.study.names import SHARP, SPLITS
 from tasklens.study.settings import Slice
 from tasklens.study.study import Study, StudyError

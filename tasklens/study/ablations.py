@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
-from tasklens.study.design_settings import DesignSettings, LensEntry
+from tasklens.study.design_settings import DesignSettings
+from tasklens.study.lens_entries import LensEntry
 from tasklens.study.settings import CaptureSettings, Frozen, Name
 
 _DESIGN = TypeAdapter(DesignSettings)

@@ -6,7 +6,8 @@ A claim belongs to one table, which sets its classifier and whether captures are
 from itertools import pairwise
 
 from tasklens.study import names
-from tasklens.study.design_settings import EndToEndSettings, ImageErrorSettings, LensEntry, TaskDrivenSettings
+from tasklens.study.design_settings import EndToEndSettings, ImageErrorSettings, TaskDrivenSettings
+from tasklens.study.lens_entries import LensEntry
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study, pick
 from tasklens.study.tables import tables

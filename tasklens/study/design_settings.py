@@ -1,22 +1,16 @@
-"""Settings of the design methods, and entries of a study's lenses; no torch here."""
+"""Settings of the design methods; no torch here."""
 
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, FilePath, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from tasklens.materials.material import Material
 from tasklens.study.settings import (
-    CaptureSettings,
-    ClassifierSettings,
-    Constraints,
     Count,
     Fraction,
     Frozen,
     Magnification,
     Name,
     Positive,
-    Spec,
     renamed,
 )
 
@@ -165,6 +159,13 @@ class TaskDrivenSettings(SupervisedSettings):
     )
 
 
+class JointRaySpaceSettings(SupervisedSettings):
+    """Settings of end-to-end design by ray-space descent: in each descent a copy of the classifier is trained too."""
+
+    method: Literal["joint_ray_space"]
+    network_learning_rate: Positive = Field(description="Learning rate of the classifier.")
+
+
 class ImageErrorSettings(SupervisedSettings):
     """Settings of design by the error of the image, which the paper's section 3.1 argues against: no classifier."""
 
@@ -223,77 +224,12 @@ class LeastSquaresSettings(Frozen):
     )
 
 
-class ImportedLens(Frozen):
-    """A lens from a file, scaled and refocused to the specification; its materials are those of the file."""
-
-    elements: Name = Field(description="Name of its elements in the tables.")
-    file: FilePath = Field(description="A Zemax file (.zmx), or a lens.yaml.")
-    catalogues: tuple[FilePath, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
-
-    @property
-    def sources(self) -> tuple[Path, ...]:
-        """The file and its catalogues."""
-        return self.file, *self.catalogues
-
-    @field_validator("file")
-    @classmethod
-    def _known_kind(cls, file: Path) -> Path:
-        if file.suffix.lower() not in (".zmx", ".yaml", ".yml"):
-            raise ValueError("expected a lens file, .zmx or .yaml")
-        return file
-
-
 DesignSettings = Annotated[
-    TaskDrivenSettings | ImageErrorSettings | EndToEndSettings | SpotSettings | LeastSquaresSettings,
+    TaskDrivenSettings
+    | ImageErrorSettings
+    | EndToEndSettings
+    | JointRaySpaceSettings
+    | SpotSettings
+    | LeastSquaresSettings,
     Field(discriminator="method"),
 ]
-
-
-class LensEntry(Frozen):
-    """Description of one lens of the study: its elements, and its design or the file that it is imported from."""
-
-    name: str = Field(description="`{elements}-{design_name}`.")
-    elements: str = Field(description="Name of its elements.")
-    plastics: tuple[Material, ...] = Field(description="Materials with coefficients: editing one redesigns its lenses.")
-    design_name: str = Field(description="Name of its design.")
-    design: DesignSettings | ImportedLens = Field(description="Design method, or file.")
-    capture: CaptureSettings | None = Field(None, description="Changed capture of an ablation; null: the study's.")
-
-    @property
-    def classified(self) -> bool:
-        """True if a classifier supervises the design."""
-        return isinstance(self.design, TaskDrivenSettings | EndToEndSettings)
-
-    @property
-    def supervised(self) -> bool:
-        """True if the design sees images."""
-        return self.classified or isinstance(self.design, SupervisedSettings)
-
-    @property
-    def constrained(self) -> bool:
-        """True if the lens has to keep the constraints and the focal length, which verification checks.
-
-        End-to-end designs from flat, which need not converge, and imported lenses are not.
-        """
-        failing = isinstance(self.design, EndToEndSettings) and self.design.start == "flat"
-        return not (failing or isinstance(self.design, ImportedLens))
-
-
-class LensDesign(Frozen):
-    """The slice of a study that the design of one lens may read.
-
-    Attributes:
-        entry: the lens, its plastics and its method.
-        spec, constraints: specification and limits.
-        capture, classifier: for designs supervised by a classifier.
-        rays: rays per field and colour for the figures.
-        seed: seed of all random numbers.
-    """
-
-    entry: LensEntry
-    spec: Spec
-    constraints: Constraints
-    capture: CaptureSettings | None
-    classifier: ClassifierSettings | None
-    rays: int
-    seed: int

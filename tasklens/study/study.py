@@ -16,12 +16,11 @@ from tasklens.study.design_settings import (
     DesignSettings,
     EndToEndSettings,
     ImageErrorSettings,
-    ImportedLens,
     LeastSquaresSettings,
-    LensEntry,
     SpotSettings,
     SupervisedSettings,
 )
+from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.settings import (
     CaptureSettings,
     ClassifierSettings,

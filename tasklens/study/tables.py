@@ -42,11 +42,7 @@ def table(study: Study, name: str) -> TableContents:
     Tables 1, 2 and 4 compare task-driven designs with imaging designs and imported lenses, table 3 with end-to-end
     designs; table 4 has only the elements in `restored`. Table 2 has all classifiers, the others the supervisor.
     """
-    lenses = [
-        lens
-        for lens in study.lenses.values()
-        if (lens.classified if name == "table3" else not isinstance(lens.design, EndToEndSettings))
-    ]
+    lenses = [lens for lens in study.lenses.values() if (lens.classified if name == "table3" else not lens.end_to_end)]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
     return TableContents(

@@ -10,7 +10,7 @@ from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import Files, write_rows, write_tensors
-from tasklens.study.design_settings import LensDesign
+from tasklens.study.lens_entries import LensDesign
 
 
 def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:

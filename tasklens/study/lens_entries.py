@@ -1,0 +1,92 @@
+"""Entries of a study's lenses: designed, or imported from files; no torch here."""
+
+from pathlib import Path
+
+from pydantic import Field, FilePath, field_validator
+
+from tasklens.materials.material import Material
+from tasklens.study.design_settings import (
+    DesignSettings,
+    EndToEndSettings,
+    JointRaySpaceSettings,
+    SupervisedSettings,
+    TaskDrivenSettings,
+)
+from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Name, Spec
+
+
+class ImportedLens(Frozen):
+    """A lens from a file, scaled and refocused to the specification; its materials are those of the file."""
+
+    elements: Name = Field(description="Name of its elements in the tables.")
+    file: FilePath = Field(description="A Zemax file (.zmx), or a lens.yaml.")
+    catalogues: tuple[FilePath, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """The file and its catalogues."""
+        return self.file, *self.catalogues
+
+    @field_validator("file")
+    @classmethod
+    def _known_kind(cls, file: Path) -> Path:
+        if file.suffix.lower() not in (".zmx", ".yaml", ".yml"):
+            raise ValueError("expected a lens file, .zmx or .yaml")
+        return file
+
+
+class LensEntry(Frozen):
+    """Description of one lens of the study: its elements, and its design or the file that it is imported from."""
+
+    name: str = Field(description="`{elements}-{design_name}`.")
+    elements: str = Field(description="Name of its elements.")
+    plastics: tuple[Material, ...] = Field(description="Materials with coefficients: editing one redesigns its lenses.")
+    design_name: str = Field(description="Name of its design.")
+    design: DesignSettings | ImportedLens = Field(description="Design method, or file.")
+    capture: CaptureSettings | None = Field(None, description="Changed capture of an ablation; null: the study's.")
+
+    @property
+    def classified(self) -> bool:
+        """True if a classifier supervises the design."""
+        return isinstance(self.design, TaskDrivenSettings) or self.end_to_end
+
+    @property
+    def end_to_end(self) -> bool:
+        """True if the design is end-to-end, or its plain protocol with a frozen classifier."""
+        return isinstance(self.design, EndToEndSettings | JointRaySpaceSettings)
+
+    @property
+    def supervised(self) -> bool:
+        """True if the design sees images."""
+        return self.classified or isinstance(self.design, SupervisedSettings)
+
+    @property
+    def constrained(self) -> bool:
+        """True if the lens has to keep the constraints and the focal length, which verification checks.
+
+        End-to-end designs from flat, which need not converge, and imported lenses are not.
+        """
+        design = self.design
+        failing = isinstance(design, EndToEndSettings) and design.start == "flat"
+        failing |= isinstance(design, JointRaySpaceSettings) and not design.candidates
+        return not (failing or isinstance(design, ImportedLens))
+
+
+class LensDesign(Frozen):
+    """The slice of a study that the design of one lens may read.
+
+    Attributes:
+        entry: the lens, its plastics and its method.
+        spec, constraints: specification and limits.
+        capture, classifier: for designs supervised by a classifier.
+        rays: rays per field and colour for the figures.
+        seed: seed of all random numbers.
+    """
+
+    entry: LensEntry
+    spec: Spec
+    constraints: Constraints
+    capture: CaptureSettings | None
+    classifier: ClassifierSettings | None
+    rays: int
+    seed: int
