@@ -58,6 +58,7 @@ TARGETS = {  # targets of the command line; the first is the default
         *sum((TABLES[name] for name in study.tables), []),
         report_jobs.verdicts.output(study, "csv"),
         report_jobs.psf_tail.output(study, "csv"),
+        report_jobs.effort.output(study, "csv"),
     ],
     **TABLES,
     "backbones": TABLES["table2"],  # the single ablations of the paper's section 5

@@ -9,6 +9,7 @@ from examples import f64, materials
 
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, penalty, violation, worst_margin
 from tasklens.design.start import flat
+from tasklens.optics.rays import launch
 from tasklens.optics.view import view_of_spec
 from tasklens.study.settings import Constraints, Spec
 
@@ -72,9 +73,19 @@ def test_elements_that_overlap_only_between_axis_and_rim_are_found():
 
 
 def test_focal_length_and_distortion_margins(start):
-    """A lens 5 % too long, and chief rays 6 % too far out, miss their limits of 2 and 3 % by the rest."""
+    """A lens 5 % too long, and chief rays 6 % too far out, miss their limits of 2 and 3 % by the rest.
+
+    The angle of a chief ray, where it has a limit, is that to the axis, in any meridian; the axis itself has none.
+    """
     longer = replace(LOOKS, efl=LOOKS.efl / 1.05)
-    margins = first_order_margins(start, LIMITS, longer, 1.06 * longer.fields)
+    x, y = 1.06 * longer.fields.T[..., None, None]
+    zero = torch.zeros_like(x)
+    chief = launch(x, y, zero, zero + 0.3, zero + 0.4, zero + math.sqrt(0.75))
+    margins = first_order_margins(start, LIMITS, longer, chief)
+    assert "chief_ray_angle" not in margins
+    limited = LIMITS.model_copy(update={"max_chief_ray_angle_deg": 33.0})
+    angle = first_order_margins(start, limited, longer, chief)["chief_ray_angle"]
+    torch.testing.assert_close(angle, torch.full((8,), math.radians(33 - 30), dtype=torch.float64))
     assert float(margins["efl_tolerance"]) == pytest.approx(0.02 - (1 - 1 / 1.05), abs=1e-9)
     torch.testing.assert_close(margins["distortion"], torch.full((8,), 0.03 - 0.06, dtype=torch.float64))
 

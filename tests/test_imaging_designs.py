@@ -1,5 +1,6 @@
 """Imaging designs: spot descent; the merit function, its derivatives, and the search that lowers it."""
 
+import math
 from dataclasses import replace
 
 import numpy
@@ -7,7 +8,7 @@ import pytest
 import torch
 from examples import difference, materials
 
-from tasklens.design import least_squares, spot
+from tasklens.design import least_squares, spot, vignetting
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.merit import HEIGHTS, VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
@@ -15,7 +16,7 @@ from tasklens.design.start import flat
 from tasklens.design.variables import Variables
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields
 from tasklens.optics.view import view_of_spec
 from tasklens.study.design_settings import LearningRates, LeastSquaresSettings, SpotSettings
 from tasklens.study.settings import Constraints, Spec
@@ -62,9 +63,11 @@ def test_random_starts_have_the_focal_length_and_a_focus():
 def test_merit_columns_are_the_limit_of_differences(start, reference, linear_beyond_um):
     """Rays with either cost, their reference, all limits with the apertures that rays need; all kinds are broken."""
     limits = LIMITS.model_copy(update={"efl_tolerance": 1e-4, "distortion": 1e-4, "max_slope": 0.1})
-    limits = limits.model_copy(update={"min_edge_thickness": 2.0, "min_back_focus": 9.0, "min_air_gap": 1.0})
+    limits = limits.model_copy(
+        update={"min_edge_thickness": 2.0, "min_back_focus": 9.0, "min_air_gap": 1.0, "max_chief_ray_angle_deg": 5.0}
+    )
     lens = replace(start, curvature=1.01 * start.curvature)
-    merit = Merit(LOOKS, limits, reference, max_chief_ray_angle_deg=5.0, linear_beyond_um=linear_beyond_um)
+    merit = Merit(LOOKS, limits, reference, linear_beyond_um=linear_beyond_um)
     variables = Variables.plain(lens)
     values = variables.values()
 
@@ -75,7 +78,7 @@ def test_merit_columns_are_the_limit_of_differences(start, reference, linear_bey
     found = merit.linearise(lens)[1](variables.directions(values))
     expected = difference(residuals, vector, 1e-6)
     errors = merit.rays
-    first_order = len(HEIGHTS) + 1 + len(HEIGHTS) - 1  # chief-ray angles, focal length, distortion off the axis
+    first_order = 1 + 2 * (len(HEIGHTS) - 1)  # focal length, then off the axis distortion and chief-ray angles
     assert (expected[:errors].abs().amax(0) > 1).all() and (expected[-first_order:].abs().amax(1) > 1).sum() > 9
     assert (expected[errors:-first_order].abs().amax(1) > 1).sum() > 60
     torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
@@ -180,3 +183,31 @@ def test_a_linear_cost_sharpens_the_core():
         found.append((float(distance.median(1).values.mean()), linear))
     assert [row["stage"] for row in history][-2:] == ["linear cost", "strict limits"]
     assert found[1][0] < found[0][0] and found[1][1] < found[0][1]
+
+
+def test_an_aperture_stops_what_it_may_and_nothing_on_the_axis():
+    """Of heights 1 to 10 of equal light, 30 % may be stopped: 7 is passed; on the axis all, so that 8 is."""
+    heights = torch.arange(1.0, 11.0)[torch.randperm(10, generator=torch.Generator().manual_seed(0))]
+    weight = torch.full((10,), 0.1)
+    low = 0.5 * heights
+    for axial, expected in ((torch.tensor([2.0]), 7), (torch.tensor([2.0, 8.0]), 8)):
+        beams = torch.stack([low, heights])[:, None]
+        assert float(vignetting.smallest_aperture(beams, weight, axial, 0.3)) == expected
+    lost = heights.masked_fill(heights > 6, torch.inf)  # then nothing more may be stopped
+    assert math.isinf(vignetting.smallest_aperture(lost[None, None], weight, heights[:1], 0.3))
+
+
+def test_a_lens_that_may_vignette_makes_a_smaller_spot():
+    """After the same search: no field loses more than it may, the axis nothing, and the spots of the rest shrink."""
+    begin = flat(PLASTICS, SPEC, LIMITS)
+    pupil = torch.cat([OUTLINE, sobol_disc(1024, 5)])
+    found = []
+    for loss in (None, 0.4):
+        settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200, vignetting=loss)
+        lens, history = least_squares.design(begin, PROBLEM, settings)
+        rays = trace_fields(lens, LOOKS, pupil)
+        found.append((float(rms_spot_radius(rays, centroid(rays)).square().mean()), rays.valid.double().mean((1, 2))))
+    assert history[-1]["stage"] == "vignetting" and lens.semi_diameter[1:].isfinite().sum() == 1
+    assert (found[0][1] == 1).all() and found[1][0] < found[0][0]
+    assert (found[1][1][LOOKS.radii == 0] == 1).all()
+    assert float(found[1][1].min()) == pytest.approx(0.6, abs=0.02)

@@ -25,6 +25,7 @@ from tasklens.study.settings import Slice
 from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
+TOLD = report_jobs.verdicts, report_jobs.psf_tail, report_jobs.effort  # beside the tables
 
 
 def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
@@ -105,7 +106,7 @@ READERS = [
     ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
-    ("designs.imaging1.steps", 4, lambda job: job == ("design", "singlet-imaging1")),
+    ("designs.imaging1.steps", 4, lambda job: job in (("design", "singlet-imaging1"), ("effort",))),
     ("restoration.steps", 9, lambda job: job[0] == "restore" or measured(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",))),
     ("capture.outside_window", "renormalise",
@@ -163,7 +164,8 @@ def test_a_study_may_make_some_of_the_tables():
     """Its tails, verdicts and verification are of these, of their lenses and of their measurements."""
     some = changed(tiny_study(), "tables", ["table3"])
     before, after = slices(tiny_study()), slices(some)
-    assert {job for job in before if before[job] != after[job]} == {("psf_tail",), ("verdicts",), ("verify",)}
+    told = {("psf_tail",), ("verdicts",), ("verify",)}
+    assert {job for job in before if before[job] != after[job]} == told
     study = parse(some)
     verified = report_jobs.verify.plan(study).settings
     assert report_jobs.psf_tail.plan(study).settings.lenses == verified.lenses == CLASSIFIED
@@ -194,7 +196,7 @@ def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs
         found = needed(study, *flatten(report_jobs.verify.plan(study).inputs))
         assert {job[1:] for job in found if job[0] == "reproduce"} == set(contents.measured)
     else:
-        others = (stage.output(study, "csv") for stage in (report_jobs.verdicts, report_jobs.psf_tail))
+        others = (stage.output(study, "csv") for stage in TOLD)
         found = needed(study, report_jobs.table.output(study, "csv", table=made), *others)
     expected = set(map("-".join, itertools.product(elements, designs)))
     assert {job[1] for job in found if job[0] == "design"} == expected
@@ -218,7 +220,7 @@ def test_what_a_job_reads_another_makes(mapping):
 def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
     before, after = slices(tiny_study()), slices(with_imported())
-    rows = {("table", name) for name in ("table1", "table2", "table4")} | {("psf_tail",), ("verify",)}
+    rows = {("table", name) for name in ("table1", "table2", "table4")} | {("psf_tail",), ("effort",), ("verify",)}
     assert {job for job in before if before[job] != after[job]} == rows
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
     study = parse(with_imported())

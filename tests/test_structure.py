@@ -303,6 +303,7 @@ def edited(tmp_path, monkeypatch):
 
 READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tune_others", "reproduce"}
 JUDGE = {"verdicts", "regimes", "ablation"}
+TABLES = {"table", "psf_tail", "effort", "certificate"}
 FIGURES = {"certificate", "comparison"}
 MEASUREMENTS = {"table", "verify", "comparison", *JUDGE}
 PSFS = {"design", "diffraction"}
@@ -334,7 +335,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
-        ("tasklens/report/publish.py", "index=False", "index=True", {"table", "psf_tail", "certificate"} | JUDGE),
+        ("tasklens/report/publish.py", "index=False", "index=True", TABLES | JUDGE),
         ("tasklens/study/names.py", '"-restored"', '"-mended"', READ_IMAGES | MEASUREMENTS - {"comparison"}),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),

@@ -131,7 +131,7 @@ class Expected:
         }
         counts = {name: count * len(self.study.seeds) for name, count in by_seed.items()}
         counts |= {"images": 1, "reference": len(needed), "table": len(self.study.tables), **dict(seedless)}
-        return {name: count for name, count in (counts | {"psf_tail": 1, "verdicts": 1}).items() if count}
+        return {name: count for name, count in (counts | {"psf_tail": 1, "effort": 1, "verdicts": 1}).items() if count}
 
 
 def expected(study: Study) -> dict[str, int]:
@@ -188,17 +188,17 @@ def test_single_values_change_the_default_study(beside_config):
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """18 lenses of the default study, not all 24: nothing else waits for those of end-to-end design."""
     one = {"images": 1, "reference": 1, "table": 1, "verdicts": 1, "design": 18, "fine_tune": 19}
-    others = {"psf_tail": 1} if target == "tables" else {"reproduce": 19}
+    others = {"psf_tail": 1, "effort": 1} if target == "tables" else {"reproduce": 19}
     assert plan(beside_config, None, target, "--config", 'tables=["table1"]') == one | others
 
 
 def test_the_headline_makes_tables_1_and_3_for_five_seeds(beside_config):
-    """Laid over the default study; no other network, no restoration; and the paper's plain protocol for all."""
+    """Laid over the default study; no other network, no restoration; with three more designs of all elements."""
     study = load(ROOT / "config" / "config.yaml")
-    lenses = len(study.lenses) + len(study.elements)
+    lenses = len(study.lenses) + 3 * len(study.elements)
     planned = plan(beside_config, None, "tables", "--configfile", "config/config.yaml", "config/headline.yaml")
     assert planned.pop("fine_tune") == 5 * (1 + lenses) and planned.pop("table") == 2
-    one = {"images": 1, "reference": 1, "psf_tail": 1, "verdicts": 1}
+    one = {"images": 1, "reference": 1, "psf_tail": 1, "effort": 1, "verdicts": 1}
     assert planned == one | {"design": 5 * lenses}
 
 
@@ -253,7 +253,7 @@ def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
     study = with_imported(tmp_path)
     monkeypatch.chdir(tmp_path)
     counts = expected(parse(study))
-    assert counts["design"] == 8 and counts["restore"] == 6
+    assert counts["design"] == 9 and counts["restore"] == 6
     assert plan(tmp_path, study, "tables") == counts
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
     assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}

@@ -9,14 +9,15 @@ from torch import Tensor
 
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, distortion
+from tasklens.optics.analysis.spots import chief_rays, clear_semi_diameters, distortion
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
 HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
-BUFFER = 0.01  # margin that designs aim at [mm; a tenth of it for fractions], since a soft penalty ends short of it
+BUFFER = 0.01  # margin that designs aim at [mm; a tenth of it without a unit], since a soft penalty ends short of it
 
 
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
@@ -51,17 +52,23 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     }
 
 
-def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Tensor) -> dict[str, Tensor]:
-    """Compute the margins of focal length and distortion, as fractions.
+def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays) -> dict[str, Tensor]:
+    """Compute the margins of focal length and distortion, as fractions, and of the chief ray angle [rad].
 
     Args:
-        chief: (F, 2) image points of the chief rays of `view` [mm].
+        chief: (F, 1, 1) chief rays of `view` on the image plane.
     """
+    off_axis = view.radii > 0
+    points = torch.stack([chief.x, chief.y], -1)[:, 0, 0]
     power = view.efl * paraxial(lens, view.reference).power
-    return {
+    margins = {
         "efl_tolerance": limits.efl_tolerance - (power[None] - 1).abs(),
-        "distortion": limits.distortion - distortion(view.fields, chief)[view.radii > 0].abs(),
+        "distortion": limits.distortion - distortion(view.fields, points)[off_axis].abs(),
     }
+    if limits.max_chief_ray_angle_deg is not None:
+        l, m, n = (v[off_axis, 0, 0] for v in (chief.l, chief.m, chief.n))
+        margins["chief_ray_angle"] = math.radians(limits.max_chief_ray_angle_deg) - torch.atan2(torch.hypot(l, m), n)
+    return margins
 
 
 def violation(margins: Mapping[str, Tensor]) -> Tensor:
@@ -70,8 +77,8 @@ def violation(margins: Mapping[str, Tensor]) -> Tensor:
 
 
 def buffer_scale(name: str) -> float:
-    """Return the factor on the buffer of a limit: a fraction has a tenth of it."""
-    return 0.1 if name in ("efl_tolerance", "distortion") else 1.0
+    """Return the factor on the buffer of a limit: fractions and angles have a tenth of it."""
+    return 0.1 if name in ("efl_tolerance", "distortion", "chief_ray_angle") else 1.0
 
 
 def corner_view(view: View) -> View:
@@ -84,7 +91,7 @@ def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
     """Sum the squared violations of all limits, for gradient descent."""
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
     margins = manufacturing_margins(lens, limits, semi_diameter)
-    margins |= first_order_margins(lens, limits, view, chief_points(lens, view))
+    margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
     return violation(margins).square().sum()
 
 

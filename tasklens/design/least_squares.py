@@ -15,6 +15,7 @@ import numpy
 import torch
 from scipy.optimize import least_squares
 
+from tasklens.design import vignetting
 from tasklens.design.driver import History
 from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
@@ -32,8 +33,10 @@ _SPACES = 0.35  # largest element and air thickness of a random start [focal len
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # fraction of starts, asphere orders, fraction of budget
 _PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts, at least one lens; fraction of budget
 _PERTURBATION_EVALUATIONS = 12
+_VIGNETTINGS = 4  # times that an aperture is set anew, with `_STRICT_EVALUATIONS` after each
 _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
 _FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
+_STRICT_EVALUATIONS = 24
 _STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
 
 
@@ -114,9 +117,13 @@ class _Search:
     def __init__(self, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint):
         self.settings, self.checkpoint = settings, checkpoint
         self.rng = numpy.random.default_rng(problem.seed)
-        options = settings.reference, settings.corner_weight, settings.max_chief_ray_angle_deg
-        self.merit = Merit(problem.view, problem.limits, *options)
-        finish = partial(Merit, problem.view, problem.limits, *options, settings.linear_beyond_um)
+        limits = problem.limits
+        angles = [limits.max_chief_ray_angle_deg, settings.max_chief_ray_angle_deg]
+        angle = min((angle for angle in angles if angle is not None), default=None)
+        limits = limits.model_copy(update={"max_chief_ray_angle_deg": angle})
+        options = problem.view, limits, settings.reference, settings.corner_weight
+        self.merit = Merit(*options)
+        finish = partial(Merit, *options, settings.linear_beyond_um)
         self.finish, self.strict = finish(), finish(per_mm=_STRICT * VIOLATION_UM_PER_MM)
         self.orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
         self.progress = Progress("least squares", settings.evaluations)
@@ -141,6 +148,22 @@ class _Search:
             if error < best:
                 best, lens = error, other
         return lens, best, f"perturbations of {count}"
+
+    def vignette(self, lens: Lens) -> tuple[Lens, float]:
+        """Improve a lens with a clear aperture on each surface in turn; return the best, with its aperture."""
+        merit, loss = self.strict, self.settings.vignetting
+        assert loss is not None
+        found = []
+        for surface in lens.refracting_surfaces:
+            clipped = lens
+            for _ in range(_VIGNETTINGS):
+                heights = vignetting.heights_at(clipped, merit.view, merit.pupil, surface)
+                inside = heights[..., : len(merit.weight)]
+                merit.keep(inside <= vignetting.smallest_aperture(inside, merit.weight, heights[0], loss))
+                clipped, error = self.improve(clipped, merit, _STAGES[-1][1], _STRICT_EVALUATIONS)
+            found.append((error, surface, clipped))
+        error, surface, clipped = min(found, key=lambda each: each[:2])
+        return vignetting.clip(clipped, merit.view, surface, loss), error
 
     def best(
         self, name: str, candidates: list[Candidate], part: float, share: float, improve: Callable[..., Any]
@@ -187,8 +210,13 @@ def design(
     if settings.linear_beyond_um is not None:
         lens, error = search.improve(lens, search.finish, _STAGES[-1][1], _FINISH_EVALUATIONS)
         search.history.append({"stage": "linear cost", "start": start, "rms_um": error})
-    lens, error = search.improve(lens, search.strict, _STAGES[-1][1], 2 * _PERTURBATION_EVALUATIONS)
-    rows = [*search.history, {"stage": "strict limits", "start": start, "rms_um": error}]
+    rows = search.history
+    if settings.vignetting is not None:
+        lens, error = search.vignette(lens)
+        rows.append({"stage": "vignetting", "start": start, "rms_um": error})
+    else:
+        lens, error = search.improve(lens, search.strict, _STAGES[-1][1], _STRICT_EVALUATIONS)
+        rows.append({"stage": "strict limits", "start": start, "rms_um": error})
     return lens, [{"step": step, **row} for step, row in enumerate(rows, 1)]
 
 

@@ -3,6 +3,7 @@
 Least squares asks for them at every step, and autograd takes longer for them than for all rays.
 """
 
+import math
 from collections.abc import Mapping
 
 import numpy
@@ -22,11 +23,10 @@ class LinearLimits:
 
     Args:
         semi_diameter: (S,) radius that light uses on each surface [mm].
-        chief: (4, F) image points x, y [mm] and direction cosines m, n of the chief rays of `view`.
-        max_chief_ray_angle_deg: largest chief ray angle on the sensor [degrees]; None: no limit.
+        chief: (5, F) image points x, y [mm] and direction cosines l, m, n of the chief rays of `view`.
 
     Attributes:
-        values: (K,) violations [mm; fractions without unit], zero where a limit is kept, then angles [degrees].
+        values: (K,) violations [mm; fractions without unit; angles in rad], zero where a limit is kept.
     """
 
     def __init__(
@@ -36,7 +36,6 @@ class LinearLimits:
         view: View,
         semi_diameter: Tensor,
         chief: Tensor,
-        max_chief_ray_angle_deg: float | None,
     ):
         self.c, self.t, self.alpha = (v.numpy() for v in (lens.curvature, lens.thickness, lens.alpha))
         self.bending = (1 + lens.conic.numpy()) * self.c**2
@@ -82,16 +81,17 @@ class LinearLimits:
             "efl_tolerance": limits.efl_tolerance - abs(self.power - 1),
             "distortion": limits.distortion - abs(self.distortion),
         }
+        largest = limits.max_chief_ray_angle_deg
+        self.angled = largest is not None
+        if largest is not None:
+            l, m, n = self.chief[2:, self.off_axis]
+            margins["chief_ray_angle"] = math.radians(largest) - numpy.arctan2(numpy.hypot(l, m), n)
         violations = [(BUFFER * buffer_scale(name) - margin).ravel() for name, margin in margins.items()]
-        if max_chief_ray_angle_deg is not None:
-            angle = numpy.degrees(numpy.arctan2(abs(self.chief[2]), self.chief[3]))
-            violations.append(angle - max_chief_ray_angle_deg)
-        self.angles = 0 if max_chief_ray_angle_deg is None else len(view.fields)  # how many of the values are angles
         self.values = numpy.maximum(numpy.concatenate(violations), 0)
 
     def along(self, changes: Mapping[str, Tensor]) -> ndarray:
         """Compute changes (K, V) of the violations for V changes of `curvature`, `thickness`, `alpha`, `semi_diameter`
-        (V, S, ..) and `chief` (V, 4, F); zero for a violation that is zero.
+        (V, S, ..) and `chief` (V, 5, F); zero for a violation that is zero.
         """
         dc, dt, da = (changes[name].numpy() for name in ("curvature", "thickness", "alpha"))
         d_semi, d_chief = changes["semi_diameter"].numpy(), changes["chief"].numpy()
@@ -131,11 +131,11 @@ class LinearLimits:
             numpy.sign(self.power - 1) * d_power,
             numpy.sign(self.distortion) * d_distortion,
         ]
-        if self.angles:
-            m, n = abs(self.chief[2]), self.chief[3]
-            rows.append(
-                numpy.degrees((n * numpy.sign(self.chief[2]) * d_chief[:, 2] - m * d_chief[:, 3]) / (m * m + n * n))
-            )
+        if self.angled:
+            l, m, n = self.chief[2:, self.off_axis]
+            dl, dm, dn = d_chief[:, 2:, self.off_axis].transpose(1, 0, 2)
+            sine = numpy.hypot(l, m)
+            rows.append((n * (l * dl + m * dm) / sine - sine * dn) / (sine**2 + n**2))
         return numpy.concatenate([row.reshape(len(dc), -1) for row in rows], 1).T * (self.values > 0)[:, None]
 
     def _w(self, surface: ndarray, u: ndarray) -> ndarray:

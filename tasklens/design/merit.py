@@ -31,10 +31,9 @@ class Merit:
     Args:
         reference: reference point of the rays' errors in y.
         corner_weight: weight of the corner field, geometric from 1 on the axis.
-        max_chief_ray_angle_deg: largest chief ray angle on the sensor [degrees]; None: no limit.
         linear_beyond_um: error e0 beyond which the cost of a ray grows linearly [um], r = e / (1 + |e|^2 / e0^2)^(1/4)
             for its error e: rays far outside matter less, and a sharp core more. None: r = e.
-        per_mm: residual per mm of violation [um/mm].
+        per_mm: residual per mm of violation, or per unit of a violation without a unit [um/mm].
         rim: number of marginal rays, from the top to the bottom of the pupil, for the radii that light uses.
     """
 
@@ -44,7 +43,6 @@ class Merit:
         limits: Constraints,
         reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
         corner_weight: float = 1.0,
-        max_chief_ray_angle_deg: float | None = None,
         linear_beyond_um: float | None = None,
         per_mm: float = VIOLATION_UM_PER_MM,
         rim: int = 3,
@@ -52,7 +50,7 @@ class Merit:
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
         self.view, self.limits = replace(view, fields=fields), limits
-        self.reference, self.max_chief_ray_angle_deg = reference, max_chief_ray_angle_deg
+        self.reference = reference
         self.linear_beyond = None if linear_beyond_um is None else 1e-3 * linear_beyond_um  # [mm]
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
@@ -60,10 +58,17 @@ class Merit:
         self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last of each bundle: the chief ray
         self.middle = len(view.wavelengths) // 2
         field = corner_weight**heights
-        self.share = torch.sqrt(field[:, None, None] / field.sum() * self.weight / len(view.wavelengths))
+        self.of_field = (field / field.sum() / len(view.wavelengths))[:, None, None]
+        self.keep(torch.ones(len(heights), len(view.wavelengths), len(self.weight), dtype=torch.bool))
         self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # number of ray residuals, then limits
         self.per_mm = per_mm
         self.launched: tuple[float, Rays] | None = None  # radius of the stop, and rays
+
+    def keep(self, kept: Tensor) -> None:
+        """Leave rays (F, W, N) of the quadrature out of the spots where `kept` is false."""
+        weight = kept * self.weight
+        self.weights = weight / weight.sum(-1, keepdim=True)
+        self.share = torch.sqrt(self.of_field * self.weights)
 
     def residuals(self, lens: Lens) -> Tensor:
         """Compute the (R,) residuals [um]."""
@@ -87,30 +92,26 @@ class Merit:
             torch.where(valid, 1e3 * self.share * error * weakened, _LOST_RAY_UM * self.share) for error in (x, y)
         ]
         outermost = [_outermost(each) for each in behind]
-        chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.m, rays.n)])
+        chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
         used = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
-        operands = LinearLimits(
-            lens.detached(), self.limits, view, _APERTURE_RESERVE * used, chief, self.max_chief_ray_angle_deg
-        )
-        weight = self.per_mm * torch.ones(len(operands.values), dtype=lens.dtype)
-        weight[len(weight) - operands.angles :] = 1.0
-        values = torch.cat([*(error.flatten() for error in errors), weight * torch.from_numpy(operands.values)])
+        operands = LinearLimits(lens.detached(), self.limits, view, _APERTURE_RESERVE * used, chief)
+        values = torch.cat([*(error.flatten() for error in errors), self.per_mm * torch.from_numpy(operands.values)])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
-            (dx, dy, _, dm, dn), changes_behind = derivative(changes)
+            (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
             ex, ey = self._errors(dx, dy, valid, change=True)
             if self.linear_beyond is not None:
                 radial = (x * ex + y * ey) / 2 * (weakened**2 / self.linear_beyond) ** 2
                 ex, ey = (ex - x * radial) * weakened, (ey - y * radial) * weakened
             rows = [torch.where(valid, 1e3 * self.share * change, 0.0).flatten(1) for change in (ex, ey)]
-            chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dm, dn)], 1)
+            chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dl, dm, dn)], 1)
             aperture = [
                 (x * dx.flatten(1)[:, i] + y * dy.flatten(1)[:, i]) / height
                 for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, used, strict=True)
             ]
             apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
             along = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
-            rows.append((weight[:, None] * torch.from_numpy(along)).T)
+            rows.append(self.per_mm * torch.from_numpy(along).T)
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
         # A perturbed lens can have residuals that are not finite, which scipy does not accept.
@@ -128,7 +129,7 @@ class Merit:
         count = len(self.weight)
         match self.reference:
             case "centroid":
-                arrived = valid * self.weight
+                arrived = valid * self.weights
                 centre = (y[..., :count] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
             case "chief_ray":
                 centre = y[..., self.middle, -1]

@@ -17,7 +17,7 @@ from tasklens.design.start import flat
 from tasklens.design.supervision import Classification, Criterion, ImageError, JointClassification
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import OUTLINE, chief_points, clear_semi_diameters
+from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import frozen
@@ -157,7 +157,7 @@ def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> 
     """
     view = view_of_spec(wanted.spec)
     margins = manufacturing_margins(lens, wanted.constraints, torch.minimum(clear, lens.semi_diameter))
-    margins |= first_order_margins(lens, wanted.constraints, view, chief_points(lens, view))
+    margins |= first_order_margins(lens, wanted.constraints, view, chief_rays(lens, view))
     name, value = worst_margin(margins)
     lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))
     notes = {

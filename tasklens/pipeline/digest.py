@@ -28,6 +28,7 @@ DATA_ONLY = tuple(
         "loading",
         "tables",
         "claims",
+        "effort",
     )
 )
 

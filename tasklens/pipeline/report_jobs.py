@@ -4,9 +4,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from tasklens.pipeline.jobs import LENS_FOLDER, STAGES, lens_file, measurement, psf_file, reproduce
+from tasklens.pipeline.jobs import LENS_FOLDER, STAGES, design, lens_file, measurement, psf_file, reproduce
 from tasklens.pipeline.stage import Plan, stage
 from tasklens.study import claims as paper_claims
+from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
 from tasklens.study.names import SHARP
@@ -56,6 +57,14 @@ def psf_tail(study: Study) -> Plan:
     specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
     settings = Slice(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
     return Plan(settings, {"lenses": _measurements(study, lenses, ())["lenses"]})
+
+
+@stage(f"{REPORT}.effort.make", {suffix: f"effort.{suffix}" for suffix in ("csv", "md")})
+def effort(study: Study) -> Plan:
+    """Make the table of the effort of each design: lenses tried, and core-minutes, which differ from run to run."""
+    efforts = paper_effort.effort(study)
+    settings = Slice(efforts=efforts, benchmark=design.benchmark(study))
+    return Plan(settings, {"lenses": _measurements(study, efforts.lenses, ())["lenses"]})
 
 
 @stage(f"{REPORT}.verdicts.make", _published("verdicts"))

@@ -107,6 +107,10 @@ class Stage:
         """Return the paths of a job's outputs by name; without wildcards their patterns, for Snakemake."""
         return {name: self.output(study, name, **wildcards) for name in self.patterns_in(study)}
 
+    def benchmark(self, study: Study) -> str:
+        """Return the pattern of the files in which Snakemake writes the time and memory of the jobs."""
+        return f"{results(study)}/benchmarks/{self.label}.tsv"
+
     def output(self, study: Study, name: str, **wildcards: str | int) -> Path:
         """Return the path of the output `name` of a job; without wildcards its pattern."""
         pattern = self.patterns_in(study)[name]

@@ -11,7 +11,7 @@ from tasklens.report.publish import right_aligned
 
 ROBUST = 2.0  # largest ratio of the spot with moulding errors to the nominal spot of a robust lens
 _SHOWN = 3  # number of most sensitive parts in the page
-_UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "")
+_UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "rad"}
 
 
 def markdown(

@@ -222,6 +222,11 @@ class LeastSquaresSettings(Frozen):
         description="Error beyond which the cost of a ray grows linearly in a last stage [um]: a sharper core with "
         "more haze than the least RMS spot has; null: no such stage.",
     )
+    vignetting: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="Largest fraction of the light of a field that the clear aperture of one surface may stop, nothing "
+        "on the axis, so that what passes makes a smaller spot; null: no light is stopped.",
+    )
 
 
 DesignSettings = Annotated[

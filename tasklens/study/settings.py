@@ -138,6 +138,9 @@ class Constraints(Frozen):
     flat_track: Positive = Field(1.3, description="Distance from stop to sensor of a flat start [focal lengths].")
     efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
     distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
+    max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
+        None, description="Largest chief ray angle on the sensor [degrees]; null: no limit, as in the paper."
+    )
 
 
 RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports torch

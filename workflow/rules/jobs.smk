@@ -20,7 +20,7 @@ for stage in STAGES.values():  # functions of wildcards are called later: each k
         log:
             f"{results(study)}/logs/{stage.label}.log",
         benchmark:
-            f"{results(study)}/benchmarks/{stage.label}.tsv"
+            stage.benchmark(study)
         priority: stage.priority
         retries: int(stage.resumable)
         localrule: not stage.patterns  # it prints

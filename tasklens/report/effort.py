@@ -1,0 +1,60 @@
+"""Effort of each design: lenses tried, and minutes of a core, as Snakemake measured them."""
+
+from pathlib import Path
+
+import pandas
+
+from tasklens.report.publish import publish, rounded
+from tasklens.runtime.files import Files
+from tasklens.study.effort import Efforts
+from tasklens.study.settings import Slice
+
+_NOTE = """\
+Study `{study}`. Lenses tried: steps of a descent, or evaluations of least squares. Minutes of processor time of the
+design, with the figures and PSFs of its lens, mean over seeds; of the last run, where it was interrupted. `in_all`:
+with the designs of all lenses that it was chosen from."""
+
+
+def core_minutes(path: Path) -> float:
+    """Return the processor time [min] in one of Snakemake's benchmark files; NaN without file or measurement."""
+    if not path.is_file():
+        return float("nan")
+    seconds = pandas.read_csv(path, sep="\t")["cpu_time"]
+    return float(pandas.to_numeric(seconds, errors="coerce").iloc[-1]) / 60
+
+
+def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:
+    """Return a row per lens: lenses tried and mean core-minutes, its own and with those it was chosen from.
+
+    Args:
+        benchmark: pattern of the benchmark files, with `{lens}` and `{seed}`.
+    """
+    minutes = {
+        each.lens: pandas.Series(
+            [core_minutes(Path(benchmark.format(lens=each.lens, seed=seed))) for seed in efforts.seeds]
+        ).mean()
+        for each in efforts.efforts
+    }
+    tried = {each.lens: each.tried for each in efforts.efforts}
+    rows = []
+    for each in efforts.efforts:
+        elements, _, design = each.lens.partition("-")
+        used = (each.lens, *each.chosen_from)
+        rows.append(
+            {
+                "elements": elements,
+                "design": design,
+                "lenses_tried": each.tried,
+                "core_minutes": minutes[each.lens],
+                "lenses_tried_in_all": sum(tried[lens] for lens in used),
+                "core_minutes_in_all": sum(minutes[lens] for lens in used),
+            }
+        )
+    return pandas.DataFrame(rows)
+
+
+def make(settings: Slice, inputs: Files, outputs: Files) -> None:
+    """Write the efforts as CSV and Markdown."""
+    rows = collect(settings.efforts, settings.benchmark)
+    shown = rounded(rows, {"core_minutes": ".1f"})
+    publish(outputs, "Effort of each design", rows, shown, _NOTE.format(study=settings.efforts.study))

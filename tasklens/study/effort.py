@@ -1,0 +1,65 @@
+"""Effort of the designs of a study: lenses tried, its own and those of the lenses that it was chosen from."""
+
+from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings, SupervisedSettings, TaskDrivenSettings
+from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.settings import Frozen
+from tasklens.study.study import Study
+from tasklens.study.tables import candidates, imaging_baselines, table_lenses
+
+
+class Effort(Frozen):
+    """Effort of the design of one lens.
+
+    Attributes:
+        lens: name of the lens.
+        tried: lenses tried: steps of descents, or evaluations of least squares; zero for imported lenses.
+        chosen_from: names of the lenses that it may have been started from, and of those that these were.
+    """
+
+    lens: str
+    tried: int
+    chosen_from: tuple[str, ...]
+
+
+class Efforts(Frozen):
+    """Efforts of all designs in the tables of a study, and of those that they were chosen from."""
+
+    study: str
+    seeds: tuple[int, ...]
+    efforts: tuple[Effort, ...]
+
+    @property
+    def lenses(self) -> tuple[str, ...]:
+        """Names of all lenses."""
+        return tuple(each.lens for each in self.efforts)
+
+
+def effort(study: Study) -> Efforts:
+    """Return the efforts of a study."""
+    wanted = dict.fromkeys(table_lenses(study))
+    wanted |= dict.fromkeys(other for lens in wanted for other in _chosen_from(study, lens))
+    efforts = (
+        Effort(lens=name, tried=_tried(study.lens(name).design), chosen_from=_chosen_from(study, name))
+        for name in study.lenses
+        if name in wanted
+    )
+    return Efforts(study=study.name, seeds=study.seeds, efforts=tuple(efforts))
+
+
+def _chosen_from(study: Study, lens: str) -> tuple[str, ...]:
+    nearest = (*candidates(study, lens), *imaging_baselines(study, lens))
+    return tuple(dict.fromkeys([*nearest, *(other for near in nearest for other in _chosen_from(study, near))]))
+
+
+def _tried(design: DesignSettings | ImportedLens) -> int:
+    if isinstance(design, ImportedLens):
+        return 0
+    if isinstance(design, LeastSquaresSettings):
+        return design.evaluations
+    if not isinstance(design, SupervisedSettings):
+        return design.steps
+    steps = {name: descent.steps for name, descent in design.descents.items()}
+    if "restart" in steps:
+        steps["restart"] *= design.restarts
+    polish = design.polish if isinstance(design, TaskDrivenSettings) else None
+    return sum(steps.values()) + (0 if polish is None else polish.steps)

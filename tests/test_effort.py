@@ -1,0 +1,67 @@
+"""Effort of designs: what each tried and took, its own and that of the lenses it was chosen from."""
+
+import math
+from pathlib import Path
+
+import pytest
+from examples import tiny_study
+
+from tasklens.report import effort as report
+from tasklens.study import effort
+from tasklens.study.loading import parse
+
+DESCENT = {"steps": 5, "pixels": [4, 1]}
+DESIGNS = {
+    "squares": {"method": "least_squares", "evaluations": 700},
+    "spots": {"method": "spot", "steps": 30},
+    "error": {
+        "method": "image_error",
+        "candidates": ["squares"],
+        "finish": DESCENT | {"criterion": "image_error"},
+    },
+    "task": {
+        "method": "task",
+        "restarts": 3,
+        "restart": DESCENT | {"steps": 10},
+        "refinement": DESCENT,
+        "candidates": ["squares", "error"],
+        "finish": DESCENT | {"steps": 2},
+        "polish": {"steps": 4},
+    },
+}
+
+
+@pytest.fixture
+def efforts() -> effort.Efforts:
+    study = tiny_study() | {"designs": DESIGNS, "seeds": [0, 3], "ablations": {}}
+    return effort.effort(parse(study))
+
+
+def write_benchmark(folder: Path, lens: str, seed: int, cpu_time: str) -> None:
+    path = folder / f"{lens}-seed{seed}.tsv"
+    path.write_text(f"s\th:m:s\tcpu_time\n999\t0:16:39\t{cpu_time}\n")
+
+
+def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_path):
+    """Steps of every descent, restarts each; evaluations; `squares` once, though both others name it."""
+    for seed in (0, 3):
+        for lens, minutes in (("squares", 2), ("spots", 1), ("error", 3), ("task", 5)):
+            write_benchmark(tmp_path, f"singlet-{lens}", seed, str(60 * (minutes + seed)))
+    rows = report.collect(efforts, f"{tmp_path}/{{lens}}-seed{{seed}}.tsv").set_index("design")
+    assert rows["lenses_tried"].to_dict() == {"squares": 700, "spots": 30, "error": 5, "task": 3 * 10 + 5 + 2 + 4}
+    assert rows["lenses_tried_in_all"].to_dict() == {"squares": 700, "spots": 30, "error": 705, "task": 746}
+    assert rows["core_minutes"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 4.5, "task": 6.5}
+    assert rows["core_minutes_in_all"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 8.0, "task": 14.5}
+
+
+@pytest.mark.parametrize("text", [None, "NA", "-"])
+def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path, text):
+    """As of a job by hand, or a very short one; not a zero."""
+    for seed in (0, 3):
+        for lens in ("spots", "error", "task"):
+            write_benchmark(tmp_path, f"singlet-{lens}", seed, "60")
+        if text is not None:
+            write_benchmark(tmp_path, "singlet-squares", seed, text)
+    rows = report.collect(efforts, f"{tmp_path}/{{lens}}-seed{{seed}}.tsv").set_index("design")
+    assert math.isnan(rows.loc["squares", "core_minutes"]) and math.isnan(rows.loc["task", "core_minutes_in_all"])
+    assert rows.loc["spots", "core_minutes_in_all"] == 1.0
