@@ -1,4 +1,4 @@
-"""Manufacturability of a lens: limits, surfaces, and sensitivity of spots to moulding errors."""
+"""Manufacturability of a lens: limits, surfaces, and sensitivity of its rays to moulding errors."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,23 +9,22 @@ from tasklens.optics.analysis.shapes import Shape
 from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS
 from tasklens.report.publish import right_aligned
 
-ROBUST = 2.0  # largest ratio of the spot with moulding errors to the nominal spot of a robust lens
 _SHOWN = 3  # number of most sensitive parts in the page
 _UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "rad"}
 
 
 def markdown(
-    margins: Mapping[str, float], shapes: Sequence[Shape], nominal_um: float, errors_um: Mapping[str, float]
+    margins: Mapping[str, float], shapes: Sequence[Shape], errors_um: Mapping[str, float], pixel_um: float
 ) -> str:
     """Return the section of a lens' page: a verdict in words, and its tables.
 
     Args:
         margins: margin of each limit [mm, slopes and fractions without unit], negative where it is violated.
         shapes: shapes of the surfaces.
-        nominal_um: nominal refocused RMS spot, root mean square over fields [um].
-        errors_um: increase of the spot by each moulding error, to be added as squares [um].
+        errors_um: displacement of the rays of the core by each moulding error, to be added as squares [um].
+        pixel_um: pixel pitch [um].
     """
-    built_um = math.hypot(nominal_um, *errors_um.values())
+    moved_um = math.hypot(*errors_um.values())
     worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SHOWN]
     limits = pandas.DataFrame(
         [(name.replace("_", " "), f"{value:.4f} {_UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
@@ -47,13 +46,13 @@ def markdown(
     sensitive = ", ".join(f"{part} ({errors_um[part]:.1f} um)" for part in worst)
     tolerances = (
         f"Moulded to +- {100 * RADIUS:g} % in radius and +- {1e3 * THICKNESS:g} um in thickness (precision moulding, "
-        "apollooptical.com/manufacturing-tolerances), and as much in air: the RMS spot, root mean square over fields "
-        f"and focused, grows from {nominal_um:.1f} to {built_um:.1f} um. Most sensitive: {sensitive}. Tilt and "
-        "decentre come on top."
+        "apollooptical.com/manufacturing-tolerances), and as much in air, then focused: the rays of the core, the "
+        f"half of each field's rays nearest to its chief ray, move by {moved_um:.1f} um (RMS). Most sensitive: "
+        f"{sensitive}. Tilt and decentre come on top."
     )
     parts = [
         "## Manufacturability",
-        verdict(margins, nominal_um, built_um),
+        verdict(margins, moved_um, pixel_um),
         tolerances,
         right_aligned(limits),
         right_aligned(surfaces),
@@ -61,15 +60,12 @@ def markdown(
     return "\n\n".join(parts) + "\n"
 
 
-def verdict(margins: Mapping[str, float], nominal_um: float, built_um: float) -> str:
-    """Describe the manufacturability in one or two sentences."""
+def verdict(margins: Mapping[str, float], moved_um: float, pixel_um: float) -> str:
+    """Describe the manufacturability in a sentence: errors may move the core's rays [um] by a pixel."""
     violated = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
     if violated:
         return f"Not manufacturable: it violates {', '.join(violated)}."
-    growth = built_um / nominal_um
-    if growth <= ROBUST:
-        return f"Within precision moulding: all limits are kept, and its errors enlarge the spot {growth:.1f} times."
-    return (
-        f"Needs tighter tolerances than precision moulding states: all limits are kept, but those errors "
-        f"enlarge the spot {growth:.1f} times."
-    )
+    moved = f"move the rays of the core by {moved_um:.1f} um; a pixel has {pixel_um:.1f}."
+    if moved_um <= pixel_um:
+        return f"Within precision moulding: all limits are kept, and its errors {moved}"
+    return f"Needs tighter tolerances than precision moulding states: all limits are kept, but those errors {moved}"

@@ -2,7 +2,7 @@
 
 from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
 from tasklens.optics.analysis.shapes import shapes
-from tasklens.optics.analysis.tolerances import errors_by_part
+from tasklens.optics.analysis.tolerances import displacements
 from tasklens.optics.io import prescription
 from tasklens.report import certificate, figures, manufacturability
 from tasklens.runtime.files import Files, write_text
@@ -16,6 +16,7 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
     view = view_of(lens, content, str(inputs.lens))
     title = f"{settings.lens}, seed {settings.seed}"
     page = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(lens, view))
-    errors = errors_by_part(lens, view, content["figures"]["rays"])
-    write_text(outputs.page, f"{page}\n{manufacturability.markdown(content['margins'], shapes(lens), *errors)}")
+    errors_um = displacements(lens, view, content["figures"]["rays"])
+    section = manufacturability.markdown(content["margins"], shapes(lens), errors_um, view.pixel_pitch)
+    write_text(outputs.page, f"{page}\n{section}")
     figures.draw(outputs.figure, [figures.panel(settings.lens, inputs.lens, inputs.psf)])
