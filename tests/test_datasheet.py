@@ -168,11 +168,14 @@ def test_certificate_shows_the_numbers_of_the_file(lens, found):
     lens, looks = lens
     by_surface = seidel_by_surface(lens, looks)
     content = {"figures": found, "worst_margin": {"limit": "max_slope", "value": -0.0123}}
+    content["origin"] = {"validation_loss": 0.25, "candidate_losses": {"imaging2": 0.5}}
     text = certificate.markdown("a lens", looks.fields.tolist(), content, by_surface)
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     pairs = dict(line for line in lines if len(line) == 2)
     assert float(pairs["focal length [mm]"]) == pytest.approx(found["efl_mm"], abs=1e-4)
     assert pairs["worst margin"] == "-0.0123 (max_slope)"
+    assert pairs["loss on the fixed images of its design"] == "0.2500"
+    assert pairs["that of imaging2, before the last descent"] == "0.5000"
     header, _, *fields = [line for line in lines if len(line) == 17]
     assert len(fields) == 3
     for f, row in enumerate(fields):

@@ -94,4 +94,8 @@ def _lens(content: Mapping) -> dict[str, str]:
     }
     if "worst_margin" in content:
         rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
-    return rows
+    origin = content.get("origin", {})
+    if "validation_loss" in origin:
+        rows["loss on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
+    losses = origin.get("candidate_losses", {})
+    return rows | {f"that of {name}, before the last descent": f"{loss:.4f}" for name, loss in losses.items()}
