@@ -164,7 +164,7 @@ def test_a_study_may_make_some_of_the_tables():
     """Its tails, verdicts and verification are of these, of their lenses and of their measurements."""
     some = changed(tiny_study(), "tables", ["table3"])
     before, after = slices(tiny_study()), slices(some)
-    told = {("psf_tail",), ("verdicts",), ("verify",)}
+    told = {("psf_tail",), ("merit_function",), ("verdicts",), ("verify",)}
     assert {job for job in before if before[job] != after[job]} == told
     study = parse(some)
     verified = report_jobs.verify.plan(study).settings
@@ -220,7 +220,8 @@ def test_what_a_job_reads_another_makes(mapping):
 def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
     before, after = slices(tiny_study()), slices(with_imported())
-    rows = {("table", name) for name in ("table1", "table2", "table4")} | {("psf_tail",), ("effort",), ("verify",)}
+    rows = {("table", name) for name in ("table1", "table2", "table4")}
+    rows |= {("psf_tail",), ("effort",), ("merit_function",), ("verify",)}
     assert {job for job in before if before[job] != after[job]} == rows
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
     study = parse(with_imported())

@@ -303,9 +303,9 @@ def edited(tmp_path, monkeypatch):
 
 READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tune_others", "reproduce"}
 JUDGE = {"verdicts", "regimes", "ablation"}
-TABLES = {"table", "psf_tail", "effort", "certificate"}
+TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate"}
 FIGURES = {"certificate", "comparison"}
-MEASUREMENTS = {"table", "verify", "comparison", *JUDGE}
+MEASUREMENTS = {"table", "verify", "comparison", "merit_function", *JUDGE}
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail", *FIGURES}
 SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce"}
@@ -336,7 +336,12 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
         ("tasklens/report/publish.py", "index=False", "index=True", TABLES | JUDGE),
-        ("tasklens/study/names.py", '"-restored"', '"-mended"', READ_IMAGES | MEASUREMENTS - {"comparison"}),
+        (
+            "tasklens/study/names.py",
+            '"-restored"',
+            '"-mended"',
+            READ_IMAGES | MEASUREMENTS - {"comparison", "merit_function"},
+        ),
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
         ("tasklens/pipeline/stages/design.py", "grid.float()", "grid", {"design"}),

@@ -186,7 +186,6 @@ def _measurements_of_others(study: Study) -> dict[str, str]:
         f"{output}_{name}": pattern.replace("{measured_name}", name)
         for name in others(study)
         for output, pattern in _MEASUREMENTS.items()
-        if output != "frozen"  # of the supervisor alone
     }
 
 

@@ -88,6 +88,19 @@ def ablation(study: Study, ablation: str) -> Plan:
     return Plan(compared, _claimed(study, compared.claims))
 
 
+@stage(f"{REPORT}.merit_function.make", _published("merit_function") | {"figure": "figures/merit_function.png"})
+def merit_function(study: Study) -> Plan:
+    """Make the table and figure of what each classifier wants of a lens: its loss as a function of the MTF."""
+    contents = paper_tables.table(study, "table2" if "table2" in study.tables else "table1")
+    lenses = [(lens, seed) for lens in contents.lenses for seed in contents.seeds]
+    keys = [(lens, name, seed) for lens, seed in lenses for name in contents.classifiers]
+    inputs = {
+        "psfs": {lens: psf_file(study, *lens) for lens in lenses},
+        "frozen": {key: measurement(study, *key, "frozen") for key in keys},
+    }
+    return Plan(Slice(contents=contents, supervisor=study.supervisor), inputs)
+
+
 @stage(
     f"{STAGES}.certificate.run", {"page": f"{LENS_FOLDER}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"}
 )

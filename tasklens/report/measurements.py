@@ -59,8 +59,16 @@ class Measurements:
 
     def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
         """Return the loss of the frozen classifier for each minival image, mean over fields."""
+        return self._frozen(lens, classifier, seed).mean(axis=1)
+
+    def losses_by_field(self, lens: str, classifier: str, seed: int) -> pandas.Series:
+        """Return the loss of the frozen classifier at each field, mean over minival images."""
+        return self._frozen(lens, classifier, seed).mean()
+
+    def _frozen(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+        """Read the losses of the frozen classifier: a row per minival image, a column per field."""
         frame = pandas.read_csv(self.frozen[lens, classifier, seed], dtype={"label": str}, keep_default_na=False)
-        return frame.set_index(["image", "label"]).mean(axis=1)
+        return frame.set_index(["image", "label"])
 
     def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> Gap:
         """Return the optimality gap of a lens beside other lenses."""

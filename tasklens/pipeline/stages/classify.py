@@ -14,7 +14,7 @@ from tasklens.runtime.distributed import process_group
 from tasklens.runtime.files import Files, read_tensors, write_rows, write_tensors
 from tasklens.study.settings import Slice
 
-_OUTPUTS = ("weights", "metrics", "predictions")
+_OUTPUTS = ("weights", "metrics", "predictions", "frozen")
 
 
 def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
@@ -23,7 +23,7 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
 
 
 def fine_tune_others(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
-    """Write the same of several classifiers, without those losses."""
+    """Write the same of several classifiers."""
     paths = vars(outputs)
     by_name = {n: Files(**{key: paths[f"{key}_{n}"] for key in _OUTPUTS}) for n in settings.classifiers}
     _fine_tune(settings, inputs, by_name, checkpoint)
@@ -44,10 +44,9 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
             for name, network in networks.items():
                 label = f"zero-shot evaluation of {name}"
                 before[name] = evaluation.zero_shot(network.eval(), splits["test"], pipeline, label, checkpoint)
-                if "frozen" in vars(outputs[name]):
-                    label = f"losses of {name}, frozen"
-                    losses = evaluation.losses(network, splits["minival"], pipeline, label, checkpoint)
-                    frozen[name] = evaluation.by_image(losses, splits["minival"])
+                label = f"losses of {name}, frozen"
+                losses = evaluation.losses(network, splits["minival"], pipeline, label, checkpoint)
+                frozen[name] = evaluation.by_image(losses, splits["minival"])
         training.fit(
             networks,
             splits["train"],
@@ -65,8 +64,7 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
         model = {"model": settings.classifiers[name].model}
         write_tensors(outputs[name].weights, network.network.state_dict(), model)
         rows = settings.rows | {"classifier": name}
-        if name in frozen:
-            write_rows(outputs[name].frozen, frozen[name])
+        write_rows(outputs[name].frozen, frozen[name])
         write_rows(outputs[name].metrics, [rows | row for row in before[name] + metrics])
         write_rows(outputs[name].predictions, predictions)
 

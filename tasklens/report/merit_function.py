@@ -1,0 +1,133 @@
+"""The merit function of each classifier: its loss through a lens, predicted from the lens' MTF.
+
+The loss of a frozen classifier at a field is close to exp(c - sum_k w_k M_k), where M_k is the mean modulation of the
+PSF in a band of spatial frequencies, over all directions and colours. Weights w_k >= 0 say which frequencies the
+classifier wants: which PSF is the best for it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy
+import pandas
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.optimize import nnls
+
+from tasklens.report.measurements import Measurements
+from tasklens.report.publish import publish, rounded
+from tasklens.runtime.files import FileError, Files, read_tensors, replacing
+from tasklens.study.settings import Slice
+
+_LEAST_LENSES = 3
+BANDS = numpy.linspace(0, 0.5, 9)  # bounds of the bands [cycles per pixel], up to the Nyquist frequency
+_NOTE = """\
+Study `{study}`. For each classifier, before any fine-tuning: weights w of exp(c - sum w M), the loss at a field as a
+function of the mean modulation M in bands of spatial frequency [cycles per pixel], by {fields} fields of {lenses}
+lenses. `r2`: of the logarithm of the loss of lenses that were left out of the fit. `ranked_by_supervisor`: rank
+correlation of the losses with what the merit function of {supervisor} predicts."""
+
+
+def modulation(psf: numpy.ndarray) -> numpy.ndarray:
+    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; light beside the window is a veil."""
+    frequency = numpy.fft.fftfreq(psf.shape[-1])
+    radius = numpy.hypot(frequency[:, None], frequency)
+    mtf = abs(numpy.fft.fft2(psf)).mean(1)
+    bands = [(radius > low) & (radius <= high) for low, high in pairwise(BANDS)]
+    return numpy.stack([mtf[:, band].mean(-1) for band in bands], -1)
+
+
+@dataclass(frozen=True)
+class MeritFunction:
+    """A merit function: weights (B,) >= 0 of the modulation, and the constant c."""
+
+    weights: numpy.ndarray
+    constant: float
+
+    def log_loss(self, modulation: numpy.ndarray) -> numpy.ndarray:
+        """Predict the logarithm of the loss (N,) from the modulation (N, B)."""
+        return self.constant - modulation @ self.weights
+
+
+def fit(modulation: numpy.ndarray, log_loss: numpy.ndarray) -> MeritFunction:
+    """Fit a merit function to modulations (N, B) and logarithms of losses (N,) by non-negative least squares."""
+    centre = modulation.mean(0)
+    ones = numpy.ones((len(modulation), 1))
+    *weights, plus, minus = nnls(numpy.hstack([centre - modulation, ones, -ones]), log_loss)[0]
+    return MeritFunction(numpy.array(weights), float(plus - minus + centre @ weights))
+
+
+def left_out(modulation: numpy.ndarray, log_loss: numpy.ndarray, lenses: numpy.ndarray) -> numpy.ndarray:
+    """Predict the logarithm of the loss (N,) of each lens by a fit without it."""
+    predicted = numpy.empty_like(log_loss)
+    for lens in numpy.unique(lenses):
+        own = lenses == lens
+        predicted[own] = fit(modulation[~own], log_loss[~own]).log_loss(modulation[own])
+    return predicted
+
+
+def make(settings: Slice, inputs: Files, outputs: Files) -> None:
+    """Write the weights of all classifiers as CSV and Markdown, and draw them.
+
+    Raises:
+        FileError: there are too few lenses.
+    """
+    contents, supervisor = settings.contents, settings.supervisor
+    measured = Measurements({}, {}, frozen=inputs.frozen)
+    keys = list(inputs.psfs)
+    if len(keys) < _LEAST_LENSES:
+        raise FileError(f"merit_function: {len(keys)} lenses and seeds in the table; expected {_LEAST_LENSES} or more")
+    psfs = (read_tensors(path)[0]["psf"] for path in inputs.psfs.values())
+    seen = numpy.concatenate([modulation(psf.double().numpy()) for psf in psfs])
+    fields = len(seen) // len(keys)
+    lenses = numpy.repeat(numpy.arange(len(keys)), fields)
+    losses = {
+        name: numpy.log(numpy.concatenate([measured.losses_by_field(lens, name, seed) for lens, seed in keys]))
+        for name in contents.classifiers
+    }
+    fits = {name: fit(seen, loss) for name, loss in losses.items()}
+    predicted = {name: left_out(seen, loss, lenses) for name, loss in losses.items()}
+    ranking = fits[supervisor].log_loss(seen)
+    table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
+    shown = rounded(table, dict.fromkeys(table.columns[1:], ".2f"))
+    note = _NOTE.format(study=contents.study, fields=fields, lenses=len(keys), supervisor=supervisor)
+    publish(outputs, "Merit functions of the classifiers", table, shown, note)
+    _draw(outputs, fits, losses, predicted)
+
+
+def _row(
+    name: str, merit: MeritFunction, loss: numpy.ndarray, predicted: numpy.ndarray, ranking: numpy.ndarray
+) -> dict[str, object]:
+    """Return the row of a classifier."""
+    bands = {f"to_{high:g}": weight for high, weight in zip(BANDS[1:], merit.weights, strict=True)}
+    r2 = 1 - ((loss - predicted) ** 2).sum() / ((loss - loss.mean()) ** 2).sum()
+    ranked = pandas.Series(loss).corr(pandas.Series(ranking), method="spearman")
+    return {"classifier": name, **bands, "constant": merit.constant, "r2": r2, "ranked_by_supervisor": ranked}
+
+
+def _draw(
+    outputs: Files,
+    fits: Mapping[str, MeritFunction],
+    losses: Mapping[str, numpy.ndarray],
+    predicted: Mapping[str, numpy.ndarray],
+) -> None:
+    """Draw the weights of all classifiers, and their losses against those predicted for lenses left out."""
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, merit in fits.items():
+        left.stairs(merit.weights, BANDS, label=name, linewidth=2)
+        right.plot(numpy.exp(predicted[name]), numpy.exp(losses[name]), ".", label=name, alpha=0.6)
+    left.set(xlabel="spatial frequency [cycles per pixel]", ylabel="weight of the modulation")
+    left.set_title("What a classifier wants")
+    _diagonal(right)
+    left.legend()
+    with replacing(outputs.figure) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
+
+
+def _diagonal(axes: Axes) -> None:
+    """Finish the plot of losses against predicted ones: logarithmic, with the line of equality."""
+    axes.axline((1, 1), slope=1, color="grey", linewidth=1)
+    axes.set(xscale="log", yscale="log", title="One point for each field of each lens")
+    axes.set(xlabel="loss predicted from the MTF, lens left out", ylabel="loss")

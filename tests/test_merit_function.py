@@ -1,0 +1,102 @@
+"""The merit function of a classifier: modulation of PSFs, its fit, and the table of what each classifier wants."""
+
+import numpy
+import pandas
+import pytest
+import torch
+from examples import finish, tiny_study, write
+
+from tasklens.pipeline import jobs, report_jobs
+from tasklens.report import merit_function
+from tasklens.report.merit_function import BANDS, fit, left_out, modulation
+from tasklens.runtime.files import FileError, write_tensors
+from tasklens.study.loading import parse
+
+KERNEL = 51
+
+
+def gaussians(widths: list[float]) -> numpy.ndarray:
+    """Normalised round Gaussians (N, 3, K, K) of these standard deviations [pixels]."""
+    x = numpy.arange(KERNEL) - KERNEL // 2
+    squares = x[:, None] ** 2 + x**2
+    psf = numpy.stack([numpy.exp(-squares / (2 * width**2)) for width in widths])
+    return numpy.repeat((psf / psf.sum((1, 2), keepdims=True))[:, None], 3, axis=1)
+
+
+def test_modulation_is_that_of_gaussians():
+    """exp(-k f^2), k = 2 (pi s)^2, mean over rings; a veil of half of the light halves it; a point has all of it."""
+    widths = [0.8, 1.5]
+    k, squares = 2 * (numpy.pi * numpy.array(widths)[:, None]) ** 2, BANDS**2
+    expected = -numpy.diff(numpy.exp(-k * squares)) / (k * numpy.diff(squares))
+    found = modulation(gaussians(widths))
+    numpy.testing.assert_allclose(found, expected, atol=0.025)
+    numpy.testing.assert_allclose(modulation(gaussians(widths) / 2), found / 2, rtol=1e-12)
+    point = numpy.zeros((1, 3, KERNEL, KERNEL))
+    point[..., 7, 30] = 1
+    numpy.testing.assert_allclose(modulation(point), 1, rtol=1e-12)
+
+
+def test_a_merit_function_is_found_again():
+    """Losses made with weights: the same weights; without noise, to rounding; none is negative."""
+    random = numpy.random.default_rng(0)
+    seen = random.uniform(0, 1, (40, len(BANDS) - 1))
+    weights = numpy.array([0, 0, 3.0, 5.0, 0, 0.5, 0, 0])
+    merit = fit(seen, 1.2 - seen @ weights)
+    numpy.testing.assert_allclose(merit.weights, weights, atol=1e-9)
+    assert merit.constant == pytest.approx(1.2, abs=1e-9)
+    wrong = fit(seen, 1.2 + seen @ weights)  # a loss that rises with the modulation
+    assert (wrong.weights >= 0).all()
+
+
+def test_a_lens_does_not_predict_itself():
+    """One lens whose losses are a hundred times too large: its prediction does not see that, that of others does."""
+    random = numpy.random.default_rng(1)
+    seen = random.uniform(0, 1, (40, len(BANDS) - 1))
+    lenses = numpy.repeat(numpy.arange(4), 10)
+    log_loss = -seen.sum(1)
+    spoiled = log_loss + 100 * (lenses == 2)
+    clean, found = (left_out(seen, each, lenses) for each in (log_loss, spoiled))
+    numpy.testing.assert_allclose(clean, log_loss, atol=1e-9)
+    numpy.testing.assert_allclose(found[lenses == 2], clean[lenses == 2], atol=1e-9)
+    assert (abs(found - clean)[lenses != 2] > 1).any()
+
+
+def planted(study) -> None:
+    """Files of Gaussian PSFs, and of losses with a weight of 4 in one band, another for each classifier."""
+    random = numpy.random.default_rng(2)
+    contents = report_jobs.merit_function.plan(study).settings.contents
+    for lens in contents.lenses:
+        psf = gaussians(random.uniform(0.4, 3, 9).tolist())
+        path = jobs.design.output(study, "psf", lens=lens, seed=0)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_tensors(path, {"psf": torch.from_numpy(psf).float()}, {})
+        for name, band in (("small", 2), ("other", 5)):
+            loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
+            losses = {"image": range(2), "label": ["cat", "dog"]}
+            losses |= {f"field{k}": [0.5 * value, 1.5 * value] for k, value in enumerate(loss)}
+            write(jobs.measurement(study, lens, name, 0, "frozen"), pandas.DataFrame(losses).to_csv(index=False))
+
+
+def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch):
+    """The planted bands; all of the variance; the other classifier ranked a little differently; a figure."""
+    monkeypatch.chdir(tmp_path)
+    study = parse(tiny_study())
+    planted(study)
+    outputs = finish(report_jobs.merit_function, study)
+    rows = pandas.read_csv(outputs.csv).set_index("classifier")
+    for name, band in (("small", 2), ("other", 5)):
+        weights = rows.loc[name].filter(like="to_")
+        assert weights.idxmax() == f"to_{BANDS[band + 1]:g}" and weights.max() == pytest.approx(4, abs=0.1)
+        assert rows.loc[name, "r2"] > 0.999
+    assert rows.loc["small", "ranked_by_supervisor"] == pytest.approx(1, abs=1e-3)
+    assert 0.9 < rows.loc["other", "ranked_by_supervisor"] <= 1
+    assert outputs.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in outputs.md.read_text()
+
+
+def test_too_few_lenses_make_no_merit_function(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    study = parse(tiny_study())
+    plan = report_jobs.merit_function.plan(study)
+    few = merit_function.Files(psfs=dict(list(plan.inputs["psfs"].items())[:2]), frozen=plan.inputs["frozen"])
+    with pytest.raises(FileError, match="2 lenses"):
+        merit_function.make(plan.settings, few, merit_function.Files())
