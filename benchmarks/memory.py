@@ -13,10 +13,11 @@ import timing
 import timm
 import torch
 
+from tasklens.design.criteria import Classification
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervised import RaySpaceDescent
-from tasklens.design.supervision import Classification, Supervisor
+from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen

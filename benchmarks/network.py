@@ -17,10 +17,11 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from tasklens.design.criteria import Classification
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervised import RaySpaceDescent
-from tasklens.design.supervision import Classification, Supervisor
+from tasklens.design.supervision import Supervisor
 from tasklens.imaging import Camera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec

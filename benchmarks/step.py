@@ -18,10 +18,11 @@ import yaml
 from torch import nn
 
 from tasklens.design import least_squares
+from tasklens.design.criteria import Classification
 from tasklens.design.end_to_end import JointDescent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Classification, Supervisor
+from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import view_of_spec

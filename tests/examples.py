@@ -175,7 +175,7 @@ def tiny_study() -> dict:
                 "polish": {"steps": 1, "batch_size": 2},
             },
             "image_error": {
-                "method": "image_error",
+                "method": "image_quality",
                 "batch_size": 2,
                 "rays": 16,
                 "restart": {"steps": 2, "pixels": [20, 5], "criterion": "log_image_error"},

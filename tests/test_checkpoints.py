@@ -111,7 +111,7 @@ def test_classifiers_are_fine_tuned_together_as_if_alone(workplace):
     start = time.time()
     assert run(*JOBS["fine_tuning_others"]) == 0
     expected = outputs(start)
-    assert len(expected) == 6
+    assert len(expected) == 8
     for name in ("third", "other"):
         for path in expected:
             if name in path:

@@ -10,9 +10,10 @@ from examples import changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import end_to_end, methods
+from tasklens.design.criteria import Classification, ImageError
 from tasklens.design.driver import divergence
 from tasklens.design.problem import Problem
-from tasklens.design.supervision import Classification, ImageError, Supervisor, loss_at_psf
+from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.design.variables import Variables
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.pupil import sobol_disc

@@ -15,7 +15,7 @@ DESIGNS = {
     "squares": {"method": "least_squares", "evaluations": 700},
     "spots": {"method": "spot", "steps": 30},
     "error": {
-        "method": "image_error",
+        "method": "image_quality",
         "candidates": ["squares"],
         "finish": DESCENT | {"criterion": "image_error"},
     },

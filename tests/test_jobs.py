@@ -174,7 +174,7 @@ def test_a_study_may_make_some_of_the_tables():
     assert {claim.table for claim in report_jobs.verdicts.plan(parse(tiny_study())).settings.claims} == {*TABLES}
 
 
-IMAGING_AND_TASK = {"tasklens", "image_error", "image_psnr", "imaging1", "imaging2", "imaging3"}
+IMAGING_AND_TASK = {"tasklens", "image_error", "image_contrast", "imaging1", "imaging2", "imaging3"}
 
 
 @pytest.mark.parametrize("target", ["tables", "verify"])

@@ -13,10 +13,11 @@ from torch.nn.functional import interpolate
 
 from tasklens.design import least_squares, methods, spot, supervised
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.criteria import Classification, ImageError, JointClassification
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Classification, ImageError, JointClassification, Supervisor, loss_at_psf
+from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.imaging import Camera, psnr
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_rays, clear_semi_diameters, trace_fields
@@ -25,7 +26,7 @@ from tasklens.pipeline import jobs
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
 from tasklens.study.design_settings import (
-    ImageErrorSettings,
+    ImageQualitySettings,
     JointRaySpaceSettings,
     LearningRates,
     RaySpaceSettings,
@@ -170,7 +171,7 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
         steps=40, pixels=pixels, duration=0.5, step_size=step_size, final=1.0, criterion="log_image_error"
     )
     still = far.model_copy(update={"steps": 2, "step_size": 1e-9, "pixels": (5, 5)})
-    settings = ImageErrorSettings(method="image_error", batch_size=4, rays=16, restart=far, refinement=still)
+    settings = ImageQualitySettings(method="image_quality", batch_size=4, rays=16, restart=far, refinement=still)
     _, _, history = supervised.design(start, {}, IMAGE_ERRORS, problem(NO_LIMITS), settings)
     rows = [row for row in history if "validation_loss" in row]
     validated, steps = [row["validation_loss"] for row in rows], [row["step_size_um"] for row in rows]
@@ -194,7 +195,7 @@ def test_a_better_candidate_is_finished_instead(start):
     sharp = spot_lens(start)
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     for restarts in ({}, {"restart": settings, "refinement": settings}):
-        design = ImageErrorSettings(method="image_error", **given, **restarts)
+        design = ImageQualitySettings(method="image_quality", **given, **restarts)
         candidates = {"plates": plates, "sharp": sharp}
         lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(), design)
         losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
@@ -233,7 +234,7 @@ def test_the_image_error_alone_makes_a_lens():
 
     steps = RaySpaceSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
     given = {"batch_size": 6, "rays": 32, "augment": False, "restart": steps, "refinement": steps}
-    design = ImageErrorSettings(method="image_error", **given)
+    design = ImageQualitySettings(method="image_quality", **given)
     lens, _, _ = supervised.design(plates, {}, IMAGE_ERRORS, replace(problem(), dataset=images), design)
     assert quality(lens) > quality(plates) + 3
 

@@ -18,7 +18,7 @@ from tasklens.study.claims import (
     FEWER_ELEMENTS,
     FLAT_FAILS,
     OVER_END_TO_END,
-    OVER_IMAGE_ERROR,
+    OVER_IMAGE_QUALITY,
     OVER_IMAGING1,
     OVER_STRONG,
 )
@@ -99,7 +99,7 @@ def test_claims_of_each_table():
         for classifier in classifiers:
             assert mine[OVER_IMAGING1, "doublet-tasklens", classifier] == ("doublet-imaging1",)
             assert mine[OVER_STRONG, "doublet-tasklens", classifier] == imaging
-            assert mine[OVER_IMAGE_ERROR, "doublet-tasklens", classifier] == ("doublet-image_error",)
+            assert mine[OVER_IMAGE_QUALITY, "doublet-tasklens", classifier] == ("doublet-image_error",)
             assert mine[FEWER_ELEMENTS, "doublet-tasklens", classifier] == triplets
             assert (FEWER_ELEMENTS, "triplet-tasklens", classifier) not in mine
     assert {key[1:]: baselines for key, baselines in found.items() if key[0] == "table3"} == {
@@ -118,7 +118,7 @@ def test_claims_after_restoration_are_about_what_is_restored():
     found, whole = claims.claims(only).claims, claims.claims(study).claims
     assert [c for c in found if c.table != "table4"] == [c for c in whole if c.table != "table4"]
     restored = [c for c in found if c.table == "table4"]
-    assert {c.text for c in restored} == {OVER_IMAGING1, OVER_STRONG, OVER_IMAGE_ERROR}
+    assert {c.text for c in restored} == {OVER_IMAGING1, OVER_STRONG, OVER_IMAGE_QUALITY}
     assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.baselines)} == {"doublet"}
 
 

@@ -7,18 +7,12 @@ from typing import Any
 import torch
 from torch import nn
 
+from tasklens.design.criteria import CaptureCriterion, Classification, JointClassification
 from tasklens.design.driver import History, Step, divergence, run
 from tasklens.design.gradient_descent import GradientDescent
 from tasklens.design.problem import Problem
 from tasklens.design.schedule import geometric
-from tasklens.design.supervision import (
-    VALIDATIONS,
-    Classification,
-    Criterion,
-    JointClassification,
-    Supervisor,
-    energy_in_window,
-)
+from tasklens.design.supervision import VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.recognition.training import Shuffled
@@ -36,7 +30,7 @@ class JointDescent(GradientDescent):
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
         rate = settings.network_learning_rate
-        criterion: Criterion
+        criterion: CaptureCriterion
         if rate is None:
             criterion = Classification(classifier.eval().requires_grad_(False))
         else:

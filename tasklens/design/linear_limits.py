@@ -82,7 +82,7 @@ class LinearLimits:
             "distortion": limits.distortion - abs(self.distortion),
         }
         largest = limits.max_chief_ray_angle_deg
-        self.angled = largest is not None
+        self.angles = 0 if largest is None else len(self.off_axis)  # how many of the values, the last, are angles
         if largest is not None:
             l, m, n = self.chief[2:, self.off_axis]
             margins["chief_ray_angle"] = math.radians(largest) - numpy.arctan2(numpy.hypot(l, m), n)
@@ -131,10 +131,10 @@ class LinearLimits:
             numpy.sign(self.power - 1) * d_power,
             numpy.sign(self.distortion) * d_distortion,
         ]
-        if self.angled:
+        if self.angles:
             l, m, n = self.chief[2:, self.off_axis]
             dl, dm, dn = d_chief[:, 2:, self.off_axis].transpose(1, 0, 2)
-            sine = numpy.hypot(l, m)
+            sine = numpy.maximum(numpy.hypot(l, m), 1e-12)  # a lost ray may lie along the axis
             rows.append((n * (l * dl + m * dm) / sine - sine * dn) / (sine**2 + n**2))
         return numpy.concatenate([row.reshape(len(dc), -1) for row in rows], 1).T * (self.values > 0)[:, None]
 

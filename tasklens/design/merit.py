@@ -34,6 +34,7 @@ class Merit:
         linear_beyond_um: error e0 beyond which the cost of a ray grows linearly [um], r = e / (1 + |e|^2 / e0^2)^(1/4)
             for its error e: rays far outside matter less, and a sharp core more. None: r = e.
         per_mm: residual per mm of violation, or per unit of a violation without a unit [um/mm].
+        angle_weight: factor on the residuals of chief ray angles.
         rim: number of marginal rays, from the top to the bottom of the pupil, for the radii that light uses.
     """
 
@@ -45,6 +46,7 @@ class Merit:
         corner_weight: float = 1.0,
         linear_beyond_um: float | None = None,
         per_mm: float = VIOLATION_UM_PER_MM,
+        angle_weight: float = 1.0,
         rim: int = 3,
     ):
         heights = torch.tensor(HEIGHTS, dtype=torch.float64)
@@ -61,7 +63,7 @@ class Merit:
         self.of_field = (field / field.sum() / len(view.wavelengths))[:, None, None]
         self.keep(torch.ones(len(heights), len(view.wavelengths), len(self.weight), dtype=torch.bool))
         self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # number of ray residuals, then limits
-        self.per_mm = per_mm
+        self.per_mm, self.angle_weight = per_mm, angle_weight
         self.launched: tuple[float, Rays] | None = None  # radius of the stop, and rays
 
     def keep(self, kept: Tensor) -> None:
@@ -95,7 +97,9 @@ class Merit:
         chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
         used = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
         operands = LinearLimits(lens.detached(), self.limits, view, _APERTURE_RESERVE * used, chief)
-        values = torch.cat([*(error.flatten() for error in errors), self.per_mm * torch.from_numpy(operands.values)])
+        weight = torch.full((len(operands.values),), self.per_mm, dtype=lens.dtype)
+        weight[len(weight) - operands.angles :] *= self.angle_weight
+        values = torch.cat([*(error.flatten() for error in errors), weight * torch.from_numpy(operands.values)])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
@@ -111,7 +115,7 @@ class Merit:
             ]
             apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
             along = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
-            rows.append(self.per_mm * torch.from_numpy(along).T)
+            rows.append((weight[:, None] * torch.from_numpy(along)).T)
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
         # A perturbed lens can have residuals that are not finite, which scipy does not accept.

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from tasklens.design import end_to_end, imported, least_squares, spot, supervised
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.criteria import CaptureCriterion, Classification, Contrast, ImageError, JointClassification
 from tasklens.design.driver import History
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Classification, Criterion, ImageError, JointClassification
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
@@ -120,9 +120,10 @@ def _supervised(
 ) -> tuple[Lens, Notes, History]:
     """Design by a supervisor; return the lens, what its file says of its origin, and the history."""
     opened = {name: open_apertures(lens) for name, lens in candidates.items()}
-    criteria: dict[str, Callable[[RaySpaceSettings], Criterion]] = {
+    criteria: dict[str, Callable[[RaySpaceSettings], CaptureCriterion | Contrast]] = {
         "image_error": lambda part: ImageError(logarithm=False),
         "log_image_error": lambda part: ImageError(logarithm=True),
+        "contrast": lambda part: Contrast(problem.view.directions),
     }
     if isinstance(settings, TaskDrivenSettings):
         assert classifier is not None  # it supervises

@@ -14,11 +14,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tasklens.design.criteria import CaptureCriterion, Contrast
 from tasklens.design.driver import Descent, History, Step, divergence, run
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import LinearModel, RaySpace
 from tasklens.design.schedule import cosine, geometric
-from tasklens.design.supervision import VALIDATIONS, Criterion, Supervisor, energy_in_window
+from tasklens.design.supervision import VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.recognition.training import Shuffled
@@ -30,7 +31,8 @@ _STATE = ("vector", "mean", "averaged", "factor", "failures", "best", "least")
 _PATIENCE = 3  # validations without a better lens
 _HALVINGS = 5  # maximum number of halvings of a step
 
-Criteria = Mapping[str, Callable[[RaySpaceSettings], Criterion]]  # the criterion of a descent, by the name it is given
+# Makers of the criterion of a descent, by the name it is given.
+Criteria = Mapping[str, Callable[[RaySpaceSettings], CaptureCriterion | Contrast]]
 
 
 class RaySpaceDescent(Descent):

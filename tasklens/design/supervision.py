@@ -7,20 +7,16 @@ for one micro-batch per step.
 """
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
+from tasklens.design.criteria import CaptureCriterion, Contrast
 from tasklens.design.problem import Problem
-from tasklens.design.schedule import cosine
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -29,101 +25,15 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.recognition.training import parameter_groups
 from tasklens.study.settings import CaptureSettings
 
 VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
 _VALIDATION_IMAGES = 48  # a batch of 8 photographs has losses from 0.1 to 2 for the same lens
 _VALIDATION_RAYS = 1024  # rays per field and colour
-_WEIGHT_DECAY = 0.05  # of a classifier that is trained with a lens
-
-
-class Criterion(ABC):
-    """A loss for each capture, by which a lens is supervised."""
-
-    @abstractmethod
-    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
-
-    @property
-    def holders(self) -> dict[str, Any]:
-        """Parts with `state_dict` and `load_state_dict` by name; none, unless the criterion is trained."""
-        return {}
-
-    def train(self) -> None:  # noqa: B027  most criteria have nothing to train
-        """Take a training step with the accumulated gradients, if the criterion is trained."""
-
-    @contextmanager
-    def evaluating(self) -> Iterator[None]:
-        """Give losses as of a finished training."""
-        yield
-
-
-class Classification(Criterion):
-    """Cross-entropy of a classifier's logits."""
-
-    def __init__(self, classifier: nn.Module):
-        self.classifier = classifier
-
-    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the cross-entropy (N,)."""
-        return F.cross_entropy(self.classifier(captures), labels, reduction="none")
-
-
-class JointClassification(Classification):
-    """Cross-entropy of a classifier that is trained in place with the lens, by AdamW.
-
-    The batch statistics of its batch norms are those of a micro-batch.
-
-    Args:
-        classifier: classifier, left in `train()`.
-        learning_rate: its learning rate at the first step.
-        steps: number of steps.
-        final: learning rate at the last step, as a fraction; cosine schedule.
-    """
-
-    def __init__(self, classifier: nn.Module, learning_rate: float, steps: int, final: float):
-        super().__init__(classifier.train().requires_grad_(True))
-        self.optimizer = torch.optim.AdamW(parameter_groups(classifier, _WEIGHT_DECAY), lr=learning_rate)
-        self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
-
-    @property
-    def holders(self) -> dict[str, Any]:
-        """Classifier, optimizer and schedule."""
-        return {"network": self.classifier, "network_optimizer": self.optimizer, "network_schedule": self.schedule}
-
-    def train(self) -> None:
-        """Take a step of the classifier."""
-        self.optimizer.step()
-        self.schedule.step()
-        self.optimizer.zero_grad()
-
-    @contextmanager
-    def evaluating(self) -> Iterator[None]:
-        """Put the classifier into `eval()` for a while."""
-        self.classifier.eval()
-        yield
-        self.classifier.train()
-
-
-@dataclass(frozen=True)
-class ImageError(Criterion):
-    """Mean squared error between capture and sharp image (paper, Eq. 2), or its natural logarithm.
-
-    The logarithm, PSNR up to a factor, gives images of low contrast and fields that are nearly sharp the same vote as
-    all others.
-    """
-
-    logarithm: bool
-
-    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the error (N,)."""
-        error = (captures - images).square().mean((-3, -2, -1))
-        return error.clamp(min=1e-12).log() if self.logarithm else error
 
 
 def loss_at_psf(
-    criterion: Criterion,
+    criterion: CaptureCriterion,
     images: Tensor,
     labels: Tensor,
     grid: Tensor,
@@ -174,7 +84,7 @@ class Supervisor:
     """A criterion on captures that supervises a lens.
 
     Attributes:
-        criterion: loss of each capture.
+        criterion: loss of captures, or of PSFs.
         problem: design problem with capture and dataset.
         size: side of the resized images [pixels]; None: not resized.
         augment: whether TrivialAugment is applied to the sharp images.
@@ -182,7 +92,7 @@ class Supervisor:
         centre: centre of PSFs; on the pinhole points errors of focal length and distortion increase the loss.
     """
 
-    criterion: Criterion
+    criterion: CaptureCriterion | Contrast
     problem: Problem
     size: int | None
     augment: bool
@@ -230,6 +140,11 @@ class Supervisor:
             lens: lens of the PSFs, for its illumination.
             seed: seed of a sensor's noise.
         """
+        if isinstance(self.criterion, Contrast):
+            leaf = grid.detach().requires_grad_()
+            losses = self.criterion.losses(leaf)
+            losses.mean().backward()
+            return losses.detach(), _gradient(leaf)
         images, labels = self.images(indices, self.augment)
         light = self.illumination(lens)
         return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
@@ -238,6 +153,8 @@ class Supervisor:
     def validation_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the mean loss of a lens on a fixed set of training images, without augmentation."""
         _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
+        if isinstance(self.criterion, Contrast):
+            return float(self.criterion.losses(grid).mean())
         generator = torch.Generator().manual_seed(self.problem.seed)
         fixed = torch.randperm(len(self.dataset), generator=generator)[:_VALIDATION_IMAGES]
         images, labels = self.images(fixed, augment=False)

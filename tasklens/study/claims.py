@@ -6,7 +6,7 @@ A claim belongs to one table, which sets its classifier and whether captures are
 from itertools import pairwise
 
 from tasklens.study import names
-from tasklens.study.design_settings import EndToEndSettings, ImageErrorSettings, TaskDrivenSettings
+from tasklens.study.design_settings import EndToEndSettings, ImageQualitySettings, TaskDrivenSettings
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study, pick
@@ -17,7 +17,7 @@ IMAGING1 = "imaging1"  # the paper's spot minimisation; the other imaging design
 OVER_IMAGING1 = "more accurate than imaging1"
 OVER_STRONG = "more accurate than the best other imaging design"
 OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only in `regime_claims`
-OVER_IMAGE_ERROR = "more accurate than design by the error of the image"
+OVER_IMAGE_QUALITY = "more accurate than the best design by image error or contrast"
 FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
 MARGIN = 1.0  # points by which a lens that is "at least as accurate" may be worse
@@ -132,7 +132,7 @@ def _of_supervisor(study: Study, table: str, text: str, lens: str, baselines: li
 def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims that compare each task-driven lens with imaging lenses.
 
-    The baselines are `imaging1`, the other imaging lenses, those of them designed by the error of the image, and those
+    The baselines are `imaging1`, the other imaging lenses, those of them designed by image error or contrast, and those
     with the next larger number of elements.
     """
     found = []
@@ -150,7 +150,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             baselines: dict[str, list[LensEntry]] = {
                 OVER_IMAGING1: [other for other in same if other.design_name == IMAGING1],
                 OVER_STRONG: [other for other in same if other.design_name != IMAGING1],
-                OVER_IMAGE_ERROR: [other for other in same if isinstance(other.design, ImageErrorSettings)],
+                OVER_IMAGE_QUALITY: [other for other in same if isinstance(other.design, ImageQualitySettings)],
                 FEWER_ELEMENTS: [other for other in imaging if len(other.plastics) == more],
             }
             found += [(text, lens.name, tuple(o.name for o in others)) for text, others in baselines.items() if others]

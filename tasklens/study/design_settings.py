@@ -88,10 +88,11 @@ class RaySpaceSettings(Frozen):
     final: Part = Field(0.1, description="Step size at the last step, as a fraction; cosine schedule.")
     momentum: float = Field(0.9, ge=0, lt=1, description="Momentum of the gradient's running mean.")
     damping: Positive = Field(0.1, description="Damping of the Gauss-Newton metric, times its diagonal.")
-    criterion: Literal["classification", "image_error", "log_image_error"] = Field(
+    criterion: Literal["classification", "image_error", "log_image_error", "contrast"] = Field(
         "classification",
         description="Loss of a capture: cross-entropy of the frozen classifier; mean squared error from the sharp "
-        "image (paper, Eq. 2), or its logarithm.",
+        "image (paper, Eq. 2), or its logarithm; or of a PSF: the contrast, real part of the OTF, lost at 1/4 and "
+        "1/2 of the Nyquist frequency of the present pixels.",
     )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
     centre: Literal["pinhole", "chief_ray"] = Field(
@@ -166,16 +167,16 @@ class JointRaySpaceSettings(SupervisedSettings):
     network_learning_rate: Positive = Field(description="Learning rate of the classifier.")
 
 
-class ImageErrorSettings(SupervisedSettings):
-    """Settings of design by the error of the image, which the paper's section 3.1 argues against: no classifier."""
+class ImageQualitySettings(SupervisedSettings):
+    """Settings of design by the error of the image (paper, 3.1) or the contrast of the PSF: no classifier."""
 
-    method: Literal["image_error"]
+    method: Literal["image_quality"]
 
     @model_validator(mode="after")
-    def _no_classifier(self) -> "ImageErrorSettings":
+    def _no_classifier(self) -> "ImageQualitySettings":
         for name, descent in self.descents.items():
             if descent.criterion == "classification":
-                raise ValueError(f"{name}.criterion: expected image_error or log_image_error, without a classifier")
+                raise ValueError(f"{name}.criterion: expected image_error, log_image_error or contrast")
         return self
 
 
@@ -231,7 +232,7 @@ class LeastSquaresSettings(Frozen):
 
 DesignSettings = Annotated[
     TaskDrivenSettings
-    | ImageErrorSettings
+    | ImageQualitySettings
     | EndToEndSettings
     | JointRaySpaceSettings
     | SpotSettings

@@ -15,7 +15,7 @@ from tasklens.study.ablations import Ablation, variant_entry
 from tasklens.study.design_settings import (
     DesignSettings,
     EndToEndSettings,
-    ImageErrorSettings,
+    ImageQualitySettings,
     LeastSquaresSettings,
     SpotSettings,
     SupervisedSettings,
@@ -192,8 +192,8 @@ class Study(Frozen):
                 )
         if isinstance(lens.design, SupervisedSettings):
             known = self.imaging_designs
-            if isinstance(lens.design, ImageErrorSettings):
-                known = tuple(name for name in known if not isinstance(self.designs[name], ImageErrorSettings))
+            if isinstance(lens.design, ImageQualitySettings):
+                known = tuple(name for name in known if not isinstance(self.designs[name], ImageQualitySettings))
             for name in lens.design.candidates:
                 if name not in known:
                     raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")
@@ -261,7 +261,7 @@ class Study(Frozen):
     @property
     def imaging_designs(self) -> tuple[str, ...]:
         """Names of the imaging designs: those without a classifier."""
-        methods = SpotSettings | LeastSquaresSettings | ImageErrorSettings
+        methods = SpotSettings | LeastSquaresSettings | ImageQualitySettings
         return tuple(name for name, design in self.designs.items() if isinstance(design, methods))
 
     def lens(self, name: str) -> LensEntry:

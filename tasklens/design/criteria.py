@@ -1,0 +1,134 @@
+"""Criteria of supervised design: a classifier's loss, the error of the image, the contrast of the PSF."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from tasklens.design.schedule import cosine
+from tasklens.recognition.training import parameter_groups
+
+_WEIGHT_DECAY = 0.05  # of a classifier that is trained with a lens
+_FREQUENCIES = (0.125, 0.25)  # of the contrast [cycles per pixel]: a quarter and a half of the Nyquist frequency
+
+
+class Criterion:
+    """A loss by which a lens is supervised."""
+
+    @property
+    def holders(self) -> dict[str, Any]:
+        """Parts with `state_dict` and `load_state_dict` by name; none, unless the criterion is trained."""
+        return {}
+
+    def train(self) -> None:
+        """Take a training step with the accumulated gradients, if the criterion is trained."""
+
+    @contextmanager
+    def evaluating(self) -> Iterator[None]:
+        """Give losses as of a finished training."""
+        yield
+
+
+class CaptureCriterion(Criterion, ABC):
+    """A loss of each capture."""
+
+    @abstractmethod
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
+
+
+class Classification(CaptureCriterion):
+    """Cross-entropy of a classifier's logits."""
+
+    def __init__(self, classifier: nn.Module):
+        self.classifier = classifier
+
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the cross-entropy (N,)."""
+        return F.cross_entropy(self.classifier(captures), labels, reduction="none")
+
+
+class JointClassification(Classification):
+    """Cross-entropy of a classifier that is trained in place with the lens, by AdamW.
+
+    The batch statistics of its batch norms are those of a micro-batch.
+
+    Args:
+        classifier: classifier, left in `train()`.
+        learning_rate: its learning rate at the first step.
+        steps: number of steps.
+        final: learning rate at the last step, as a fraction; cosine schedule.
+    """
+
+    def __init__(self, classifier: nn.Module, learning_rate: float, steps: int, final: float):
+        super().__init__(classifier.train().requires_grad_(True))
+        self.optimizer = torch.optim.AdamW(parameter_groups(classifier, _WEIGHT_DECAY), lr=learning_rate)
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
+
+    @property
+    def holders(self) -> dict[str, Any]:
+        """Classifier, optimizer and schedule."""
+        return {"network": self.classifier, "network_optimizer": self.optimizer, "network_schedule": self.schedule}
+
+    def train(self) -> None:
+        """Take a step of the classifier."""
+        self.optimizer.step()
+        self.schedule.step()
+        self.optimizer.zero_grad()
+
+    @contextmanager
+    def evaluating(self) -> Iterator[None]:
+        """Put the classifier into `eval()` for a while."""
+        self.classifier.eval()
+        yield
+        self.classifier.train()
+
+
+@dataclass(frozen=True)
+class ImageError(CaptureCriterion):
+    """Mean squared error between capture and sharp image (paper, Eq. 2), or its natural logarithm.
+
+    The logarithm, PSNR up to a factor, gives images of low contrast and fields that are nearly sharp the same vote as
+    all others.
+    """
+
+    logarithm: bool
+
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the error (N,)."""
+        error = (captures - images).square().mean((-3, -2, -1))
+        return error.clamp(min=1e-12).log() if self.logarithm else error
+
+
+@dataclass(frozen=True)
+class Contrast(Criterion):
+    """Contrast lost at a quarter and a half of the Nyquist frequency: 1 - Re(OTF), without images.
+
+    OTF(f) = sum_p PSF(p) exp(-2 pi i f.p), with p from the centre of the window. It is the mean over colours, over both
+    frequencies, and over gratings across the field (tangential) and along it. The real part counts a shifted or
+    reversed contrast against the lens, which the modulus, the MTF, does not: descents on that found lenses of high MTF
+    that classifiers read worse (docs/notes.md).
+
+    Attributes:
+        directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
+    """
+
+    directions: Tensor
+
+    def losses(self, grid: Tensor) -> Tensor:
+        """Compute the loss (F,) of PSFs (F, W, K, K); light beside the window has no contrast."""
+        pixel = torch.arange(grid.shape[-1], dtype=grid.dtype) - grid.shape[-1] // 2
+        ex, ey = self.directions.to(grid).unbind(-1)
+        found = []
+        for dx, dy in ((ex, ey), (-ey, ex)):
+            position = dx[:, None, None] * pixel + dy[:, None, None] * pixel[:, None]
+            for frequency in _FREQUENCIES:
+                wave = torch.cos(2 * math.pi * frequency * position)
+                found.append((grid * wave[:, None]).sum((-2, -1)).mean(-1))
+        return 1 - torch.stack(found).mean(0)
