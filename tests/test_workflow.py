@@ -159,23 +159,23 @@ def expected_of_everything(study: Study) -> dict[str, int]:
     return found.counts(("ablation", len(study.ablations)), **per_seed)
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
-def test_every_study_plans_its_jobs(tmp_path, path):
-    """A dry run counts what the study implies: for its tables, and for all that can be asked for."""
-    study = load(path)
-    for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
-        (tmp_path / weights).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / weights).touch()  # a user's own file
-    assert plan(tmp_path, path, "tables") == expected(study)
-    targets = ["tables", "verify", "figures", "certificates", "figure3", *(["ablations"] if study.ablations else [])]
-    assert plan(tmp_path, path, *targets) == expected_of_everything(study)
-
-
 @pytest.fixture
 def beside_config(tmp_path):
     """A folder from which the studies that we ship are in `config/`."""
     (tmp_path / "config").symlink_to(ROOT / "config")
     return tmp_path
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
+def test_every_study_plans_its_jobs(beside_config, path):
+    """A dry run counts what the study implies: for its tables, and for all that can be asked for."""
+    study = load(path)
+    for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
+        (beside_config / weights).parent.mkdir(parents=True, exist_ok=True)
+        (beside_config / weights).touch()  # a user's own file
+    assert plan(beside_config, path, "tables") == expected(study)
+    targets = ["tables", "verify", "figures", "certificates", "figure3", *(["ablations"] if study.ablations else [])]
+    assert plan(beside_config, path, *targets) == expected_of_everything(study)
 
 
 def test_single_values_change_the_default_study(beside_config):
@@ -193,9 +193,9 @@ def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
 
 
 def test_the_headline_makes_tables_1_and_3_for_five_seeds(beside_config):
-    """Laid over the default study; no other network, no restoration; with three more designs of all elements."""
+    """Laid over the default study: tables of one network; three more designs of all elements, two lenses from files."""
     study = load(ROOT / "config" / "config.yaml")
-    lenses = len(study.lenses) + 3 * len(study.elements)
+    lenses = len(study.lenses) + 3 * len(study.elements) + 2
     planned = plan(beside_config, None, "tables", "--configfile", "config/config.yaml", "config/headline.yaml")
     assert planned.pop("fine_tune") == 5 * (1 + lenses) and planned.pop("table") == 2
     one = {"images": 1, "reference": 1, "psf_tail": 1, "effort": 1, "verdicts": 1}
