@@ -20,7 +20,7 @@ from tasklens.study.claims import (
     OVER_END_TO_END,
     OVER_IMAGE_QUALITY,
     OVER_IMAGING1,
-    OVER_STRONG,
+    OVER_LEAST_SQUARES,
 )
 from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
@@ -91,14 +91,14 @@ def test_claims_of_each_table():
     job = claims.claims(study_of(1))
     found = {(c.table, c.text, c.lens, c.classifier): c.baselines for c in job.claims}
     assert len(found) == len(job.claims)
-    imaging = ("doublet-image_error", "doublet-imaging2", "doublet-imaging3")
+    squares = ("doublet-imaging2", "doublet-imaging3")
     triplets = ("triplet-image_error", *(f"triplet-imaging{k}" for k in (1, 2, 3)))
     for table, classifiers in (("table1", ["small"]), ("table2", ["small", "other"]), ("table4", ["small-restored"])):
         mine = {key[1:]: baselines for key, baselines in found.items() if key[0] == table}
         assert len(mine) == 7 * len(classifiers)
         for classifier in classifiers:
             assert mine[OVER_IMAGING1, "doublet-tasklens", classifier] == ("doublet-imaging1",)
-            assert mine[OVER_STRONG, "doublet-tasklens", classifier] == imaging
+            assert mine[OVER_LEAST_SQUARES, "doublet-tasklens", classifier] == squares
             assert mine[OVER_IMAGE_QUALITY, "doublet-tasklens", classifier] == ("doublet-image_error",)
             assert mine[FEWER_ELEMENTS, "doublet-tasklens", classifier] == triplets
             assert (FEWER_ELEMENTS, "triplet-tasklens", classifier) not in mine
@@ -118,7 +118,7 @@ def test_claims_after_restoration_are_about_what_is_restored():
     found, whole = claims.claims(only).claims, claims.claims(study).claims
     assert [c for c in found if c.table != "table4"] == [c for c in whole if c.table != "table4"]
     restored = [c for c in found if c.table == "table4"]
-    assert {c.text for c in restored} == {OVER_IMAGING1, OVER_STRONG, OVER_IMAGE_QUALITY}
+    assert {c.text for c in restored} == {OVER_IMAGING1, OVER_LEAST_SQUARES, OVER_IMAGE_QUALITY}
     assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.baselines)} == {"doublet"}
 
 
@@ -186,7 +186,7 @@ def test_five_seeds_decide():
     better = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert better["verdict"] == HOLDS and better["difference"] == pytest.approx(20, abs=2)
     assert better["low"] < better["difference"] < better["high"] and better["seeds"] == 5
-    worse = found.loc["table4", OVER_STRONG, "doublet-tasklens", "small-restored"]
+    worse = found.loc["table4", OVER_LEAST_SQUARES, "doublet-tasklens", "small-restored"]
     assert worse["verdict"] == FAILS and worse["baseline"] == "doublet-imaging2"
     same = found.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
     assert same["verdict"] == HOLDS and same["difference"] == same["low"] == same["high"] == 0  # at least as good
@@ -210,9 +210,9 @@ def test_the_baseline_is_chosen_on_the_minival():
         )
 
     found = judged(study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
-    assert found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
+    assert found.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
     assert found.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["baseline"] == "triplet-imaging3"
-    assert found.loc["table2", OVER_STRONG, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
+    assert found.loc["table2", OVER_LEAST_SQUARES, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
 
 
 def test_each_seed_chooses_its_baseline():
@@ -224,7 +224,7 @@ def test_each_seed_chooses_its_baseline():
         )
 
     found = judged(study_of(5, doublet=DOUBLET), accuracy)
-    row = found.loc["table1", OVER_STRONG, "doublet-tasklens", "small"]
+    row = found.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]
     assert row["baseline"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
     assert row["difference"] == pytest.approx((4 * 10 + 20) / 5, abs=3)
 
