@@ -137,7 +137,7 @@ def _of_supervisor(study: Study, table: str, text: str, lens: str, baselines: li
 def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims that compare each task-driven lens with imaging lenses.
 
-    The baselines are `imaging1`, designs by least squares, those by image error or contrast, and all imaging lenses with
+    The baselines are `imaging1`, designs by least squares, those by image error or contrast, and all imaging lenses of
     the next larger number of elements.
     """
     found = []
