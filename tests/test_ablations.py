@@ -8,7 +8,7 @@ from test_jobs import slices
 from test_verdicts import results
 
 from tasklens.pipeline import jobs, report_jobs
-from tasklens.report.verdicts import HOLDS, UNDECIDED
+from tasklens.report.verdicts import HOLDS
 from tasklens.study import claims
 from tasklens.study.loading import dump, parse
 from tasklens.study.settings import CaptureSettings
@@ -101,9 +101,9 @@ def test_an_unknown_ablation_is_named():
         claims.ablation_claims(parse(with_ablation(RAYS)), "theirs")
 
 
-@pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, UNDECIDED)])
+@pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, "suggests +")])
 def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
-    """The design first, then its variants with their gain over it, undecided from one seed."""
+    """The design first, then its variants with their gain over it, which one seed only suggests."""
     monkeypatch.chdir(tmp_path)
     study = parse(changed(with_ablation(RAYS), "seeds", list(range(seeds))))
     base, variant = "singlet-tasklens", "singlet-tasklens_mine_few"
@@ -119,7 +119,7 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     rows = pandas.read_csv(outputs.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
     first, other = (rows.loc[lens] for lens in lenses)
-    assert pandas.isna(first["difference"]) and other["verdict"] == judged
+    assert pandas.isna(first["difference"]) and other["verdict"].startswith(judged)
     assert other["difference"] == pytest.approx(30, abs=3)
     assert other["low"] < other["difference"] < other["high"]
     assert other["rms_spot_um"] == 9.0 and other["worst_margin"] == -0.2

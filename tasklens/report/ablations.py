@@ -10,7 +10,7 @@ from tasklens.study.claims import AblationClaims
 
 _NOTE = """\
 Study `{study}`. Difference: accuracy less that of `{base}` [points], with its 95 % interval over test images{seeds};
-with fewer than {least} seeds it is undecided, whatever its interval. A variant of the capture is also measured with
+fewer than {least} seeds only suggest it. A variant of the capture is also measured with
 its capture."""
 
 

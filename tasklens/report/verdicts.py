@@ -7,8 +7,8 @@ for "more accurate", stated beforehand for "at least as accurate" (non-inferiori
     holds           if the difference is above minus the margin,
     does not hold   if it is below,
 
-each significantly at 5 % after Holm's correction for all claims of its table, and with at least five seeds; otherwise
-it is undecided, and the reason says within how many points the two are.
+each significantly at 5 % after Holm's correction for all claims of its table; with fewer than five seeds it suggests
+the difference instead. Otherwise it is undecided, and the reason says within how many points the two are.
 """
 
 from collections import Counter
@@ -35,29 +35,31 @@ COLUMNS = [
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
 where the difference is above zero, or for "at least as accurate" above -{margin:g} points, and does not hold where it
-is below, significantly at 5 % after Holm's correction for the claims of its table (`p_holm`); it is undecided else, or
-with fewer than {least} seeds. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in
-how many seeds). For the claim about failure, the difference is how far the rule of `failed` is missed: half of the
-light in the window, half of the accuracy above chance."""
+is below, significantly at 5 % after Holm's correction for the claims of its table (`p_holm`); it is undecided else.
+Fewer than {least} seeds only suggest. The baseline of each seed is the best of its kind by minival accuracy (in
+brackets: in how many seeds). For the claim about failure, the difference is how far the rule of `failed` is missed:
+half of the light in the window, half of the accuracy above chance."""
 
 
-def verdict(low: float, high: float, p_holm: float, seeds: int, margin: float = 0.0) -> tuple[str, str]:
+def verdict(
+    difference: float, low: float, high: float, p_holm: float, seeds: int, margin: float = 0.0
+) -> tuple[str, str]:
     """Return the verdict on a difference, and its reason.
 
     Args:
-        low, high: its interval [points].
+        difference, low, high: the difference and its interval [points].
         p_holm: corrected p-value of a difference of minus the margin.
         seeds: number of seeds.
         margin: margin of the claim [points].
     """
+    above = low > -margin
+    if p_holm >= 1 - bootstrap.CONFIDENCE or not (above or high < -margin):
+        return UNDECIDED, f"within {max(-low, high):.1f} points"
     if seeds < LEAST_SEEDS:
-        return UNDECIDED, "fewer than five seeds"
+        over = "images, one seed" if seeds == 1 else f"images and {seeds} seeds"
+        return f"suggests {difference:+.1f} points ({low:.1f} to {high:.1f} over {over})", "fewer than five seeds"
     bound = f"-{margin:g} points" if margin else "zero"
-    if p_holm < 1 - bootstrap.CONFIDENCE and low > -margin:
-        return HOLDS, f"above {bound}"
-    if p_holm < 1 - bootstrap.CONFIDENCE and high < -margin:
-        return FAILS, f"below {bound}"
-    return UNDECIDED, f"within {max(-low, high):.1f} points"
+    return (HOLDS, f"above {bound}") if above else (FAILS, f"below {bound}")
 
 
 def accuracy_by_image(lenses: Mapping[int, str], classifier: str, measurements: Measurements) -> pandas.DataFrame:
@@ -132,8 +134,9 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
         rows.append((*keys, difference, *bootstrap.interval(means), p_value, seeds, "", ""))
     table = pandas.DataFrame(rows, columns=COLUMNS)
     table["p_holm"] = table.groupby("table")["p_holm"].transform(lambda family: bootstrap.holm(family.tolist()))
-    judged = zip(table["low"], table["high"], table["p_holm"], claims.claims, strict=True)
-    table[["verdict", "reason"]] = [verdict(low, high, p, seeds, claim.margin) for low, high, p, claim in judged]
+    numbers = table[["difference", "low", "high", "p_holm"]].itertuples(index=False)
+    judged = zip(numbers, claims.claims, strict=True)
+    table[["verdict", "reason"]] = [verdict(*found, seeds, claim.margin) for found, claim in judged]
     return table
 
 
