@@ -134,9 +134,8 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
         rows.append((*keys, difference, *bootstrap.interval(means), p_value, seeds, "", ""))
     table = pandas.DataFrame(rows, columns=COLUMNS)
     table["p_holm"] = table.groupby("table")["p_holm"].transform(lambda family: bootstrap.holm(family.tolist()))
-    numbers = table[["difference", "low", "high", "p_holm"]].itertuples(index=False)
-    judged = zip(numbers, claims.claims, strict=True)
-    table[["verdict", "reason"]] = [verdict(*found, seeds, claim.margin) for found, claim in judged]
+    judged = zip(*(table[c].tolist() for c in ("difference", "low", "high", "p_holm")), claims.claims, strict=True)
+    table[["verdict", "reason"]] = [verdict(d, low, high, p, seeds, claim.margin) for d, low, high, p, claim in judged]
     return table
 
 
