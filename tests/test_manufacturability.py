@@ -98,7 +98,7 @@ def test_errors_are_those_of_lenses_that_are_off_and_refocused():
 
 
 def test_the_focus_is_no_error():
-    """What the last thickness does is refocused away: it is no part with an error."""
+    """An error of the last thickness is refocused away: it is no part of its own."""
     lens, view = doublet()
     assert "thickness 4" not in displacements(lens, view, 64)
     changed = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, 0.05]))
