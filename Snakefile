@@ -66,8 +66,8 @@ TARGETS = {  # targets of the command line; the first is the default
     "restoration": TABLES["table4"],
     "figures": [report_jobs.certificate.output(study, "figure", **lens) for lens in LENSES],
     "figure3": [
-        report_jobs.comparison.output(study, "figure", elements=study.lens(claim.lens).elements, seed=seed)
-        for claim in claims.regime_claims(study).claims
+        report_jobs.comparison.output(study, "figure", elements=elements, seed=seed)
+        for elements in dict.fromkeys(study.lens(c.lens).elements for c in claims.regime_claims(study).claims)
         for seed in study.seeds
     ],
     "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in LENSES],

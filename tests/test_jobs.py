@@ -231,7 +231,7 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     plan = jobs.design.plan(study, "quadruplet-phone", 0)
     assert plan.settings.classifier is None and plan.inputs["weights"] is None and plan.inputs["train"] is None
     assert plan.inputs["files"] == [study.imported["phone"].file]
-    assert tables.imaging_baselines(study, "quadruplet-phone") == ()
+    assert tables.starts(study, "quadruplet-phone") == ()
     assert not any("phone" in str(path) for path in flatten(jobs.design.plan(study, SUPERVISED[1], 0).inputs))
 
 
@@ -239,15 +239,15 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
     """An end-to-end design from imaging reads them and their accuracies of its own seed; no other design reads any."""
     study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
     expected = ("doublet-image_error", "doublet-imaging1", "doublet-imaging2")
-    assert tables.imaging_baselines(study, "doublet-end_to_end_from_imaging") == expected
-    assert tables.imaging_baselines(study, "doublet-end_to_end_from_flat") == ()
-    assert tables.imaging_baselines(study, "doublet-tasklens") == ()
+    assert tables.starts(study, "doublet-end_to_end_from_imaging") == expected
+    assert tables.starts(study, "doublet-end_to_end_from_flat") == ()
+    assert tables.starts(study, "doublet-tasklens") == ()
     inputs = jobs.design.plan(study, "doublet-end_to_end_from_imaging", 3).inputs
-    assert inputs["baselines"] == {name: Path(f"results/tiny/lenses/{name}/seed3/lens.yaml") for name in expected}
+    assert inputs["starts"] == {name: Path(f"results/tiny/lenses/{name}/seed3/lens.yaml") for name in expected}
     assert inputs["metrics"] == {name: Path(f"results/tiny/metrics/{name}/seed3/small.csv") for name in expected}
     for name in ("end_to_end_from_flat", "tasklens", "imaging1"):
         inputs = jobs.design.plan(study, f"doublet-{name}", 3).inputs
-        assert inputs["baselines"] == inputs["metrics"] == {}
+        assert inputs["starts"] == inputs["metrics"] == {}
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():

@@ -37,7 +37,7 @@ from tasklens.study.lens_entries import ImportedLens, LensDesign
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not begin with the first images of the design
 _APERTURE = 1.02  # clear aperture of an imported lens without one, over the radius that light uses
 
-Baselines = Mapping[str, tuple[Lens, float]]  # imaging lenses and their minival accuracies [%], by name
+Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
 
 
@@ -45,7 +45,7 @@ def design(
     wanted: LensDesign,
     classifier: nn.Module | None,
     dataset: ImageDataset | None,
-    baselines: Baselines,
+    starts: Starts,
     candidates: Mapping[str, Lens],
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, Notes, History]:
@@ -54,7 +54,7 @@ def design(
     Args:
         wanted: specification and method of the lens.
         classifier, dataset: trained classifier and training images, for supervised designs.
-        baselines: lenses of which the best one by accuracy is the start, if any.
+        starts: lenses of which the best one by accuracy is the start, if any.
         candidates: lenses that compete for the finish of a supervised design.
         checkpoint: checkpoint of the job.
 
@@ -70,9 +70,10 @@ def design(
     start, start_name = flat(wanted.entry.plastics, wanted.spec, wanted.constraints), "flat"
     if isinstance(settings, LeastSquaresSettings):
         start_name = "random paraxial lenses"
-    if baselines:
-        start_name = max(baselines, key=lambda name: baselines[name][1])
-        start = open_apertures(baselines[start_name][0])
+    if starts:
+        start_name = max(starts, key=lambda name: starts[name][1])
+        start = open_apertures(starts[start_name][0])
+        candidates = {start_name: start}
     problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
     if isinstance(settings, SupervisedSettings):
         lens, found, history = _supervised(start, candidates, problem, settings, classifier, checkpoint)

@@ -170,7 +170,7 @@ def design(
     """Refine the best restart from `start`, and finish it, or a candidate of a smaller validation loss.
 
     Args:
-        candidates: imaging lenses by name.
+        candidates: lenses by name.
         criteria: makers of criteria by the names that descents call them; one is made for each descent.
 
     Returns:

@@ -73,14 +73,14 @@ def design(study: Study, lens: str, seed: int) -> Plan:
         rays=study.evaluation_rays,
         seed=seed,
     )
-    baselines, candidates = paper_tables.imaging_baselines(study, lens), paper_tables.candidates(study, lens)
+    starts, candidates = paper_tables.starts(study, lens), paper_tables.candidates(study, lens)
     inputs = {
         "train": split(study, "train") if entry.supervised else None,
         "weights": reference.output(study, "weights", classifier=study.supervisor) if entry.classified else None,
         "files": list(entry.design.sources) if isinstance(entry.design, ImportedLens) else None,
         "candidates": {name: lens_file(study, name, seed) for name in candidates},
-        "baselines": {name: lens_file(study, name, seed) for name in baselines},
-        "metrics": {name: measurement(study, name, study.supervisor, seed, "metrics") for name in baselines},
+        "starts": {name: lens_file(study, name, seed) for name in starts},
+        "metrics": {name: measurement(study, name, study.supervisor, seed, "metrics") for name in starts},
     }
     return Plan(settings, inputs, gpus=int(entry.supervised))
 

@@ -1,4 +1,4 @@
-"""Effort of each design: lenses tried, and minutes of a core, as Snakemake measured them."""
+"""Effort of each design: lenses tried, and minutes that its job had a core, as Snakemake measured them."""
 
 from pathlib import Path
 
@@ -10,17 +10,17 @@ from tasklens.study.effort import Efforts
 from tasklens.study.settings import Slice
 
 _NOTE = """\
-Study `{study}`. Lenses tried: steps of a descent, or evaluations of least squares. Minutes of processor time of the
-design, with the figures and PSFs of its lens, mean over seeds; of the last run, where it was interrupted. `in_all`:
-with the designs of all lenses that it was chosen from."""
+Study `{study}`. Lenses tried: steps of a descent, or evaluations of least squares. Minutes that the design had a core,
+with the figures and PSFs of its lens, mean over seeds; of the last run, where it was interrupted. `in_all`: with the
+designs of all lenses that it was chosen from, but not the fine-tunings that told some of them apart."""
 
 
 def core_minutes(path: Path) -> float:
-    """Return the processor time [min] in one of Snakemake's benchmark files; NaN without file or measurement."""
-    if not path.is_file():
-        return float("nan")
-    seconds = pandas.read_csv(path, sep="\t")["cpu_time"]
-    return float(pandas.to_numeric(seconds, errors="coerce").iloc[-1]) / 60
+    """Return the duration [min] in one of Snakemake's benchmark files; NaN without a file.
+
+    Its processor time is sampled every half minute, and misses the last part of that.
+    """
+    return float(pandas.read_csv(path, sep="\t")["s"].iloc[-1]) / 60 if path.is_file() else float("nan")
 
 
 def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:

@@ -27,6 +27,7 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     return pandas.DataFrame(
         {
             "elements": rows["lens"].str.partition("-")[0],
+            "design": rows["lens"].str.partition("-")[2],
             "field_of_view_deg": [spec["field_of_view_deg"] for spec in specs],
             "f_number": [spec["f_number"] for spec in specs],
             "difference": rows["difference"],

@@ -9,6 +9,7 @@ from tasklens.study import names
 from tasklens.study.design_settings import (
     EndToEndSettings,
     ImageQualitySettings,
+    JointRaySpaceSettings,
     LeastSquaresSettings,
     TaskDrivenSettings,
 )
@@ -24,6 +25,7 @@ OVER_LEAST_SQUARES = "more accurate than the best design by least squares"
 OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only in `regime_claims`
 OVER_IMAGE_QUALITY = "more accurate than the best design by image error or contrast"
 FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
+OVER_FROZEN = "more accurate than design by the frozen network"
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
 MARGIN = 1.0  # points by which a lens that is "at least as accurate" may be worse
 OVER_BASE = "more accurate than the design that it varies"  # only in `ablation_claims`
@@ -102,7 +104,7 @@ def regime_claims(study: Study) -> Claims:
             study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in study.imaging_designs]
         )
         for lens in study.lenses.values()
-        if isinstance(lens.design, TaskDrivenSettings) and study.imaging_designs
+        if lens.task_driven and study.imaging_designs
     ]
     return Claims(study=study.name, claims=tuple(found), seeds=study.seeds)
 
@@ -142,7 +144,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """
     found = []
     for lens in study.lenses.values():
-        if isinstance(lens.design, TaskDrivenSettings):
+        if lens.task_driven:
             imaging = [
                 other
                 for other in study.lenses.values()
@@ -163,17 +165,19 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
 
 
 def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Return (text, lens, baselines) of the claims about end-to-end design, from imaging and from flat."""
+    """Return (text, lens, baselines) of the claims of table 3: frozen or trained along, end-to-end, and from flat."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
     for lens in study.lenses.values():
-        if isinstance(lens.design, TaskDrivenSettings):
+        if lens.task_driven:
+            same = [other for other in study.lenses.values() if other.elements == lens.elements]
             found += [
                 (OVER_END_TO_END, lens.name, (other.name,))
-                for other in study.lenses.values()
-                if other.elements == lens.elements
-                and isinstance(other.design, EndToEndSettings)
-                and other.design.jointly_from == "best_imaging"
+                for other in same
+                if isinstance(other.design, EndToEndSettings) and other.design.jointly_from == "best_imaging"
             ]
+            if isinstance(lens.design, JointRaySpaceSettings):
+                frozen = tuple(other.name for other in same if isinstance(other.design, TaskDrivenSettings))
+                found += [(OVER_FROZEN, lens.name, frozen)] if frozen else []
         elif isinstance(lens.design, EndToEndSettings) and lens.design.jointly_from == "flat":
             found.append((FLAT_FAILS, lens.name, ()))
     return found

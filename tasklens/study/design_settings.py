@@ -161,10 +161,20 @@ class TaskDrivenSettings(SupervisedSettings):
 
 
 class JointRaySpaceSettings(SupervisedSettings):
-    """Settings of end-to-end design by ray-space descent: in each descent a copy of the classifier is trained too."""
+    """Settings of design by ray-space descent in which a copy of the classifier is trained too, anew in each descent.
+
+    Its start is the best of `candidates` by minival accuracy, task-driven designs among them: what the loss of a
+    network says that is trained for no lens is no measure of them.
+    """
 
     method: Literal["joint_ray_space"]
     network_learning_rate: Positive = Field(description="Learning rate of the classifier.")
+
+    @model_validator(mode="after")
+    def _one_kind_of_start(self) -> "JointRaySpaceSettings":
+        if self.candidates and self.restart is not None:
+            raise ValueError("candidates: expected these, or `restart` and `refinement`; not both")
+        return self
 
 
 class ImageQualitySettings(SupervisedSettings):

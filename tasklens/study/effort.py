@@ -4,7 +4,7 @@ from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings,
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
-from tasklens.study.tables import candidates, imaging_baselines, table_lenses
+from tasklens.study.tables import candidates, starts, table_lenses
 
 
 class Effort(Frozen):
@@ -47,7 +47,7 @@ def effort(study: Study) -> Efforts:
 
 
 def _chosen_from(study: Study, lens: str) -> tuple[str, ...]:
-    nearest = (*candidates(study, lens), *imaging_baselines(study, lens))
+    nearest = (*candidates(study, lens), *starts(study, lens))
     return tuple(dict.fromkeys([*nearest, *(other for near in nearest for other in _chosen_from(study, near))]))
 
 

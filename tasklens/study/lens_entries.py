@@ -48,12 +48,15 @@ class LensEntry(Frozen):
     @property
     def classified(self) -> bool:
         """True if a classifier supervises the design."""
-        return isinstance(self.design, TaskDrivenSettings) or self.end_to_end
+        return isinstance(self.design, TaskDrivenSettings | EndToEndSettings | JointRaySpaceSettings)
 
     @property
-    def end_to_end(self) -> bool:
-        """True if the design is end-to-end, or its plain protocol with a frozen classifier."""
-        return isinstance(self.design, EndToEndSettings | JointRaySpaceSettings)
+    def task_driven(self) -> bool:
+        """True if the design is by a classifier, frozen or trained along, and not one of the paper's end-to-end ones."""
+        design = self.design
+        return isinstance(design, TaskDrivenSettings) or (
+            isinstance(design, JointRaySpaceSettings) and bool(design.candidates)
+        )
 
     @property
     def supervised(self) -> bool:
@@ -67,9 +70,9 @@ class LensEntry(Frozen):
         End-to-end designs from flat, which need not converge, and imported lenses are not.
         """
         design = self.design
-        failing = isinstance(design, EndToEndSettings) and design.start == "flat"
-        failing |= isinstance(design, JointRaySpaceSettings) and not design.candidates
-        return not (failing or isinstance(design, ImportedLens))
+        if isinstance(design, EndToEndSettings):
+            return design.start != "flat"
+        return self.task_driven or not (self.classified or isinstance(design, ImportedLens))
 
 
 class LensDesign(Frozen):

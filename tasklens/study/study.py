@@ -16,9 +16,11 @@ from tasklens.study.design_settings import (
     DesignSettings,
     EndToEndSettings,
     ImageQualitySettings,
+    JointRaySpaceSettings,
     LeastSquaresSettings,
     SpotSettings,
     SupervisedSettings,
+    TaskDrivenSettings,
 )
 from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.settings import (
@@ -194,6 +196,8 @@ class Study(Frozen):
             known = self.imaging_designs
             if isinstance(lens.design, ImageQualitySettings):
                 known = tuple(name for name in known if not isinstance(self.designs[name], ImageQualitySettings))
+            elif isinstance(lens.design, JointRaySpaceSettings):
+                known += tuple(name for name, other in self.designs.items() if isinstance(other, TaskDrivenSettings))
             for name in lens.design.candidates:
                 if name not in known:
                     raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")

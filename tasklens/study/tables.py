@@ -3,7 +3,12 @@
 from collections.abc import Iterable
 
 from tasklens.study import names
-from tasklens.study.design_settings import EndToEndSettings, SupervisedSettings, TaskDrivenSettings
+from tasklens.study.design_settings import (
+    EndToEndSettings,
+    JointRaySpaceSettings,
+    SupervisedSettings,
+    TaskDrivenSettings,
+)
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
@@ -42,7 +47,11 @@ def table(study: Study, name: str) -> TableContents:
     Tables 1, 2 and 4 compare task-driven designs with imaging designs and imported lenses, table 3 with end-to-end
     designs; table 4 has only the elements in `restored`. Table 2 has all classifiers, the others the supervisor.
     """
-    lenses = [lens for lens in study.lenses.values() if (lens.classified if name == "table3" else not lens.end_to_end)]
+    lenses = [
+        lens
+        for lens in study.lenses.values()
+        if (lens.classified if name == "table3" else lens.task_driven or not lens.classified)
+    ]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
     return TableContents(
@@ -57,7 +66,7 @@ def table(study: Study, name: str) -> TableContents:
 
 
 def _gaps(study: Study, lenses: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return the other lenses of the same elements, by task-driven lens."""
+    """Return the other lenses of the same elements, by lens that a frozen classifier supervised."""
     entries = [study.lens(name) for name in lenses]
     return {
         lens.name: tuple(other.name for other in entries if other.elements == lens.elements and other != lens)
@@ -77,22 +86,26 @@ def table_lenses(study: Study) -> tuple[str, ...]:
     return tuple(lens for lens in study.lenses if lens in found)
 
 
-def imaging_baselines(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the imaging lenses of which the best one by minival accuracy is the start of a design; empty for others.
+def starts(study: Study, lens: str) -> tuple[str, ...]:
+    """Return the lenses of which the best one by minival accuracy is the start of a design; empty for other designs.
 
     Imported lenses are left out, so that importing a baseline changes no other row.
     """
     entry = study.lens(lens)
-    if not (isinstance(entry.design, EndToEndSettings) and entry.design.start == "best_imaging"):
-        return ()
-    return tuple(f"{entry.elements}-{name}" for name in study.imaging_designs)
+    named: tuple[str, ...] = ()
+    if isinstance(entry.design, JointRaySpaceSettings):
+        named = entry.design.candidates
+    elif isinstance(entry.design, EndToEndSettings) and entry.design.start == "best_imaging":
+        named = study.imaging_designs
+    return tuple(f"{entry.elements}-{name}" for name in named)
 
 
 def candidates(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the imaging lenses that compete for the finish of a supervised design; empty for other designs."""
+    """Return the lenses of which the best one by the loss of a design is finished by it; empty for other designs."""
     entry = study.lens(lens)
-    named = entry.design.candidates if isinstance(entry.design, SupervisedSettings) else ()
-    return tuple(f"{entry.elements}-{name}" for name in named)
+    if not isinstance(entry.design, SupervisedSettings) or isinstance(entry.design, JointRaySpaceSettings):
+        return ()
+    return tuple(f"{entry.elements}-{name}" for name in entry.design.candidates)
 
 
 class VerificationContents(Frozen):

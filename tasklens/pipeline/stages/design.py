@@ -21,16 +21,16 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
         train = dataset.read(*inputs.train, device=device)
         if settings.classifier is not None:
             classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
-    baselines = {}
-    if inputs.baselines:
+    starts = {}
+    if inputs.starts:
         from tasklens.recognition.metrics import mean_metrics
 
-        baselines = {
+        starts = {
             name: (prescription.read(path)[0].lens, mean_metrics(inputs.metrics[name])["minival_accuracy"])
-            for name, path in inputs.baselines.items()
+            for name, path in inputs.starts.items()
         }
     candidates = {name: prescription.read(path)[0].lens for name, path in (inputs.candidates or {}).items()}
-    lens, notes, history = methods.design(settings, classifier, train, baselines, candidates, checkpoint)
+    lens, notes, history = methods.design(settings, classifier, train, starts, candidates, checkpoint)
     write_rows(outputs.history, history)
     prescription.write(outputs.lens, prescription.Prescription(lens), notes)
     view = view_of_spec(settings.spec)
