@@ -52,7 +52,7 @@ class LensEntry(Frozen):
 
     @property
     def task_driven(self) -> bool:
-        """True if the design is by a classifier, frozen or trained along, and not one of the paper's end-to-end ones."""
+        """True if the design is by a classifier, frozen or trained along, but not end-to-end as in the paper."""
         design = self.design
         return isinstance(design, TaskDrivenSettings) or (
             isinstance(design, JointRaySpaceSettings) and bool(design.candidates)
