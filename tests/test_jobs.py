@@ -174,7 +174,8 @@ def test_a_study_may_make_some_of_the_tables():
     assert {claim.table for claim in report_jobs.verdicts.plan(parse(tiny_study())).settings.claims} == {*TABLES}
 
 
-IMAGING_AND_TASK = {"tasklens", "image_error", "image_contrast", "image_psnr", "imaging1", "imaging2", "imaging3"}
+IMAGE_QUALITY = {"image_error", "image_contrast", "image_psnr", "imaging1", "imaging2", "imaging3"}
+IMAGING_AND_TASK = IMAGE_QUALITY | {"tasklens", "tasklens_joint"}
 
 
 @pytest.mark.parametrize("target", ["tables", "verify"])
@@ -184,11 +185,11 @@ IMAGING_AND_TASK = {"tasklens", "image_error", "image_contrast", "image_psnr", "
         ("table1", ("doublet", "triplet", "quadruplet"), IMAGING_AND_TASK, 0),
         ("table3", ("doublet", "triplet", "quadruplet"),
          IMAGING_AND_TASK | {"end_to_end_from_imaging", "end_to_end_from_flat"}, 0),
-        ("table4", ("doublet",), IMAGING_AND_TASK, 7),
+        ("table4", ("doublet",), IMAGING_AND_TASK, 8),
     ],
 )  # fmt: skip
 def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs, restorations):
-    """Table 1 of the default study waits for 18 designs, not for 24; the end-to-end lenses of table 3 for the imaging
+    """Table 1 of the default study waits for no end-to-end design; the end-to-end lenses of table 3 wait for the imaging
     lenses that they start from, though not for the PSF tails of these."""
     study = load(ROOT / "config" / "config.yaml").model_copy(update={"tables": (made,)})
     contents = tables.table(study, made)
@@ -248,6 +249,41 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
     for name in ("end_to_end_from_flat", "tasklens", "imaging1"):
         inputs = jobs.design.plan(study, f"doublet-{name}", 3).inputs
         assert inputs["starts"] == inputs["metrics"] == {}
+
+
+JOINT = {
+    "method": "joint_ray_space",
+    "network_learning_rate": 1e-3,
+    "candidates": ["tasklens", "imaging2"],
+    "finish": {"steps": 2, "pixels": [1, 1]},
+}
+
+
+def test_a_joint_design_starts_from_the_best_after_fine_tuning():
+    """It reads the accuracies of its candidates, a task-driven lens among them, where a frozen one reads their lenses."""
+    study = parse(changed(tiny_study(), "designs.joint", JOINT))
+    expected = ("singlet-tasklens", "singlet-imaging2")
+    inputs = jobs.design.plan(study, "singlet-joint", 3).inputs
+    assert tuple(inputs["starts"]) == tuple(inputs["metrics"]) == expected and not inputs["candidates"]
+    frozen = changed(tiny_study(), "designs.tasklens.candidates", ["image_error", "imaging2"])
+    inputs = jobs.design.plan(parse(frozen), "singlet-tasklens", 3).inputs
+    assert tuple(inputs["candidates"]) == ("singlet-image_error", "singlet-imaging2") and not inputs["starts"]
+
+
+def test_a_joint_design_is_task_driven_unless_it_comes_from_flat_plates():
+    """From another lens it stands in every table and keeps the limits; from plates only in table 3, where it may fail."""
+    study = changed(tiny_study(), "designs.joint", JOINT)
+    descents = {"restart": JOINT["finish"], "refinement": JOINT["finish"], "candidates": [], "finish": None}
+    study = parse(changed(study, "designs.flat", JOINT | descents))
+    found = {name: tables.table(study, name).lenses for name in TABLES}
+    assert all("singlet-joint" in lenses for lenses in found.values())
+    assert [name for name, lenses in found.items() if "singlet-flat" in lenses] == ["table3"]
+    constrained = tables.verification(study).constrained
+    assert "singlet-joint" in constrained and "singlet-flat" not in constrained
+    claimed = {(claim.text, claim.lens, claim.baselines) for claim in claims.claims(study).claims}
+    assert (claims.OVER_FROZEN, "singlet-joint", ("singlet-tasklens",)) in claimed
+    assert (claims.OVER_LEAST_SQUARES, "singlet-joint", ("singlet-imaging2",)) in claimed
+    assert not any("singlet-flat" in claim[1] for claim in claimed)
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():

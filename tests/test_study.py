@@ -65,6 +65,12 @@ MISTAKES = [
         ["end_to_end_from_flat"],
         ["tasklens.candidates", "end_to_end_from_flat", "imaging2"],
     ),
+    (
+        "designs.joint",
+        {"method": "joint_ray_space", "network_learning_rate": 1e-3, "candidates": ["imaging1"]}
+        | dict.fromkeys(("restart", "refinement", "finish"), {"steps": 1, "pixels": [1, 1]}),
+        ["joint", "candidates", "restart", "not both"],
+    ),
     ("designs.image_error.candidates", ["imaging1"], ["image_error", "candidates", "finish"]),
     ("designs.image_error.refinement", None, ["image_error", "restart", "refinement", "candidates"]),
     ("images.periods", [8, 4], ["images.periods", "shorter"]),

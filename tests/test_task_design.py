@@ -263,6 +263,25 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
         assert batches and all(int(count) == descent.steps for count in batches)
 
 
+def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
+    """By the accuracy given with it; no other lens competes, and the lens file says which it was."""
+    descent = {"steps": 1, "pixels": [1, 1]}
+    joint = {"method": "joint_ray_space", "network_learning_rate": 1e-3, "candidates": ["imaging1", "imaging2"]}
+    study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
+    study = parse(changed(study, "designs.joint", joint | {"finish": descent}))
+    wanted, seen = jobs.design.plan(study, "doublet-joint", 0).settings, []
+
+    def design(flat, candidates, *rest):
+        seen.append(candidates)
+        return spot_lens(start), {}, []
+
+    monkeypatch.setattr(supervised, "design", design)
+    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (spot_lens(start), 70.0)}
+    _, notes, _ = methods.design(wanted, small_network(), None, starts, {})
+    assert notes["origin"]["start"] == "doublet-imaging2" and [*seen[0]] == ["doublet-imaging2"]
+    assert torch.equal(seen[0]["doublet-imaging2"].curvature, spot_lens(start).curvature)
+
+
 def test_descending_lowers_the_loss(start):
     """Two dozen steps reduce the loss of a frozen network on its captures."""
     network = small_network()

@@ -258,7 +258,7 @@ def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
     study = with_imported(tmp_path)
     monkeypatch.chdir(tmp_path)
     counts = expected(parse(study))
-    assert counts["design"] == 9 and counts["restore"] == 6
+    assert counts["design"] == 9 and counts["restore"] == 7
     assert plan(tmp_path, study, "tables") == counts
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
     assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}
