@@ -189,8 +189,8 @@ IMAGING_AND_TASK = IMAGE_QUALITY | {"tasklens", "tasklens_joint"}
     ],
 )  # fmt: skip
 def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs, restorations):
-    """Table 1 of the default study waits for no end-to-end design; the end-to-end lenses of table 3 wait for the imaging
-    lenses that they start from, though not for the PSF tails of these."""
+    """Table 1 of the default study waits for no end-to-end design; those of table 3 wait for the imaging lenses that they
+    start from, though not for the PSF tails of these."""
     study = load(ROOT / "config" / "config.yaml").model_copy(update={"tables": (made,)})
     contents = tables.table(study, made)
     if target == "verify":
@@ -260,7 +260,7 @@ JOINT = {
 
 
 def test_a_joint_design_starts_from_the_best_after_fine_tuning():
-    """It reads the accuracies of its candidates, a task-driven lens among them, where a frozen one reads their lenses."""
+    """It reads the accuracies of its candidates, one task-driven; a frozen one reads the lenses alone."""
     study = parse(changed(tiny_study(), "designs.joint", JOINT))
     expected = ("singlet-tasklens", "singlet-imaging2")
     inputs = jobs.design.plan(study, "singlet-joint", 3).inputs
@@ -271,7 +271,7 @@ def test_a_joint_design_starts_from_the_best_after_fine_tuning():
 
 
 def test_a_joint_design_is_task_driven_unless_it_comes_from_flat_plates():
-    """From another lens it stands in every table and keeps the limits; from plates only in table 3, where it may fail."""
+    """From other lenses it is in every table and keeps the limits; from plates in table 3 alone, where it may fail."""
     study = changed(tiny_study(), "designs.joint", JOINT)
     descents = {"restart": JOINT["finish"], "refinement": JOINT["finish"], "candidates": [], "finish": None}
     study = parse(changed(study, "designs.flat", JOINT | descents))

@@ -68,7 +68,7 @@ MISTAKES = [
     (
         "designs.joint",
         {"method": "joint_ray_space", "network_learning_rate": 1e-3, "candidates": ["imaging1"]}
-        | dict.fromkeys(("restart", "refinement", "finish"), {"steps": 1, "pixels": [1, 1]}),
+        | {key: {"steps": 1, "pixels": [1, 1]} for key in ("restart", "refinement", "finish")},
         ["joint", "candidates", "restart", "not both"],
     ),
     ("designs.image_error.candidates", ["imaging1"], ["image_error", "candidates", "finish"]),
