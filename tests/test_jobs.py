@@ -189,8 +189,8 @@ IMAGING_AND_TASK = IMAGE_QUALITY | {"tasklens", "tasklens_joint"}
     ],
 )  # fmt: skip
 def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs, restorations):
-    """Table 1 of the default study waits for no end-to-end design; those of table 3 wait for the imaging lenses that they
-    start from, though not for the PSF tails of these."""
+    """Table 1 waits for no end-to-end design; those of table 3 wait for the imaging lenses that they start from, though
+    not for the PSF tails of these."""
     study = load(ROOT / "config" / "config.yaml").model_copy(update={"tables": (made,)})
     contents = tables.table(study, made)
     if target == "verify":
