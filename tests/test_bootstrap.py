@@ -27,10 +27,20 @@ def test_a_p_value_agrees_with_the_interval_and_with_the_normal_distribution(nul
     """Of 10 000 quantiles of a normal distribution of mean 1 and deviation 1."""
     means = 1 + scipy.stats.norm.ppf((numpy.arange(10_000) + 0.5) / 10_000)
     expected = 2 * scipy.stats.norm.sf(abs(1 - null))
-    assert p_value(means, null) == pytest.approx(expected, abs=3e-4)
+    assert p_value(means, 1, null) == pytest.approx(expected, abs=3e-4)
     low, _ = interval_of_means(means)
-    assert p_value(means, low - 0.01) < 0.05 < p_value(means, low + 0.01)
-    assert p_value(means, -99) == pytest.approx(2 / 10_001)
+    assert p_value(means, 1, low - 0.01) < 0.05 < p_value(means, 1, low + 0.01)
+    assert p_value(means, 1, -99) == pytest.approx(2 / 10_001)
+
+
+def test_a_p_value_of_five_seeds_is_that_of_students_test():
+    """Without noise of images, within the 2 % by which resampled deviations differ; also far out, where Holm looks."""
+    for values in ([0.4, 0.7, 1.0, 1.3, 1.6], [3.0, 3.1, 2.9, 3.2, 3.3], [0.1, -0.2, 0.3, 0.2, 0.0]):
+        means = resampled_over_seeds(numpy.tile(values, (10_000, 1)))
+        expected = scipy.stats.ttest_1samp(values, 0).pvalue
+        assert p_value(means, 5) == pytest.approx(expected, rel=0.1)
+        low, _ = interval_of_means(means)
+        assert p_value(means, 5, means.mean() - 1.02 * (means.mean() - low)) < 0.07
 
 
 def test_identical_lenses_differ_by_nothing():

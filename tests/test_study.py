@@ -67,10 +67,18 @@ MISTAKES = [
     ),
     (
         "designs.joint",
-        {"method": "joint_ray_space", "network_learning_rate": 1e-3, "candidates": ["imaging1"]}
+        {"method": "joint_ray_space", "network_learning_rate": 1e-3, "batch_size": 2, "candidates": ["imaging1"]}
         | {key: {"steps": 1, "pixels": [1, 1]} for key in ("restart", "refinement", "finish")},
         ["joint", "candidates", "restart", "not both"],
     ),
+    ("designs.tasklens.finish.criterion", "image_error", ["tasklens", "finish.criterion", "classification"]),
+    (
+        "designs.joint",
+        {"method": "joint_ray_space", "network_learning_rate": 1e-3, "batch_size": 8, "candidates": ["imaging1"]}
+        | {"finish": {"steps": 1, "pixels": [1, 1]}},
+        ["joint", "micro_batch", "72 captures", "batch norms"],
+    ),
+    ("images.minival", 1, ["images.minival", "2"]),
     ("designs.image_error.candidates", ["imaging1"], ["image_error", "candidates", "finish"]),
     ("designs.image_error.refinement", None, ["image_error", "restart", "refinement", "candidates"]),
     ("images.periods", [8, 4], ["images.periods", "shorter"]),

@@ -263,10 +263,29 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
         assert batches and all(int(count) == descent.steps for count in batches)
 
 
+def test_a_network_that_changes_halves_no_step(start):
+    """A lens that does not move is no worse than the best, though a network trained far too fast reads it ever worse."""
+    network = small_network().train()
+    finish = RaySpaceSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0)
+    settings = {"batch_size": 4, "rays": 16, "micro_batch": 36, "augment": False, "network_learning_rate": 1.0}
+    design = JointRaySpaceSettings(method="joint_ray_space", candidates=("plates",), finish=finish, **settings)
+    criteria = {"classification": lambda part: JointClassification(copy.deepcopy(network), 1.0, part.steps, 1.0)}
+    _, _, history = supervised.design(start, {"plates": start}, criteria, problem(NO_LIMITS), design)
+    rows = [row for row in history if row["phase"] == "finish"]
+    losses = [row["validation_loss"] for row in rows if "validation_loss" in row]
+    assert sum(later > losses[0] for later in losses) > 3
+    assert len({row["step_size_um"] for row in rows}) == 1
+
+
 def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
     """By the accuracy given with it; no other lens competes, and the lens file says which it was."""
     descent = {"steps": 1, "pixels": [1, 1]}
-    joint = {"method": "joint_ray_space", "network_learning_rate": 1e-3, "candidates": ["imaging1", "imaging2"]}
+    joint = {
+        "method": "joint_ray_space",
+        "network_learning_rate": 1e-3,
+        "batch_size": 2,
+        "candidates": ["imaging1", "imaging2"],
+    }
     study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
     study = parse(changed(study, "designs.joint", joint | {"finish": descent}))
     wanted, seen = jobs.design.plan(study, "doublet-joint", 0).settings, []

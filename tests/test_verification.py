@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import finish, inputs_of, measurements_of, tiny_study, with_imported, write
+from examples import changed, finish, inputs_of, measurements_of, tiny_study, with_imported, write
 
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.run import run
@@ -22,7 +22,8 @@ LENS = "singlet-imaging1"
 @pytest.fixture
 def study():
     tiny = tiny_study()
-    return parse(tiny | {"designs": {"imaging1": tiny["designs"]["imaging1"], "tasklens": tiny["designs"]["tasklens"]}})
+    tasklens = tiny["designs"]["tasklens"] | {"polish": None}
+    return parse(tiny | {"designs": {"imaging1": tiny["designs"]["imaging1"], "tasklens": tasklens}})
 
 
 @pytest.fixture(autouse=True)
@@ -159,6 +160,16 @@ def test_a_task_driven_lens_that_has_not_converged_is_named(study):
     )
     edited(frozen(study, LENS, "small"), raised(list(range(IMAGES))))
     assert failures(study) == []
+
+
+def test_who_stands_in_a_gap():
+    """Lenses within the limits; and none is asked of a lens that was polished with a trained network."""
+    tiny = with_imported()
+    tiny = changed(changed(tiny, "imported.phone.elements", "singlet"), "designs.tasklens.polish", None)
+    found = tables.verification(parse(tiny)).gaps
+    others = ("image_error", "imaging1", "imaging2", "end_to_end_from_imaging")
+    assert found == {"singlet-tasklens": tuple(f"singlet-{name}" for name in others)}
+    assert tables.verification(parse(tiny_study())).gaps == {}
 
 
 def edited(path, change):

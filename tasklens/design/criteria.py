@@ -19,7 +19,13 @@ _FREQUENCIES = (0.125, 0.25)  # of the contrast [cycles per pixel]: a quarter an
 
 
 class Criterion:
-    """A loss by which a lens is supervised."""
+    """A loss by which a lens is supervised.
+
+    Attributes:
+        trained: whether the criterion changes from step to step, so that losses of different steps do not compare.
+    """
+
+    trained = False
 
     @property
     def holders(self) -> dict[str, Any]:
@@ -65,6 +71,8 @@ class JointClassification(Classification):
         steps: number of steps.
         final: learning rate at the last step, as a fraction; cosine schedule.
     """
+
+    trained = True
 
     def __init__(self, classifier: nn.Module, learning_rate: float, steps: int, final: float):
         super().__init__(classifier.train().requires_grad_(True))

@@ -26,10 +26,9 @@ _SHOWN = ("loss", "validation_loss", "energy_in_window", "penalty")  # numbers o
 
 @dataclass(frozen=True)
 class Step:
-    """Result of a step: the rays of its lens, the losses (F,) of the fields, and numbers for the history."""
+    """Result of a step: the rays of its lens, and numbers for the history."""
 
     rays: Rays
-    losses: Tensor
     numbers: Mapping[str, float]
 
 

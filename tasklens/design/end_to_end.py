@@ -77,7 +77,7 @@ class JointDescent(GradientDescent):
         }
         if step == self.steps:
             numbers["validation_loss"] = self._validate()
-        return Step(rays, losses, numbers)
+        return Step(rays, numbers)
 
     def _validate(self) -> float:
         """Compute the loss of the present lens and network on fixed images, and remember the lens if it is the best."""

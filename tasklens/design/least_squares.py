@@ -25,6 +25,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
 from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.settings import Constraints
@@ -38,6 +39,7 @@ _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design 
 _FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
 _SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um for a degree; with 1, doublets end 1.3 um worse
 _STRICT_EVALUATIONS = 24
+_TRIES = 20_000  # random lenses for each start; of quadruplets one in 800 is possible
 _STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
 
 
@@ -82,12 +84,24 @@ def improve(
 
 
 def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: numpy.random.Generator) -> list[Lens]:
-    """Return random paraxial lenses, focused, within the track; the last curvature is solved for the focal length."""
+    """Return random paraxial lenses, focused, within the track; the last curvature is solved for the focal length.
+
+    Raises:
+        InputError: no random lens is possible.
+    """
     refracting = list(flat.refracting_surfaces)
     middle = view.wavelengths[len(view.wavelengths) // 2]
     strongest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
     found: list[Lens] = []
+    tries = 0
     while len(found) < count:
+        tries += 1
+        if tries > _TRIES:
+            raise InputError(
+                f"none of {_TRIES} random lenses of focal length {view.efl:.2f} mm has room for its focus within "
+                f"constraints.max_track = {limits.max_track:g} mm and no surface steeper than 0.9 of "
+                f"constraints.max_slope = {limits.max_slope:g} at the stop; raise one of these, or spec.f_number"
+            )
         curvature, thickness = flat.curvature.clone(), flat.thickness.clone()
         curvature[refracting] = torch.from_numpy(rng.uniform(-strongest, strongest, len(refracting)))
         curvature[refracting[-1]] = 0
@@ -106,6 +120,7 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
         thickness = torch.cat([thickness[:-1], bfl[None]])
         if bfl > limits.min_back_focus and thickness.sum() < limits.max_track:
             found.append(replace(lens, curvature=curvature, thickness=thickness))
+            tries = 0
     return found
 
 

@@ -88,7 +88,8 @@ def design(
         **found,
     }
     # Only divergence after the selection concerns the lens: a diverged restart may not have been selected.
-    wrong = [row for row in history if "cause" in row and not row["phase"].startswith("restart")]
+    before = ("restart", "refinement") if found.get("start") in candidates else ("restart",)
+    wrong = [row for row in history if "cause" in row and not row["phase"].startswith(before)]
     if wrong:
         origin["diverged"] = f"step {wrong[-1]['step']}: {wrong[-1]['cause']}"
     # Limits were soft constraints until here.
@@ -142,6 +143,7 @@ def _supervised(
         fresh = replace(problem, seed=problem.seed + _POLISH_SEED)
         lens, rows = end_to_end.design(lens, classifier, fresh, settings.polish, "polish", checkpoint)
         history = history + rows
+        found.pop("validation_loss", None)  # of the lens before
     return lens, found, history
 
 

@@ -49,7 +49,7 @@ class SpotDescent(GradientDescent):
         loss.backward()
         self.advance()
         numbers = {"loss": loss.item(), "penalty": bounds.item(), "stop_scale": scale}
-        return Step(rays, spots, numbers | {"learning_rate": self.learning_rate})
+        return Step(rays, numbers | {"learning_rate": self.learning_rate})
 
     def state(self) -> dict[str, Any]:
         """Return the state of the gradient descent, and the smallest loss."""

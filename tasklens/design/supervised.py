@@ -38,7 +38,8 @@ Criteria = Mapping[str, Callable[[RaySpaceSettings], CaptureCriterion | Contrast
 class RaySpaceDescent(Descent):
     """Descent on the loss of captures with steps of given ray displacement.
 
-    Its result is the lens of the smallest validation loss, taken at the last pixel pitch. After a few
+    Its result is the lens of the smallest validation loss, taken at the last pixel pitch; where the criterion is
+    trained, each validation compares the best lens with the present one by the network of that step. After a few
     validations without a better lens the descent goes back to the best, with half the step size: how large a step may
     be depends on how sharp the lens is.
 
@@ -106,16 +107,18 @@ class RaySpaceDescent(Descent):
         self.vector, self.model = self._advance(change)
         if step == self.steps:
             numbers["validation_loss"] = self._validate()
-        return Step(rays, losses, numbers)
+        return Step(rays, numbers)
 
     def _validate(self) -> float:
         """Compute the loss of the present lens on the fixed images, and remember the lens if it is the best.
 
         A lens far outside its limits is not the best: its repair would make another one of it.
         """
-        loss = self.supervisor.validation_loss(self.space.lens(self.vector), self.settings.pixels[1])
+        loss = self._validation_loss(self.vector)
+        if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
+            self.least = self.least[0], self._validation_loss(self.best)
         found = self.model.violation_norm > _LEEWAY_MM, loss
-        if found <= self.least:
+        if math.isfinite(loss) and found <= self.least:
             self.least, self.best, self.failures = found, self.vector, 0
             return loss
         self.failures += 1
@@ -124,6 +127,9 @@ class RaySpaceDescent(Descent):
             self.vector, self.model, self.factor = self.best, self.space.linearise(self.best), self.factor / 2
             self.mean, self.averaged = torch.zeros_like(self.mean), 0
         return loss
+
+    def _validation_loss(self, vector: Tensor) -> float:
+        return self.supervisor.validation_loss(self.space.lens(vector), self.settings.pixels[1])
 
     def _schedule(self, done: float) -> tuple[float, float]:
         """Return pixel pitch [sensor pixels] and step size [um] after a fraction `done` of the steps."""
@@ -201,7 +207,7 @@ def design(
             return lens, {"validation_loss": least}, history
         competing["refinement"] = lens
     assert settings.finish is not None  # candidates have one
-    finisher, pixels = supervisor(settings.finish), settings.finish.pixels[0]
+    finisher, pixels = supervisor(settings.finish), settings.finish.pixels[1]
     losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items() if candidates}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     chosen = min(competing, key=lambda name: losses.get(name, 0.0))

@@ -151,7 +151,7 @@ class Supervisor:
 
     @torch.no_grad()
     def validation_loss(self, lens: Lens, pixels: float) -> float:
-        """Compute the mean loss of a lens on a fixed set of training images, without augmentation."""
+        """Compute the mean loss of a lens on a fixed part of the training images, without augmentation."""
         _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
         if isinstance(self.criterion, Contrast):
             return float(self.criterion.losses(grid).mean())

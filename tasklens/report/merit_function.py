@@ -76,12 +76,13 @@ def make(settings: Slice, inputs: Files, outputs: Files) -> None:
     contents, supervisor = settings.contents, settings.supervisor
     measured = Measurements({}, {}, frozen=inputs.frozen)
     keys = list(inputs.psfs)
-    if len(keys) < _LEAST_LENSES:
-        raise FileError(f"merit_function: {len(keys)} lenses and seeds in the table; expected {_LEAST_LENSES} or more")
+    names = sorted({lens for lens, _ in keys})
+    if len(names) < _LEAST_LENSES:
+        raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
     psfs = (read_tensors(path)[0]["psf"] for path in inputs.psfs.values())
     seen = numpy.concatenate([modulation(psf.double().numpy()) for psf in psfs])
     fields = len(seen) // len(keys)
-    lenses = numpy.repeat(numpy.arange(len(keys)), fields)
+    lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {
         name: numpy.log(numpy.concatenate([measured.losses_by_field(lens, name, seed) for lens, seed in keys]))
         for name in contents.classifiers
@@ -91,7 +92,7 @@ def make(settings: Slice, inputs: Files, outputs: Files) -> None:
     ranking = fits[supervisor].log_loss(seen)
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
     shown = rounded(table, dict.fromkeys(table.columns[1:], ".2f"))
-    note = _NOTE.format(study=contents.study, fields=fields, lenses=len(keys), supervisor=supervisor)
+    note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)
     publish(outputs, "Merit functions of the classifiers", table, shown, note)
     _draw(outputs, fits, losses, predicted)
 

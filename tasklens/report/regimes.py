@@ -12,8 +12,8 @@ from tasklens.study.claims import Claims
 
 _NOTE = """\
 Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens of the seed by minival [points],
-its 95 % interval, and the mean RMS spots of the two [um]. A difference whose interval holds zero is undecided; fewer
-than five seeds only suggest it."""
+its 95 % interval, and the mean RMS spots of the two [um]. A difference is undecided that is not significant at 5 %
+after Holm's correction for all rows; fewer than five seeds only suggest it."""
 
 
 def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:

@@ -7,8 +7,9 @@ for "more accurate", stated beforehand for "at least as accurate" (non-inferiori
     holds           if the difference is above minus the margin,
     does not hold   if it is below,
 
-each significantly at 5 % after Holm's correction for all claims of its table; with fewer than five seeds it suggests
-the difference instead. Otherwise it is undecided, and the reason says within how many points the two are.
+each significantly at 5 % after Holm's correction for all lenses and classifiers of the same claim and table; with fewer
+than five seeds it suggests the difference instead. Otherwise it is undecided, and the reason says within how many
+points the two are.
 """
 
 from collections import Counter
@@ -35,10 +36,10 @@ COLUMNS = [
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
 where the difference is above zero, or for "at least as accurate" above -{margin:g} points, and does not hold where it
-is below, significantly at 5 % after Holm's correction for the claims of its table (`p_holm`); it is undecided else.
-Fewer than {least} seeds only suggest. The baseline of each seed is the best of its kind by minival accuracy (in
-brackets: in how many seeds). For the claim about failure, the difference is how far the rule of `failed` is missed:
-half of the light in the window, half of the accuracy above chance."""
+is below, significantly at 5 % after Holm's correction for the rows of the same claim and table (`p_holm`); it is
+undecided else. Fewer than {least} seeds only suggest. The baseline of each seed is the best of its kind by minival
+accuracy (in brackets: in how many seeds). For the claim about failure, the difference is how far the rule of `failed`
+is missed: half of the light in the window, half of the accuracy above chance."""
 
 
 def verdict(
@@ -130,10 +131,12 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
         means = bootstrap.resampled_over_seeds(numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least))
         keys = (claim.table, claim.text, claim.lens, _named(baseline.values()), claim.classifier)
         difference = float(numpy.maximum(values[k].mean(0), least).mean())
-        p_value = bootstrap.p_value(means, -claim.margin)
+        p_value = bootstrap.p_value(means, seeds, -claim.margin)
         rows.append((*keys, difference, *bootstrap.interval(means), p_value, seeds, "", ""))
     table = pandas.DataFrame(rows, columns=COLUMNS)
-    table["p_holm"] = table.groupby("table")["p_holm"].transform(lambda family: bootstrap.holm(family.tolist()))
+    table["p_holm"] = table.groupby(["table", "claim"])["p_holm"].transform(
+        lambda family: bootstrap.holm(family.tolist())
+    )
     judged = zip(*(table[c].tolist() for c in ("difference", "low", "high", "p_holm")), claims.claims, strict=True)
     table[["verdict", "reason"]] = [verdict(d, low, high, p, seeds, claim.margin) for d, low, high, p, claim in judged]
     return table

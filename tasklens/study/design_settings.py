@@ -90,7 +90,7 @@ class RaySpaceSettings(Frozen):
     damping: Positive = Field(0.1, description="Damping of the Gauss-Newton metric, times its diagonal.")
     criterion: Literal["classification", "image_error", "log_image_error", "contrast"] = Field(
         "classification",
-        description="Loss of a capture: cross-entropy of the frozen classifier; mean squared error from the sharp "
+        description="Loss of a capture: cross-entropy of the classifier; mean squared error from the sharp "
         "image (paper, Eq. 2), or its logarithm; or of a PSF: the contrast, real part of the OTF, lost at 1/4 and "
         "1/2 of the Nyquist frequency of the present pixels.",
     )
@@ -125,7 +125,9 @@ class SupervisedSettings(Frozen):
     restart: RaySpaceSettings | None = Field(None, description="Descent of each restart; null: none from flat plates.")
     refinement: RaySpaceSettings | None = Field(None, description="Descent that refines the best restart.")
     candidates: tuple[Name, ...] = Field(
-        (), description="Imaging designs whose lenses of the same elements and seed compete for the finish."
+        (),
+        description="Designs whose lenses of the same elements and seed compete for the finish: imaging designs by its "
+        "criterion; for `joint_ray_space` also task-driven ones, by minival accuracy after fine-tuning.",
     )
     finish: RaySpaceSettings | None = Field(None, description="Last descent; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
@@ -149,7 +151,7 @@ class SupervisedSettings(Frozen):
 
 
 class TaskDrivenSettings(SupervisedSettings):
-    """Settings of task-driven design from flat plates; the classifier is frozen, except in the optional polish."""
+    """Settings of task-driven design; the classifier is frozen, except in the optional polish."""
 
     method: Literal["task"]
     batch_norm: Literal["stored", "batch"] = Field(
@@ -158,6 +160,28 @@ class TaskDrivenSettings(SupervisedSettings):
     polish: JointDescentSettings | None = Field(
         None, description="Final joint descent of lens and classifier (paper 3.3); null: none."
     )
+
+    @model_validator(mode="after")
+    def _by_the_task(self) -> "TaskDrivenSettings":
+        _ends_with_classification(self)
+        if self.batch_norm == "batch":
+            _holds_a_step(self)
+        return self
+
+
+def _ends_with_classification(design: SupervisedSettings) -> None:
+    *_, (name, last) = design.descents.items()
+    if last.criterion != "classification":
+        raise ValueError(f"{name}.criterion: expected classification in the last descent of a task-driven design")
+
+
+def _holds_a_step(design: SupervisedSettings) -> None:
+    captures = 9 * design.batch_size  # in the order of the nine fields: a part of them would be of some fields alone
+    if design.micro_batch < captures:
+        raise ValueError(
+            f"micro_batch: expected the {captures} captures of a step or more, since batch norms take the statistics "
+            f"of a micro-batch; got {design.micro_batch}"
+        )
 
 
 class JointRaySpaceSettings(SupervisedSettings):
@@ -171,7 +195,9 @@ class JointRaySpaceSettings(SupervisedSettings):
     network_learning_rate: Positive = Field(description="Learning rate of the classifier.")
 
     @model_validator(mode="after")
-    def _one_kind_of_start(self) -> "JointRaySpaceSettings":
+    def _by_the_task_from_one_kind_of_start(self) -> "JointRaySpaceSettings":
+        _ends_with_classification(self)
+        _holds_a_step(self)
         if self.candidates and self.restart is not None:
             raise ValueError("candidates: expected these, or `restart` and `refinement`; not both")
         return self

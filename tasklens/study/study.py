@@ -193,7 +193,7 @@ class Study(Frozen):
                     f"and at most images.size = {self.images.size}, got {size}"
                 )
         if isinstance(lens.design, SupervisedSettings):
-            known = self.imaging_designs
+            known = self.imaging_starts
             if isinstance(lens.design, ImageQualitySettings):
                 known = tuple(name for name in known if not isinstance(self.designs[name], ImageQualitySettings))
             elif isinstance(lens.design, JointRaySpaceSettings):
@@ -202,8 +202,8 @@ class Study(Frozen):
                 if name not in known:
                     raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")
         start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
-        if start == "best_imaging" and not self.imaging_designs:
-            raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_error")
+        if start == "best_imaging" and not self.imaging_starts:
+            raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_quality")
 
     def _check_ablation(self, name: str) -> None:
         ablation = self.ablations[name]
@@ -267,6 +267,11 @@ class Study(Frozen):
         """Names of the imaging designs: those without a classifier."""
         methods = SpotSettings | LeastSquaresSettings | ImageQualitySettings
         return tuple(name for name, design in self.designs.items() if isinstance(design, methods))
+
+    @property
+    def imaging_starts(self) -> tuple[str, ...]:
+        """Names of the imaging designs that others start from: not those whose apertures stop light."""
+        return tuple(name for name in self.imaging_designs if getattr(self.designs[name], "vignetting", None) is None)
 
     def lens(self, name: str) -> LensEntry:
         """Return the lens `name`; raises StudyError with the known names."""

@@ -22,7 +22,7 @@ class TableContents(Frozen):
         name: `table1` .. `table4`.
         lenses, classifiers, seeds: names and seeds of its rows.
         restored: whether captures are restored.
-        gaps: the other lenses of the same elements, by task-driven lens, in tables 1 and 3.
+        gaps: the lenses that stand in the optimality gap of a lens, by lens, in tables 1 and 3.
     """
 
     study: str
@@ -66,12 +66,14 @@ def table(study: Study, name: str) -> TableContents:
 
 
 def _gaps(study: Study, lenses: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return the other lenses of the same elements, by lens that a frozen classifier supervised."""
+    """Return the other constrained lenses of the same elements, by lens that a frozen classifier supervised."""
     entries = [study.lens(name) for name in lenses]
     return {
-        lens.name: tuple(other.name for other in entries if other.elements == lens.elements and other != lens)
+        lens.name: tuple(
+            other.name for other in entries if other.elements == lens.elements and other != lens and other.constrained
+        )
         for lens in entries
-        if isinstance(lens.design, TaskDrivenSettings)
+        if isinstance(lens.design, TaskDrivenSettings) and lens.design.polish is None
     }
 
 
@@ -96,7 +98,7 @@ def starts(study: Study, lens: str) -> tuple[str, ...]:
     if isinstance(entry.design, JointRaySpaceSettings):
         named = entry.design.candidates
     elif isinstance(entry.design, EndToEndSettings) and entry.design.start == "best_imaging":
-        named = study.imaging_designs
+        named = study.imaging_starts
     return tuple(f"{entry.elements}-{name}" for name in named)
 
 
@@ -119,7 +121,7 @@ class VerificationContents(Frozen):
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
         supervisor: classifier of the optimality gaps.
-        gaps: the other lenses of the same elements, by task-driven lens; of those that the supervisor measures.
+        gaps: the lenses that stand in the optimality gap of a lens, by lens; of those that the supervisor measures.
         seeds: seeds of the study.
     """
 
