@@ -50,8 +50,8 @@ def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_pa
     rows = report.collect(efforts, f"{tmp_path}/{{lens}}-seed{{seed}}.tsv").set_index("design")
     assert rows["lenses_tried"].to_dict() == {"squares": 700, "spots": 30, "error": 5, "task": 3 * 10 + 5 + 2 + 4}
     assert rows["lenses_tried_in_all"].to_dict() == {"squares": 700, "spots": 30, "error": 705, "task": 746}
-    assert rows["core_minutes"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 4.5, "task": 6.5}
-    assert rows["core_minutes_in_all"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 8.0, "task": 14.5}
+    assert rows["core_minutes"].to_dict() == {"squares": 2, "spots": 1, "error": 3, "task": 5}
+    assert rows["core_minutes_in_all"].to_dict() == {"squares": 2, "spots": 1, "error": 5, "task": 10}
 
 
 def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path):

@@ -264,7 +264,7 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
 
 
 def test_a_network_that_changes_halves_no_step(start):
-    """A lens that does not move is no worse than the best, though a network trained far too fast reads it ever worse."""
+    """A lens that does not move is no worse than the best, though a network trained too fast reads it ever worse."""
     network = small_network().train()
     finish = RaySpaceSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0)
     settings = {"batch_size": 4, "rays": 16, "micro_batch": 36, "augment": False, "network_learning_rate": 1.0}

@@ -1,4 +1,4 @@
-"""Effort of each design: lenses tried, and minutes that its job had a core, as Snakemake measured them."""
+"""Effort of each design: lenses tried, and the duration of its job on one core, as Snakemake measured it."""
 
 from pathlib import Path
 
@@ -10,9 +10,10 @@ from tasklens.study.effort import Efforts
 from tasklens.study.settings import Slice
 
 _NOTE = """\
-Study `{study}`. Lenses tried: steps of a descent, or evaluations of least squares. Minutes that the design had a core,
-with the figures and PSFs of its lens, mean over seeds; of the last run, where it was interrupted. `in_all`: with the
-designs of all lenses that it was chosen from, but not the fine-tunings that told some of them apart."""
+Study `{study}`. Lenses tried: steps of a descent, or the budget of evaluations of least squares. Minutes of the job on
+one core, with the figures and PSFs of its lens; of the seed with the shortest, since other work on the machine prolongs
+them; of the last run, where it was interrupted. `in_all`: with the designs of all lenses that it was chosen from, but
+not the fine-tunings that told some of them apart."""
 
 
 def core_minutes(path: Path) -> float:
@@ -24,7 +25,7 @@ def core_minutes(path: Path) -> float:
 
 
 def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:
-    """Return a row per lens: lenses tried and mean core-minutes, its own and with those it was chosen from.
+    """Return a row per lens: lenses tried and least core-minutes, its own and with those it was chosen from.
 
     Args:
         benchmark: pattern of the benchmark files, with `{lens}` and `{seed}`.
@@ -32,7 +33,7 @@ def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:
     minutes = {
         each.lens: pandas.Series(
             [core_minutes(Path(benchmark.format(lens=each.lens, seed=seed))) for seed in efforts.seeds]
-        ).mean()
+        ).min()
         for each in efforts.efforts
     }
     tried = {each.lens: each.tried for each in efforts.efforts}
