@@ -1,13 +1,16 @@
 """Point spread functions with diffraction: the field on the image plane as a sum of plane waves along the rays.
 
-U(x, y) = (1 / lambda) sum_i w_i sqrt(pi |J_i|) exp(2 pi i (L_i + n' (l_i (x - x_i) + m_i (y - y_i))) / lambda)
+U(x, y) = (1 / lambda) sum_i w_i sqrt(pi |J_i|) i^t_i exp(2 pi i (L_i + n' (l_i (x - x_i) + m_i (y - y_i))) / lambda)
 
 Ray i carries the fraction w_i of the energy, L_i is its optical path from a plane of equal phase to its point
 (x_i, y_i) of the image plane, n' the index there, and J_i the determinant of d(n' l, n' m) / d(pupil x, y). This is the
 integral of Debye and Wolf over the directions of the rays, in which each small area of the pupil is a plane wave. Its
 energy is that of the rays, and for short wavelengths it is the geometric spot.
 
-Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves in Focal Regions (1986).
+A rim that is given up bends the wavefront so far that several rays have one direction. By the method of stationary
+phase each has i^t more, with t the number of principal curvatures of the wavefront that diverge (0, 1 or 2).
+
+Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves in Focal Regions (1986), on both.
 """
 
 import math
@@ -86,7 +89,7 @@ class _Waves:
     Attributes:
         x, y: points of the rays on the image plane [mm].
         l, m: direction cosines times the index.
-        length: optical path at x = y = 0 of the image plane [mm].
+        length: optical path at x = y = 0 of the image plane, with a quarter wave for each diverging curvature [mm].
         determinant: |J|.
         weight: fraction of the energy of each ray.
     """
@@ -134,8 +137,10 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: i
     dl, dm = ((v[1:] - v[0]) / shifts.T for v in (l, m))
     phase = indices[0, 0] * (start.x * start.l + start.y * start.m + start.z * start.n) + rays.path
     valid, x, y, length = (v.reshape(3, -1)[0] for v in (rays.valid, rays.x, rays.y, phase))
-    determinant = (dl[0] * dm[1] - dl[1] * dm[0]).abs()
-    return _Waves(x, y, l[0], m[0], length - l[0] * x - m[0] * y, determinant, weight).chosen(valid)
+    determinant = dl[0] * dm[1] - dl[1] * dm[0]
+    diverging = torch.where(determinant < 0, 1, torch.where(dl[0] + dm[1] > 0, 2, 0))
+    length = length - l[0] * x - m[0] * y + 1e-3 * view.wavelengths[channel] / 4 * diverging
+    return _Waves(x, y, l[0], m[0], length, determinant.abs(), weight).chosen(valid)
 
 
 def _turned(cycles: Tensor) -> Tensor:
