@@ -86,6 +86,7 @@ MISTAKES = [
     ("designs.imaging1.learning_rates", "theirs", ["theirs", "paper", "ours"]),
     ("designs.end_to_end_from_flat.size", 17, ["17", "images.size = 16"]),
     ("designs.image_error.restart.criterion", "classification", ["restart.criterion", "log_image_error"]),
+    ("designs.tasklens.restart.pixels", [1, 20], ["restart.pixels", "coarse"]),
     ("designs.tasklens.restart.pixels", [20, 0.5], ["restart.pixels", "0.5"]),
     ("designs.end_to_end_from_flat.cold_start", {"stop_scale": 2}, ["stop_scale", "2"]),
     ("classifiers.small.training", None, ["pretrained", "weights", "training"]),

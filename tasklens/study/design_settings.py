@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from tasklens.study.settings import (
     Count,
@@ -100,6 +100,13 @@ class RaySpaceSettings(Frozen):
         description="Centre of PSFs: the pinhole point, so that lost light finds the focal length, or the chief ray, "
         "as in all evaluation, so that distortion costs nothing within its limit.",
     )
+
+    @field_validator("pixels")
+    @classmethod
+    def _ever_finer(cls, pixels: tuple[float, float]) -> tuple[float, float]:
+        if pixels[0] < pixels[1]:
+            raise ValueError("expected a first pitch that is as coarse as the last, or coarser")
+        return pixels
 
 
 class SupervisedSettings(Frozen):
