@@ -10,7 +10,7 @@ import pytest
 import torch
 from examples import materials
 
-from tasklens.design import least_squares
+from tasklens.design.random_starts import random_starts
 from tasklens.design.start import flat
 from tasklens.optics.view import view_of_spec
 from tasklens.study.settings import Constraints, Spec
@@ -23,7 +23,7 @@ def start():
     """A random doublet of the right focal length."""
     spec, limits = Spec(kernel_size=11), Constraints()
     flat_lens = flat(materials("COC", "OKP4"), spec, limits)
-    return least_squares.random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]
+    return random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]
 
 
 # Those that take longest, which two processes begin with: else the last of them would keep one waiting.

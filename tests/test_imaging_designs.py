@@ -12,12 +12,14 @@ from tasklens.design import least_squares, spot, vignetting
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.merit import HEIGHTS, VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
+from tasklens.design.random_starts import random_starts
 from tasklens.design.start import flat
 from tasklens.design.variables import Variables
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields
 from tasklens.optics.view import view_of_spec
+from tasklens.runtime.errors import InputError
 from tasklens.study.design_settings import LearningRates, LeastSquaresSettings, SpotSettings
 from tasklens.study.settings import Constraints, Spec
 
@@ -44,11 +46,29 @@ def test_spot_descent_from_flat_makes_a_lens():
     assert len(history) == 30
 
 
+def test_random_starts_do_not_depend_on_the_blocks_they_are_drawn_by(monkeypatch):
+    """Nor does what is drawn next."""
+    begin, found = flat(PLASTICS, SPEC, LIMITS), []
+    for block in (20_000, 64):
+        monkeypatch.setattr("tasklens.design.random_starts._BLOCK", block)
+        rng = numpy.random.default_rng(3)
+        found.append(([lens.curvature for lens in random_starts(begin, LOOKS, LIMITS, 20, rng)], rng.random()))
+    assert torch.equal(torch.stack(found[0][0]), torch.stack(found[1][0])) and found[0][1] == found[1][1]
+
+
+def test_limits_without_any_start_are_named():
+    """A singlet of F/2.8 needs a steeper surface."""
+    begin = flat(materials("COC"), SPEC, LIMITS)
+    flatter = LIMITS.model_copy(update={"max_slope": 0.15})
+    with pytest.raises(InputError, match="max_slope = 0.15"):
+        random_starts(begin, LOOKS, flatter, 1, numpy.random.default_rng(0))
+
+
 def test_random_starts_have_the_focal_length_and_a_focus():
     """The last curvature and the back focus are solved for; limits on track and back focus hold."""
     begin = flat(PLASTICS, SPEC, LIMITS)
-    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
-    again = least_squares.random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    starts = random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    again = random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
     for lens, same in zip(starts, again, strict=True):
         found = paraxial(lens, LOOKS.wavelengths[1])
         assert float(found.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
@@ -134,7 +154,7 @@ def test_the_cost_of_a_far_ray_grows_linearly(start):
 def test_improve_never_increases_the_merit():
     begin = flat(PLASTICS, SPEC, LIMITS)
     merit = Merit(LOOKS, LIMITS, "centroid")
-    for lens in least_squares.random_starts(begin, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
+    for lens in random_starts(begin, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
         before = float(merit.residuals(lens).norm())
         better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
         assert error <= before
@@ -147,7 +167,7 @@ def test_a_search_makes_a_better_lens():
     begin = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200)
     lens, history = least_squares.design(begin, PROBLEM, settings)
-    starts = least_squares.random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
+    starts = random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
     merit = Merit(LOOKS, LIMITS, "centroid")
     best = min(float(merit.residuals(x).norm()) for x in starts)
     final = float(merit.residuals(lens).norm())

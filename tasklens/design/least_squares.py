@@ -19,18 +19,13 @@ from tasklens.design import vignetting
 from tasklens.design.driver import History
 from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
+from tasklens.design.random_starts import random_starts
 from tasklens.design.variables import ORDERS, Variables
-from tasklens.materials.material import AIR
-from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
-from tasklens.optics.view import View
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
 from tasklens.study.design_settings import LeastSquaresSettings
-from tasklens.study.settings import Constraints
 
-_SPACES = 0.35  # largest element and air thickness of a random start [focal lengths]
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # fraction of starts, asphere orders, fraction of budget
 _PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts, at least one lens; fraction of budget
 _PERTURBATION_EVALUATIONS = 12
@@ -39,7 +34,6 @@ _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design 
 _FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
 _SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um for a degree; with 1, doublets end 1.3 um worse
 _STRICT_EVALUATIONS = 24
-_TRIES = 20_000  # random lenses for each start; of quadruplets one in 800 is possible
 _STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
 
 
@@ -81,47 +75,6 @@ def improve(
         max_nfev=evaluations,
     )
     return assembled(result.x), float((2 * result.cost) ** 0.5)
-
-
-def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: numpy.random.Generator) -> list[Lens]:
-    """Return random paraxial lenses, focused, within the track; the last curvature is solved for the focal length.
-
-    Raises:
-        InputError: no random lens is possible.
-    """
-    refracting = list(flat.refracting_surfaces)
-    middle = view.wavelengths[len(view.wavelengths) // 2]
-    strongest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
-    found: list[Lens] = []
-    tries = 0
-    while len(found) < count:
-        tries += 1
-        if tries > _TRIES:
-            raise InputError(
-                f"none of {_TRIES} random lenses of focal length {view.efl:.2f} mm has room for its focus within "
-                f"constraints.max_track = {limits.max_track:g} mm and no surface steeper than 0.9 of "
-                f"constraints.max_slope = {limits.max_slope:g} at the stop; raise one of these, or spec.f_number"
-            )
-        curvature, thickness = flat.curvature.clone(), flat.thickness.clone()
-        curvature[refracting] = torch.from_numpy(rng.uniform(-strongest, strongest, len(refracting)))
-        curvature[refracting[-1]] = 0
-        for i in refracting[:-1]:
-            least = limits.min_centre_thickness if flat.media[i] != AIR else 2 * limits.min_air_gap
-            thickness[i] = rng.uniform(least, _SPACES * view.efl)
-        lens = replace(flat, curvature=curvature, thickness=thickness)
-        without = paraxial(lens, middle).power
-        unit = torch.zeros_like(curvature)
-        unit[refracting[-1]] = 1
-        per_curvature = paraxial(replace(lens, curvature=curvature + unit), middle).power - without
-        curvature = curvature + unit * (1 / view.efl - without) / per_curvature
-        if curvature[refracting[-1]].abs() > strongest:
-            continue
-        bfl = paraxial(replace(lens, curvature=curvature), middle).bfl
-        thickness = torch.cat([thickness[:-1], bfl[None]])
-        if bfl > limits.min_back_focus and thickness.sum() < limits.max_track:
-            found.append(replace(lens, curvature=curvature, thickness=thickness))
-            tries = 0
-    return found
 
 
 Candidate = tuple[float, int, Lens]  # root-sum-square residual [um], number of its start, lens
