@@ -151,7 +151,7 @@ class ImageSettings(Frozen):
 
     size: int = Field(64, ge=16, description="Side of the square images [pixels].")
     train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
-    minival: int = Field(500, ge=2, description="Number of images for selection, taken from the training images.")
+    minival: Count = Field(500, description="Number of images for selection, taken from the training images.")
     test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
     seed: int = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
     folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")

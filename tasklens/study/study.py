@@ -153,6 +153,8 @@ class Study(Frozen):
 
     @model_validator(mode="after")
     def _networks_fit(self) -> "Study":
+        if self.images.minival < 2:
+            raise ValueError("images.minival: expected 2 or more, from which errors are computed")
         for name, classifier in self.classifiers.items():
             if self.fine_tuning.batch_size % classifier.processes:
                 raise ValueError(
