@@ -67,7 +67,7 @@ TARGETS = {  # targets of the command line; the first is the default
     "figures": [report_jobs.certificate.output(study, "figure", **lens) for lens in LENSES],
     "figure3": [
         report_jobs.comparison.output(study, "figure", elements=elements, seed=seed)
-        for elements in dict.fromkeys(study.lens(c.lens).elements for c in claims.regime_claims(study).claims)
+        for elements in claims.claims_by_elements(study)
         for seed in study.seeds
     ],
     "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in LENSES],

@@ -12,7 +12,7 @@ from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
-from tasklens.study.study import Study
+from tasklens.study.study import Study, pick
 
 PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
 REPORT = "tasklens.report"
@@ -111,15 +111,17 @@ def certificate(study: Study, lens: str, seed: int) -> Plan:
 
 @stage(f"{STAGES}.comparison.run", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
 def comparison(study: Study, elements: str, seed: int) -> Plan:
-    """Draw the task-driven lens of some elements and the best imaging lens (figure 3)."""
-    claim = paper_claims.regime_claim(study, elements)
-    keys = [(lens, claim.classifier, seed) for lens in claim.baselines]
+    """Draw the task-driven lenses of some elements and the best imaging lens (figure 3)."""
+    known = paper_claims.claims_by_elements(study)
+    claims = pick(known, elements, "name of elements with a task-driven and an imaging design:")
+    lenses = dict.fromkeys(lens for claim in claims for lens in claim.lenses)
+    keys = dict.fromkeys((lens, claim.classifier, seed) for claim in claims for lens in claim.baselines)
     inputs = {
-        "lenses": {lens: lens_file(study, lens, seed) for lens in claim.lenses},
-        "psfs": {lens: psf_file(study, lens, seed) for lens in claim.lenses},
+        "lenses": {lens: lens_file(study, lens, seed) for lens in lenses},
+        "psfs": {lens: psf_file(study, lens, seed) for lens in lenses},
         "metrics": {key: measurement(study, *key, "metrics") for key in keys},
     }
-    return Plan(Slice(claim=claim, seed=seed), inputs)
+    return Plan(Slice(claims=tuple(claims), seed=seed), inputs)
 
 
 @stage(f"{REPORT}.verification.run", {})  # without output, it runs on every request

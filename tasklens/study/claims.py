@@ -107,10 +107,12 @@ def regime_claims(study: Study) -> Claims:
     return Claims(study=study.name, claims=tuple(found), seeds=study.seeds)
 
 
-def regime_claim(study: Study, elements: str) -> Claim:
-    """Return the claim of `regime_claims` about the first task-driven lens of some elements; raises StudyError."""
-    found = {study.lens(claim.lens).elements: claim for claim in reversed(regime_claims(study).claims)}
-    return pick(found, elements, "name of elements with a task-driven and an imaging design:")
+def claims_by_elements(study: Study) -> dict[str, list[Claim]]:
+    """Return the claims of `regime_claims` by names of elements."""
+    found: dict[str, list[Claim]] = {}
+    for claim in regime_claims(study).claims:
+        found.setdefault(study.lens(claim.lens).elements, []).append(claim)
+    return found
 
 
 def ablation_claims(study: Study, name: str) -> AblationClaims:

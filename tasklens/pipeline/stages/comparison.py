@@ -1,4 +1,4 @@
-"""Figure of a task-driven and the best imaging lens (the paper's figure 3)."""
+"""Figure of the task-driven lenses and the best imaging lens of some elements (the paper's figure 3)."""
 
 from tasklens.report import figures
 from tasklens.report.measurements import Measurements
@@ -7,6 +7,7 @@ from tasklens.study.settings import Slice
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Draw the lens of a claim and its strongest baseline."""
-    lenses = (settings.claim.lens, Measurements({}, inputs.metrics).strongest_baseline(settings.claim, settings.seed))
+    """Draw the lens of each claim, and their strongest baseline."""
+    strongest = Measurements({}, inputs.metrics).strongest_baseline(settings.claims[0], settings.seed)
+    lenses = [*(claim.lens for claim in settings.claims), strongest]
     figures.draw(outputs.figure, [figures.panel(lens, inputs.lenses[lens], inputs.psfs[lens]) for lens in lenses])
