@@ -111,7 +111,8 @@ def test_table1_means_over_fields_and_seeds(study):
     assert row["worst_margin"] == pytest.approx(-0.02) and "worst_margin_std" not in found  # of both seeds the worst
     assert row["frozen_loss"] == pytest.approx(0.29) and found.loc["reference", "frozen_loss"] == pytest.approx(0.1)
     assert row["gap"] == pytest.approx(-0.05)  # below imaging2, 0.05 better
-    assert pandas.isna(found.loc["imaging2", "gap"])
+    assert pandas.isna(found.loc["imaging2", "gap"])  # saw no image
+    assert found.loc["image_error", "gap"] > 0
     assert row["accuracy_paper"] == 70.08 and row["psnr_db_paper"] == 19.46
     assert found.loc["reference", "accuracy_paper"] == 75.63
     assert pandas.isna(found.loc["imaging1", "accuracy_paper"])

@@ -22,7 +22,7 @@ class TableContents(Frozen):
         name: `table1` .. `table4`.
         lenses, classifiers, seeds: names and seeds of its rows.
         restored: whether captures are restored.
-        gaps: the lenses that stand in the optimality gap of a lens, by lens, in tables 1 and 3.
+        gaps: the other lenses of an optimality gap, by supervised lens, in tables 1 and 3.
     """
 
     study: str
@@ -66,14 +66,14 @@ def table(study: Study, name: str) -> TableContents:
 
 
 def _gaps(study: Study, lenses: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return the other constrained lenses of the same elements, by lens that a frozen classifier supervised."""
+    """Return the other constrained lenses of the same elements, by supervised lens."""
     entries = [study.lens(name) for name in lenses]
     return {
         lens.name: tuple(
             other.name for other in entries if other.elements == lens.elements and other != lens and other.constrained
         )
         for lens in entries
-        if isinstance(lens.design, TaskDrivenSettings) and lens.design.polish is None
+        if lens.supervised
     }
 
 
@@ -121,7 +121,8 @@ class VerificationContents(Frozen):
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
         supervisor: classifier of the optimality gaps.
-        gaps: the lenses that stand in the optimality gap of a lens, by lens; of those that the supervisor measures.
+        gaps: the other lenses of an optimality gap, by lens that only the frozen supervisor has designed; of those that
+            it measures.
         seeds: seeds of the study.
     """
 
@@ -140,6 +141,7 @@ def verification(study: Study) -> VerificationContents:
     """Return the contents of the verification of a study."""
     entries = {name: study.lens(name) for name in table_lenses(study)}
     measured = tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured))
+    gaps = _gaps(study, [name for name in entries if (name, study.supervisor) in measured])
     return VerificationContents(
         lenses=tuple(entries),
         constrained=tuple(name for name, lens in entries.items() if lens.constrained),
@@ -148,6 +150,10 @@ def verification(study: Study) -> VerificationContents:
         tables=tables(study),
         measured=measured,
         supervisor=study.supervisor,
-        gaps=_gaps(study, [name for name in entries if (name, study.supervisor) in measured]),
+        gaps={
+            name: others
+            for name, others in gaps.items()
+            if isinstance(design := entries[name].design, TaskDrivenSettings) and design.polish is None
+        },
         seeds=study.seeds,
     )
