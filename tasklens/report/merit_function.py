@@ -13,6 +13,7 @@ import numpy
 import pandas
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import nnls
 
 from tasklens.report.measurements import Measurements
@@ -132,3 +133,5 @@ def _diagonal(axes: Axes) -> None:
     axes.axline((1, 1), slope=1, color="grey", linewidth=1)
     axes.set(xscale="log", yscale="log", title="One point for each field of each lens")
     axes.set(xlabel="loss predicted from the MTF, lens left out", ylabel="loss")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set(major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=NullFormatter())

@@ -35,9 +35,8 @@ COLUMNS = [
 
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
-where the difference is above zero, or for "at least as accurate" above -{margin:g} points, and does not hold where it
-is below, significantly at 5 % after Holm's correction for the rows of the same claim and table (`p_holm`); it is
-undecided else. Fewer than {least} seeds only suggest. The baseline of each seed is the best of its kind by minival
+where the difference is above zero{margin}, and does not hold where it is below, significantly at 5 % after Holm's
+correction for the rows of the same claim and table (`p_holm`); it is undecided else. Fewer than {least} seeds only suggest. The baseline of each seed is the best of its kind by minival
 accuracy (in brackets: in how many seeds). For the claim about failure, the difference is how far the rule of `failed`
 is missed: half of the light in the window, half of the accuracy above chance."""
 
@@ -160,6 +159,7 @@ def make(claims: Claims, inputs: Files, outputs: Files) -> None:
     rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3f"})
     margin = max((claim.margin for claim in claims.claims), default=0.0)
-    note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=margin)
+    words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
+    note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
     publish(outputs, "Verdicts on the paper's claims", rows, shown, note)
