@@ -36,9 +36,10 @@ COLUMNS = [
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
 where the difference is above zero{margin}, and does not hold where it is below, significantly at 5 % after Holm's
-correction for the rows of the same claim and table (`p_holm`); it is undecided else. Fewer than {least} seeds only suggest. The baseline of each seed is the best of its kind by minival
-accuracy (in brackets: in how many seeds). For the claim about failure, the difference is how far the rule of `failed`
-is missed: half of the light in the window, half of the accuracy above chance."""
+correction for the rows of the same claim and table (`p_holm`); it is undecided else. Fewer than {least} seeds only
+suggest. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in how many seeds). For the
+claim about failure, the difference is how far the rule of `failed` is missed: half of the light in the window, half of
+the accuracy above chance."""
 
 
 def verdict(
