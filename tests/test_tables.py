@@ -78,7 +78,7 @@ def results(tmp_path, monkeypatch, study):
             inside = 0.3 if lens == "doublet-end_to_end_from_imaging" and seed == 1 else 0.9
             figures = {
                 "rms_centroid_um": [8 + k for k in range(9)],
-                "radius_50_um": [3.0] * 9,
+                "core_radius_um": [3.0] * 9,
                 "energy_in_window": [inside] * 9,
             }
             margin = {"limit": "max_slope", "value": 0.01 - 0.03 * seed}

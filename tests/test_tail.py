@@ -1,6 +1,7 @@
 """Tails of PSFs: discs, Gaussian spots and cores with a halo, of which every number is known."""
 
 import math
+from dataclasses import replace
 
 import pandas
 import pytest
@@ -12,6 +13,7 @@ from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import distances
 from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
+from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import view_of_spec
 from tasklens.report.tails import publish_tails
 from tasklens.runtime.files import Files
@@ -20,10 +22,13 @@ from tasklens.study.settings import Spec
 ORIGIN = f64([[0.0, 0.0]])
 
 
-def measured(monkeypatch, points, valid=None, centre=(0.0, 0.0)) -> tuple[dict, pandas.DataFrame]:
+def measured(
+    monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED
+) -> tuple[dict, pandas.DataFrame]:
     """Tail and curve of one field whose rays land on `points` (N, 2) [um] about a chief ray at `centre` [um]."""
     x, y = (points + f64(centre)).T / 1e3
     rays = landed(x[None, None], y[None, None], valid)
+    rays = replace(rays, status=rays.status * lost)
     monkeypatch.setattr(tails_of, "trace_fields", lambda *given: rays)
     monkeypatch.setattr(tails_of, "chief_points", lambda *given: f64([centre]) / 1e3)
     by_field, curve = tail(None, view_of_spec(Spec()), len(points))
@@ -64,6 +69,16 @@ def test_a_core_in_a_halo(monkeypatch):
     assert [at[1.778], at[2.239], at[1000.0]] == pytest.approx([0, 0.6, 0.9])
 
 
+def test_vignetted_light_is_left_out(monkeypatch):
+    """Of ten rays six are stopped by a clear aperture: half of the other four is the core, none of it is lost."""
+    points = f64([[1, 0], [0, 2], [3, 0], [0, 100]] + [[0, 0]] * 6)
+    valid = torch.tensor([True] * 4 + [False] * 6)[None, None]
+    found, curve = measured(monkeypatch, points, valid, lost=RayStatus.VIGNETTED)
+    assert found["core_radius_um"] == pytest.approx(2) and found["radius_80_um"] == pytest.approx(100)
+    assert found["outside_window"] == found["tail_energy"] == pytest.approx(0.25)
+    assert curve.set_index("radius_um")["fraction"][1000.0] == 1
+
+
 def test_a_field_without_a_core_has_no_tail_energy(monkeypatch):
     points, lost = torch.zeros(4, 2, dtype=torch.float64), torch.tensor([True, False, False, False])[None, None]
     found, _ = measured(monkeypatch, points, lost)
@@ -84,11 +99,13 @@ def test_encircled_energy_is_a_count():
 
 
 def test_figures_agree_with_the_lens_file():
-    """By the same rays: energy in the window and RMS about the chief ray."""
+    """By the same rays: core, 80 % radius, energy in the window and RMS about the chief ray."""
     looks = view_of_spec(Spec())
     lens = make_lens([0, 0.7, 0], [0.1, 0.4, 2.6], ("air", "COC", "air"), semi_diameter=[0.5, torch.inf, torch.inf])
     by_field, curve = tail(lens, looks, 256)
     expected = figures(lens, looks, 256)
+    for name in ("core_radius_um", "radius_80_um"):
+        assert [row[name] for row in by_field] == pytest.approx(expected[name], nan_ok=True)
     assert [row["rms_um"] for row in by_field] == pytest.approx(expected["rms_chief_ray_um"], nan_ok=True)
     assert [1 - row["outside_window"] for row in by_field] == pytest.approx(expected["energy_in_window"])
     curve = pandas.DataFrame(curve)

@@ -65,7 +65,7 @@ def results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
                 rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
                 write(files["metrics"], frame.to_csv(index=False))
-            figures = {"rms_centroid_um": [9.0], "radius_50_um": [3.0], "energy_in_window": [inside]}
+            figures = {"rms_centroid_um": [9.0], "core_radius_um": [3.0], "energy_in_window": [inside]}
             text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
             write(jobs.design.output(study, "lens", lens=lens, seed=seed), text)
 

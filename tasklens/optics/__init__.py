@@ -17,6 +17,6 @@ Conventions:
 - Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
 - A wavefront is ahead of its reference where W > 0: the ray's optical path is shorter than that of the chief ray.
   Zernike coefficients are in Noll's order, in waves RMS.
-- Energies and MTF are fractions of the launched rays: lost rays lower them. RMS radii are of the valid rays only.
-  Cached PSFs are normalised to the light that passes the clear apertures: exposure compensates vignetting.
+- Energies, PSFs and MTF are fractions of the light that passes the clear apertures, since exposure compensates
+  vignetting; rays lost otherwise lower them. RMS radii are of the valid rays only.
 """

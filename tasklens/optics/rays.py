@@ -52,6 +52,11 @@ class Rays:
         return self.status == RayStatus.VIGNETTED
 
 
+def passing(rays: Rays) -> Tensor:
+    """Count the rays (F, W, N) that are not vignetted by field, (F,); at least one. Energies are fractions of them."""
+    return (~rays.vignetted).sum((1, 2)).clamp(min=1)
+
+
 def launch(x: Tensor, y: Tensor, z: Tensor, l: Tensor, m: Tensor, n: Tensor) -> Rays:
     """Launch rays at (x, y, z) [mm from the first vertex] along (l, m, n); the arguments broadcast."""
     x, y, z, l, m, n = torch.broadcast_tensors(x, y, z, l, m, n)

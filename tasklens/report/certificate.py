@@ -14,7 +14,7 @@ _FIELDS = (
     ("rms_centroid_um", "RMS centroid [um]", 2),
     ("rms_chief_ray_um", "RMS chief [um]", 2),
     ("rms_wavefront_waves", "RMS wavefront [waves]", 3),
-    ("radius_50_um", "EE50 [um]", 2),
+    ("core_radius_um", "core [um]", 2),
     ("radius_80_um", "EE80 [um]", 2),
     ("mtf_tangential_quarter_nyquist", "MTF T 1/4", 3),
     ("mtf_sagittal_quarter_nyquist", "MTF S 1/4", 3),
@@ -35,14 +35,14 @@ _SEIDEL = {
     "lateral_colour": "C_II",
 }
 _NOTE = """\
-{rays} rays per field and colour. Valid, EE50, EE80 and MTF are of all launched rays, so that lost light counts
-against them; in window leaves out what clear apertures stop; the RMS is of the rays that arrive, that of the
-wavefront at the middle wavelength about the image point that fits best (without piston and tilt). The MTF is
-geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist frequency): diffraction comes
-on top and ends every MTF at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus: of rays next to
-the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of the pupil
-and the largest field, at the middle wavelength; C_I and C_II from the longest to the shortest wavelength.
-Distortion and relative illumination are at the middle wavelength too."""
+{rays} rays per field and colour, of which the fraction valid arrives. In window, core, EE80 and MTF are of the light
+that passes the clear apertures; core and EE80 are the radii about the chief ray that encircle 50 % and 80 % of it.
+The RMS is of the rays that arrive, that of the wavefront at the middle wavelength about the image point that fits
+best (without piston and tilt). The MTF is geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the
+sensor's Nyquist frequency): diffraction comes on top and ends every MTF at {cutoff:.0f} cycles/mm. T is along the
+field, S across it. Focus: of rays next to the chief ray, along z from the image plane. Aberrations: Seidel sums of
+the wavefront at the edge of the pupil and the largest field, at the middle wavelength; C_I and C_II from the longest
+to the shortest wavelength. Distortion and relative illumination are at the middle wavelength too."""
 
 
 def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:

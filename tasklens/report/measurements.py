@@ -15,7 +15,7 @@ from tasklens.study.claims import Claim
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
-    """Compute means over fields from a lens file: RMS and 50 % radius [um], energy inside the window; and worst margin.
+    """Compute means over fields from a lens file: RMS and core radius [um], energy inside the window; and worst margin.
 
     The worst margin is negative where the lens violates a limit of manufacturing [mm], focal length or distortion.
     """
@@ -26,7 +26,7 @@ def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
 
     return {
         "rms_spot_um": mean("rms_centroid_um"),
-        "core_radius_um": mean("radius_50_um"),
+        "core_radius_um": mean("core_radius_um"),
         "energy_in_window": mean("energy_in_window"),
         "worst_margin": content["worst_margin"]["value"],
     }

@@ -10,9 +10,10 @@ from tasklens.runtime.files import Files, write_rows
 
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
-PSFs are centred (table 1: about the centroid). The core holds 50 % of the launched light; `tail_energy` is the share
-outside 3 core radii, `outside_window` that outside the PSF window; the RMS is of the rays that arrive. A sharp core
-with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian spot."""
+PSFs are centred. The core holds 50 % of the light that passes the clear apertures; `tail_energy` is the share outside
+3 core radii, `outside_window` that outside the PSF window; the RMS is of the rays that arrive (table 1: about their
+centroid). A sharp core with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian
+spot."""
 
 
 Rows = Sequence[Mapping[str, Any]]

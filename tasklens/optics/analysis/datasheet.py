@@ -20,6 +20,7 @@ from tasklens.optics.analysis.spots import (
 from tasklens.optics.analysis.wavefront import wavefront
 from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.lens import Lens
+from tasklens.optics.rays import passing
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, number, positive
@@ -80,12 +81,12 @@ def _odd(value: Any, key: str) -> int:
 def figures(lens: Lens, view: View, rays: int) -> dict:
     """Compute the optical figures of a lens; each name ends in its unit, a list has one entry per field.
 
-    Rays are traced through `rays` pupil points per field and wavelength. Energies are fractions of the launched rays:
-    `valid_fraction` of them are valid, `radius_50_um` encircles half of them about the polychromatic centroid, the MTF
-    starts at the valid fraction; `energy_in_window` is a fraction of those that are not vignetted, as in a PSF. RMS
-    radii are of the valid rays. `rms_wavefront_waves` is of their optical path differences at the middle wavelength,
-    without piston and tilt. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are
-    totals at the edge of the pupil and the largest field. A figure about a lost chief ray is NaN.
+    Rays are traced through `rays` pupil points per field and wavelength; `valid_fraction` of them are valid.
+    Energies and MTF are fractions of those that pass the clear apertures: `energy_in_window` is inside the window,
+    `core_radius_um` and `radius_80_um` encircle 50 and 80 % about the chief ray. RMS radii are of the valid rays.
+    `rms_wavefront_waves` is of their optical path differences at the middle wavelength, without piston and tilt.
+    `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at the edge of
+    the pupil and the largest field. A figure about a lost chief ray is NaN.
 
     Raises:
         InputError: the radius of the stop is not positive and finite.
@@ -137,12 +138,12 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     found = {
         "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
         "valid_fraction": traced.valid.double().mean((1, 2)),
-        "energy_in_window": inside.double().sum((1, 2)) / (~traced.vignetted).double().sum((1, 2)).clamp(min=1),
+        "energy_in_window": inside.sum((1, 2)).double() / passing(traced),
         "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
         "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
         "rms_wavefront_waves": rms_wavefront_error(wavefront(lens, view.in_reference(), pupil).opd[:, 0], pupil),
-        "radius_50_um": 1e3 * encircled_energy_radius(traced, middle, 0.5),
-        "radius_80_um": 1e3 * encircled_energy_radius(traced, middle, 0.8),
+        "core_radius_um": 1e3 * encircled_energy_radius(traced, chief, 0.5),
+        "radius_80_um": 1e3 * encircled_energy_radius(traced, chief, 0.8),
         "mtf_tangential_quarter_nyquist": mtf_tangential[:, 0],
         "mtf_sagittal_quarter_nyquist": mtf_sagittal[:, 0],
         "mtf_tangential_half_nyquist": mtf_tangential[:, 1],
@@ -152,7 +153,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
         "focus_sagittal_um": 1e3 * focus_sagittal,
         "relative_illumination": relative_illumination(lens, view),
     }
-    about_chief = ("rms_chief_ray_um", "distortion_percent")
+    about_chief = ("rms_chief_ray_um", "core_radius_um", "radius_80_um", "distortion_percent")
     lost = ~chief_ray.valid[:, 0, 0]
     found |= {name: torch.where(lost, torch.nan, found[name]) for name in about_chief}
     return {name: values.tolist() for name, values in found.items()}

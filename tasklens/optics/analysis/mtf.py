@@ -6,18 +6,18 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from tasklens.optics.rays import Rays
+from tasklens.optics.rays import Rays, passing
 
 
 def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) -> tuple[Tensor, Tensor]:
     """Compute the polychromatic geometric MTF, tangential and sagittal.
 
-    MTF(f) = |(1 / N) sum_i exp(-2 pi i f s_i)|  over the N launched rays of all wavelengths, with equal weights
+    MTF(f) = |(1 / N) sum_i exp(-2 pi i f s_i)|  over the N rays of all wavelengths that pass the clear apertures
 
     s is the coordinate of a ray along the field (tangential: the lines of the grating lie across the field) or across
-    it (sagittal). Lost rays add nothing to the sum but count in N: the MTF begins at the valid fraction, and no
-    contrast is gained by losing rays. Divided by the valid fraction it is the MTF of the arriving light. It includes
-    neither diffraction nor pixels, and is not meaningful near `diffraction_cutoff` and beyond.
+    it (sagittal). Rays lost otherwise add nothing to the sum but count in N: the MTF then begins below one, and no
+    contrast is gained by losing them. It includes neither diffraction nor pixels, and is not meaningful near
+    `diffraction_cutoff` and beyond.
 
     Args:
         rays: rays on the image plane, (F, W, N).
@@ -35,8 +35,8 @@ def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) 
 
     def modulus(coordinate: Tensor) -> Tensor:
         phase = scale * coordinate
-        parts = (torch.where(rays.valid[..., None], f(phase), 0.0).mean((1, 2)) for f in (torch.cos, torch.sin))
-        return torch.hypot(*parts)
+        parts = (torch.where(rays.valid[..., None], f(phase), 0.0).sum((1, 2)) for f in (torch.cos, torch.sin))
+        return torch.hypot(*parts) / passing(rays)[:, None]
 
     return modulus(ex * x + ey * y), modulus(ex * y - ey * x)
 

@@ -1,9 +1,9 @@
 """Rays on the image plane: chief rays, spots, ray fans, distortion, clear apertures and PSFs.
 
-Lost rays are NaN in a spot diagram and left out of an RMS; encircled energies are fractions of all launched rays.
+Lost rays are NaN in a spot diagram and left out of an RMS. Energies are fractions of the light that passes the clear
+apertures, as in a PSF (`passing`): vignetted rays are left out, and rays lost otherwise are outside every radius.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -13,7 +13,7 @@ from tasklens.optics.analysis.diffraction import diffraction_psf
 from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.rays import Rays
+from tasklens.optics.rays import Rays, passing
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
@@ -92,13 +92,13 @@ def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
 
 
 def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tensor:
-    """Compute the smallest radius (F,) about `centre` (F, 2) that encircles `fraction` of the launched rays [mm].
+    """Compute the smallest radius (F,) about `centre` (F, 2) that encircles `fraction` of the light [mm].
 
-    Lost rays enlarge the radius, which is infinite if too few rays are valid.
+    It is infinite if too few rays are valid. The core of a PSF is 50 % about the image point of the chief ray.
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
-    needed = math.ceil(fraction * ordered.shape[1] * (1 - 1e-12))  # 0.1 x 30 is 3.0000000000000004
-    return ordered[:, max(needed, 1) - 1]
+    needed = torch.ceil(fraction * passing(rays) * (1 - 1e-12)).long()  # 0.1 x 30 is 3.0000000000000004
+    return ordered.gather(1, needed.clamp(min=1)[:, None] - 1)[:, 0]
 
 
 @dataclass(frozen=True)

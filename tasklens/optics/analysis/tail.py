@@ -1,7 +1,7 @@
 """Energy in the tail of a PSF, and encircled energy.
 
 Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are fractions of
-the launched rays: a lost ray is outside every radius.
+the light that passes the clear apertures.
 """
 
 import torch
@@ -16,7 +16,7 @@ from tasklens.optics.analysis.spots import (
     trace_fields,
 )
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Rays
+from tasklens.optics.rays import Rays, passing
 from tasklens.optics.view import View
 
 TAIL = 3.0  # radius outside which light belongs to the tail [core radii]
@@ -24,14 +24,14 @@ RADII_UM = [round(10 ** (k / 20), 3) for k in range(-20, 61)]  # 20 per decade, 
 
 
 def encircled_energy(rays: Rays, centre: Tensor, radii: Tensor) -> Tensor:
-    """Compute the fraction (F, R) of the launched rays within `radii` of `centre` (F, 2) [mm].
+    """Compute the fraction (F, R) of the light within `radii` of `centre` (F, 2) [mm].
 
     Args:
         radii: (R,) for all fields, or (F, R) [mm].
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
     wanted = radii.expand(len(ordered), -1).contiguous()
-    return torch.searchsorted(ordered, wanted, right=True).double() / ordered.shape[1]
+    return torch.searchsorted(ordered, wanted, right=True).double() / passing(rays)[:, None]
 
 
 def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
@@ -52,7 +52,7 @@ def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
         "core_radius_um": 1e3 * core,
         "radius_80_um": 1e3 * encircled_energy_radius(traced, centre, 0.8),
         "tail_energy": torch.where(core.isfinite(), tail_energy, torch.nan),
-        "outside_window": 1 - inside.double().mean((1, 2)),
+        "outside_window": 1 - inside.sum((1, 2)).double() / passing(traced),
         "rms_um": 1e3 * rms_spot_radius(traced, centre),
     }
     columns = {name: values.tolist() for name, values in found.items()}
