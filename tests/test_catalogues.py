@@ -28,8 +28,8 @@ def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
     (tmp_path / "mine.AGF").write_bytes(bom + text.encode(encoding))
     found = catalogues.read(tmp_path / "mine.AGF")
     assert found == {
-        "CROWN": Material("CROWN", "schott", (2.29, -0.0102, 0.0134, 2e-4, 0, 0), (0.4, 0.8), "mine.AGF"),
-        "FLINT": Material("FLINT", "conrady", (1.5, 0.01, 0.002), (0.35, 0.9), "mine.AGF"),
+        "CROWN": Material("CROWN", "schott", (2.29, -0.0102, 0.0134, 2e-4, 0, 0), (0.4, 0.8), "mine.AGF", "mine CROWN"),
+        "FLINT": Material("FLINT", "conrady", (1.5, 0.01, 0.002), (0.35, 0.9), "mine.AGF", "mine FLINT"),
     }
 
 

@@ -3,12 +3,23 @@
 import math
 
 import pytest
+from examples import f64, make_lens
 from test_zemax_files import FILES, reading_of
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription, for_view
+from tasklens.optics.view import view_of_spec
+from tasklens.study.settings import Spec
 
 optiland = pytest.importorskip("optiland.fileio")
+LENS = make_lens(  # a doublet that fits the default specification to first order
+    [0.0, 0.5, -0.3, 0.1, 0.2],
+    [0.1, 0.9, 0.4, 0.7, 2.0],
+    ("air", "COC", "air", "PS", "air"),
+    alpha=f64([[0.0] * 3, [0.0, 0.02, 0.01], [0.0, -0.05, 0.02], [0.0, -0.1, 0.03], [0.0, -0.1, 0.02]]),
+    semi_diameter=[0.52, 0.8, 0.9, 1.2, 1.5],
+)
 WITHOUT_SURFACE = {"US-12078784-B2-e6", "US20210165194A1"}  # extended aspheres
 
 
@@ -33,3 +44,17 @@ def test_optiland_reads_what_we_write(tmp_path, path):
     assert tuple(float(w.value) for w in found.wavelengths) == shown.wavelengths_um
     efl = float(paraxial(lens, shown.wavelengths_um[shown.primary]).efl)
     assert float(found.paraxial.f2()) == pytest.approx(efl, rel=5e-4)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_optiland_reads_a_lens_of_a_study(tmp_path):
+    """Its spec becomes fields and wavelengths; names of glasses are those that both programs know."""
+    view = view_of_spec(Spec())
+    zemax.write(tmp_path / "lens.zmx", for_view(Prescription(LENS), view))
+    found = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
+    assert float(found.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
+    assert found.fields.num_fields == len(view.fields)
+    assert found.fields.max_y_field == pytest.approx(math.degrees(math.atan(float(view.tangents[:, 1].max()))))
+    assert [float(wave.value) for wave in found.wavelengths] == list(view.wavelengths)
+    ours = zemax.read(tmp_path / "lens.zmx")
+    assert ours.lens.media == LENS.media and ours.lens.curvature.tolist() == LENS.curvature.tolist()

@@ -8,6 +8,7 @@ import torch
 import yaml
 from examples import f64, make_lens, materials
 
+from tasklens.materials import catalogues
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import FIELDS, Prescription
@@ -53,6 +54,11 @@ def random_prescription(seed: int) -> Prescription:
     )
 
 
+def unsourced(material: Material) -> Material:
+    """A material without its source, which a catalogue does not hold."""
+    return replace(material, source="")
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_round_trip_keeps_every_bit(tmp_path, seed):
     shown = random_prescription(seed)
@@ -60,7 +66,8 @@ def test_round_trip_keeps_every_bit(tmp_path, seed):
     zemax.write(tmp_path / "lens.zmx", shown)
     found = zemax.read(tmp_path / "lens.zmx", [tmp_path / "mine.yaml"])
     assert replace(found, lens=None) == replace(shown, lens=None)
-    assert (found.lens.media, found.lens.stop) == (shown.lens.media, shown.lens.stop)
+    assert [unsourced(m) for m in found.lens.media] == [unsourced(m) for m in shown.lens.media]
+    assert found.lens.stop == shown.lens.stop
     for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
         a, b = getattr(found.lens, name), getattr(shown.lens, name)
         assert torch.equal(a.view(torch.int64), b.view(torch.int64)), name
@@ -94,6 +101,32 @@ def test_what_a_file_cannot_hold_is_refused(tmp_path, change, words):
         zemax.write(tmp_path / "lens.zmx", replace(random_prescription(1), **change))
     assert all(word in str(error.value) for word in words), error.value
     assert not (tmp_path / "lens.zmx").exists()
+
+
+def test_glasses_have_the_names_of_opticstudio(tmp_path):
+    """Polystyrene is POLYSTYR of MISC there; what it lacks is in a catalogue beside the file."""
+    shown = random_prescription(1)
+    media = (*materials("PS", "PC", "COC", "OKP4HT", "OKP4"), MINE)
+    zemax.write(tmp_path / "lens.zmx", replace(shown, aperture=None, lens=replace(shown.lens, media=media)))
+    lines = (tmp_path / "lens.zmx").read_bytes().decode("latin-1").replace("\0", "").split("\r\n")
+    assert "GCAT MISC PLASTIC2022 LENS" in lines
+    names = [line.split()[1] for line in lines if line.startswith("  GLAS")]
+    assert names == ["POLYSTYR", "POLYCARB", "COC", "OKP4HTL", "OKP4", "MINE"]
+    found = zemax.read(tmp_path / "lens.zmx").lens.media
+    assert found[:4] == media[:4]
+    assert found[4:] == tuple(replace(medium, source="lens.agf") for medium in media[4:])
+    (tmp_path / "lens.agf").unlink()
+    with pytest.raises(FileError, match="MINE"):
+        zemax.read(tmp_path / "lens.zmx")
+
+
+def test_a_catalogue_has_nd_and_vd_for_lists(tmp_path):
+    """Those of polystyrene as in Zemax's own catalogue; none where the fit does not reach the visible lines."""
+    infrared = Material("IR", "conrady", (1.5, 0.01, 0.002), (0.8, 2.0))
+    catalogues.write_agf(tmp_path / "m.agf", [*materials("PS"), infrared])
+    heads = [line.split() for line in (tmp_path / "m.agf").read_text().splitlines() if line.startswith("NM")]
+    assert heads[0][1:4] == ["PS", "1", "0"] and heads[1][4:6] == ["0.000000", "0.000000"]
+    assert [float(word) for word in heads[0][4:6]] == pytest.approx([1.590481, 30.866877], rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ["MY GLASS", "MIRROR", "___BLANK"])

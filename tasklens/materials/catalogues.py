@@ -1,16 +1,17 @@
-"""Reading of material files: our YAML, and Zemax's glass catalogues (.AGF)."""
+"""Material files: our YAML, read, and Zemax's glass catalogues (.AGF), read and written."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from functools import cache
 from pathlib import Path
 
 import yaml
 
 from tasklens.materials.material import FORMULAS, Material, from_definitions
-from tasklens.materials.zemax_text import Line, read_lines
-from tasklens.runtime.files import FileError
+from tasklens.materials.zemax_text import BLANK, Line, decimal, read_lines
+from tasklens.runtime.files import FileError, replacing
 
 PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in plastics
+_FORMULAS = [name for name in FORMULAS if name != "model"]  # in the order of Zemax's numbers, from 1
 
 
 def read(path: Path) -> dict[str, Material]:
@@ -45,6 +46,38 @@ def builtin(name: str) -> Material:
     return _builtin()[name]
 
 
+def in_zemax(catalogues: Container[str]) -> dict[str, Material]:
+    """Return the built-in plastics that OpticStudio has in one of some catalogues, by the name that it gives them."""
+    known = {tuple(material.zemax.split()): material for material in _builtin().values() if material.zemax}
+    return {name: material for (catalogue, name), material in known.items() if catalogue in catalogues}
+
+
+def write_agf(path: Path, materials: Iterable[Material]) -> None:
+    """Write a Zemax catalogue; `read` restores every coefficient exactly.
+
+    Raises:
+        FileError: a name that Zemax cannot have, or a source of several lines.
+    """
+    lines = ["CC written by TaskLens; indices relative to air"]
+    for material in materials:
+        check_name(material.name)
+        if len(material.source.splitlines()) > 1:
+            raise FileError(f"{material.name}: its source has several lines; a Zemax catalogue has room for one")
+        nd, vd = material.abbe()
+        lines += [f"NM {material.name} {_FORMULAS.index(material.formula) + 1} 0 {nd:.6f} {vd:.6f} 0 0 0"]
+        lines += [f"GC {material.source}".strip(), "ED 0 0 0 0 0 0"]
+        lines += [f"CD {' '.join(map(decimal, material.coefficients))}", "TD 0 0 0 0 0 0 20", "OD -1 -1 -1 -1 -1 -1"]
+        lines += [f"LD {' '.join(map(decimal, material.range_um))}"]
+    with replacing(path) as temporary:
+        temporary.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
+
+
+def check_name(name: str) -> None:
+    """Raise FileError where Zemax cannot have a glass of this name."""
+    if " " in name or name in ("MIRROR", BLANK):
+        raise FileError(f"Zemax cannot have a glass called {name!r}; rename it")
+
+
 @cache
 def _builtin() -> dict[str, Material]:
     return read(PLASTICS)
@@ -64,28 +97,28 @@ def _read_agf(path: Path) -> dict[str, Material]:
         raise FileError(f"{path}: no glass (NM) in it")
     found: dict[str, Material] = {}
     for glass in glasses:
-        material = _glass(glass, path.name)
+        material = _glass(glass, path)
         found.setdefault(material.name, material)
     return found
 
 
-def _glass(lines: dict[str, Line], source: str) -> Material:
+def _glass(lines: dict[str, Line], path: Path) -> Material:
     head = lines["NM"]
     for keyword in ("CD", "LD"):
         if keyword not in lines:
             raise head.error(f"{head.text!r} has no {keyword} line")
-    formulas = [name for name in FORMULAS if name != "model"]
     which = head.integer(1)
-    if not 1 <= which <= len(formulas):
-        raise head.error(f"expected a dispersion formula 1 .. {len(formulas)}, found {which}")
-    formula = formulas[which - 1]
+    if not 1 <= which <= len(_FORMULAS):
+        raise head.error(f"expected a dispersion formula 1 .. {len(_FORMULAS)}, found {which}")
+    formula = _FORMULAS[which - 1]
     # Catalogues append or omit zero coefficients.
     given = [lines["CD"].number(i) for i in range(len(lines["CD"].words))]
     count = FORMULAS[formula][0]
     coefficients = tuple([*given, *[0.0] * count][:count])
     try:
         range_um = (lines["LD"].number(0), lines["LD"].number(1))
-        return Material(head.words[0], formula, coefficients, range_um, source)
+        known = f"{path.stem} {head.words[0]}" if " " not in path.stem else ""
+        return Material(head.words[0], formula, coefficients, range_um, path.name, known)
     except FileError:
         raise
     except ValueError as error:

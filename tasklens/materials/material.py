@@ -86,6 +86,7 @@ class Material:
         coefficients: coefficients of the formula, for wavelengths in um.
         range_um: shortest and longest wavelength of the fit [um].
         source: source of the coefficients.
+        zemax: its catalogue and name in OpticStudio, such as `MISC POLYSTYR`; empty if it is not there.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Material:
     coefficients: tuple[float, ...]
     range_um: tuple[float, float]
     source: str = ""
+    zemax: str = ""
 
     def __post_init__(self) -> None:
         if self.formula not in FORMULAS:
@@ -102,6 +104,10 @@ class Material:
             raise ValueError(f"{self.name}: {self.formula} has {count} coefficients, got {len(self.coefficients)}")
         if not 0 <= self.range_um[0] < self.range_um[1]:
             raise ValueError(f"{self.name}: expected a range of rising wavelengths, got {self.range_um}")
+        if self.zemax and len(self.zemax.split()) != 2:
+            raise ValueError(
+                f"{self.name}: zemax: expected a catalogue and a name, such as MISC PMMA, got {self.zemax}"
+            )
 
     def covers(self, wavelength: float) -> bool:
         """Return whether `wavelength` [um] is in the range of the fit."""
@@ -128,6 +134,14 @@ class Material:
             )
         return index
 
+    def abbe(self) -> tuple[float, float]:
+        """Compute nd and Vd = (nd - 1) / (nF - nC); zeros where the fit does not cover F, d, C; Vd 0 without dispersion."""
+        lines = F_LINE, D_LINE, C_LINE
+        if not all(map(self.covers, lines)):
+            return 0.0, 0.0
+        nf, nd, nc = map(self.refractive_index, lines)
+        return nd, (nd - 1) / (nf - nc) if nf != nc else 0.0
+
     def definition(self) -> dict:
         """Return the entry of the material in a YAML file, without its name."""
         return {
@@ -135,6 +149,7 @@ class Material:
             "coefficients": list(self.coefficients),
             "range_um": list(self.range_um),
             "source": self.source,
+            **({"zemax": self.zemax} if self.zemax else {}),
         }
 
 
@@ -162,7 +177,7 @@ def _defined(name: object, entry: object, where: str) -> Material:
     if not isinstance(name, str) or not name or name == AIR.name:
         raise FileError(f"{where}: {name!r} cannot be the name of a material")
     where = f"{where}: {name}"
-    known = ("formula", "coefficients", "range_um", "source")
+    known = ("formula", "coefficients", "range_um", "source", "zemax")
     if not isinstance(entry, Mapping) or not set(known[:3]) <= set(entry) <= set(known):
         raise FileError(f"{where}: expected the keys {', '.join(known)}, found {entry!r}")
     for key in ("coefficients", "range_um"):
@@ -173,6 +188,7 @@ def _defined(name: object, entry: object, where: str) -> Material:
     coefficients = tuple(number(value, f"{where}: coefficients") for value in entry["coefficients"])
     low, high = (number(value, f"{where}: range_um") for value in entry["range_um"])
     try:
-        return Material(name, str(entry["formula"]), coefficients, (low, high), str(entry.get("source", "")))
+        words = (str(entry.get(key, "")) for key in ("source", "zemax"))
+        return Material(name, str(entry["formula"]), coefficients, (low, high), *words)
     except ValueError as error:
         raise FileError(f"{where.removesuffix(name)}{error}") from None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tasklens.runtime.files import FileError, number
 
+BLANK = "___BLANK"  # name of a glass without one
 _MARKS = {  # byte order marks; that of UTF-32 begins with that of UTF-16
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF32_LE: "utf-32",

@@ -12,7 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tasklens.materials.catalogues import collect
+from tasklens.materials.catalogues import collect, in_zemax, write_agf
+from tasklens.materials.material import AIR
 from tasklens.materials.zemax_text import Line, decimal, read_lines
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io.prescription import FIELDS, Prescription
@@ -48,8 +49,8 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
 def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
     """Read the prescription from a Zemax lens file.
 
-    Glasses are looked up in `catalogues` (.agf or our YAML), those listed in GCAT first and in its order, then among
-    the built-in plastics.
+    Glasses are looked up in `catalogues` (.agf or our YAML), those listed in GCAT first and in its order, in the
+    catalogue that `write` put beside the file, then among the built-in plastics, by our names and OpticStudio's.
 
     A surface vignettes as in Zemax: by a circular or floating aperture, or a semi-diameter that is fixed or picked up;
     automatic semi-diameters do not vignette. The radius of the stop follows from the aperture (`stop_radius`, at the
@@ -74,8 +75,15 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
         raise FileError(f"{path}: expected STOP on a surface between object and image, found 0")
     named = system["GCAT"].text.upper().split() if "GCAT" in system else []
     ranked = sorted(catalogues, key=lambda file: [*named, file.stem.upper()].index(file.stem.upper()))
+    own = path.with_suffix(".agf")
+    if own.stem.upper() in named and own.exists():
+        ranked.append(own)
+    glasses = in_zemax(named) | collect(ranked)
+    for name, material in glasses.items():
+        if material.zemax.startswith(f"{own.stem} "):  # OpticStudio does not have it
+            glasses[name] = replace(material, zemax="")
     searched = ", ".join([*(file.name for file in ranked), "the built-in plastics"])
-    lens = to_lens(inner, stops[0], unit, collect(ranked), searched)
+    lens = to_lens(inner, stops[0], unit, glasses, searched)
 
     wavelengths, primary = read_wavelengths(system, path)
     object_distance = read_object_distance(blocks[0].line("DISZ"), unit)
@@ -156,18 +164,24 @@ def _check_ends(blocks: list[Block]) -> None:
 def write(path: Path, prescription: Prescription) -> None:
     """Write a Zemax lens file; `read` restores every number exactly.
 
-    A glass is written by its name, which OpticStudio looks up in its own catalogues.
+    A glass has the name by which OpticStudio knows it. Those that it does not know are written to a catalogue beside
+    the file, of the same name (.agf), which belongs into OpticStudio's folder `Glasscat`.
 
     Raises:
         FileError: no fields or wavelengths, more wavelengths than Zemax allows, an aperture that does not fit the stop,
             or a text or name that the file cannot hold.
     """
-    text = "\r\n".join(_lines(prescription, str(path))) + "\r\n"
+    own = {m.name: m for m in prescription.lens.media if m != AIR and m.formula != "model" and not m.zemax}
+    if own and " " in path.stem:
+        raise FileError(f"{path}: the name of a Zemax catalogue has no spaces; rename the file")
+    text = "\r\n".join(_lines(prescription, str(path), [path.stem.upper()] if own else [])) + "\r\n"
+    if own:
+        write_agf(path.with_suffix(".agf"), own.values())
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode("ascii" if text.isascii() else "utf-16"))
 
 
-def _lines(prescription: Prescription, name: str) -> list[str]:
+def _lines(prescription: Prescription, name: str, own: list[str]) -> list[str]:
     lens, wavelengths, primary = prescription.lens, prescription.wavelengths_um, prescription.primary or 0
     comments = prescription.comments or ("",) * len(lens.media)
     if not prescription.fields or not wavelengths or len(wavelengths) > _WAVELENGTHS:
@@ -187,7 +201,7 @@ def _lines(prescription: Prescription, name: str) -> list[str]:
     elif not math.isfinite(radii[lens.stop]):
         raise FileError(f"{name}: the lens has neither an aperture nor a radius of its stop")
     kind, points = prescription.fields
-    catalogues = dict.fromkeys(Path(m.source).stem for m in lens.media if m.source.lower().endswith(".agf"))
+    catalogues = dict.fromkeys([*(m.zemax.split()[0] for m in lens.media if m.zemax), *own])
     zeros = " 0" * len(points)
     lines = [
         "VERS 190513 80 123457 L123457",

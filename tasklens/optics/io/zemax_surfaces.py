@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import torch
 
 from tasklens.materials.material import AIR, Material, model_glass
-from tasklens.materials.zemax_text import Line, decimal
+from tasklens.materials.zemax_text import BLANK, Line, decimal
 from tasklens.optics.io.zemax_keywords import check_aperture
 from tasklens.optics.lens import Lens
-from tasklens.runtime.files import FileError
 
-_BLANK = "___BLANK"  # Zemax's name of a model glass without a name
 _TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
 _MOST_TERMS = 240  # terms of an extended asphere
 _HEAD = 2  # numbers of an extended asphere in front of its coefficients
@@ -172,22 +170,18 @@ def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material
         if not 1 <= source <= len(before):
             raise line.error(f"picked up from surface {source}, which is not in front of it")
         return before[source - 1]
-    if solve == 1 or name == _BLANK:
+    if solve == 1 or name == BLANK:
         nd, vd, dpgf = line.number(3), line.number(4), line.number(5) if len(line.words) > 5 else 0.0
         if nd < 1 or vd < 0:
             raise line.error(f"no model glass has nd = {nd} and Vd = {vd}")
-        return model_glass(nd, vd, dpgf, "" if name == _BLANK else name)
+        return model_glass(nd, vd, dpgf, "" if name == BLANK else name)
     if name not in glasses:
         raise line.error(f"unknown glass {name!r}; searched in {searched}. Give its catalogue, or define it in YAML")
     return glasses[name]
 
 
 def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
-    """Convert surface `index` of a lens to lines [mm]; `radius` is that of its clear aperture, infinite without one.
-
-    Raises:
-        FileError: a material name that is not possible in Zemax.
-    """
+    """Convert surface `index` of a lens to lines [mm]; `radius` is that of its clear aperture, infinite without one."""
     alpha = lens.alpha[index].tolist()
     while alpha and not alpha[-1]:
         alpha.pop()
@@ -203,7 +197,7 @@ def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
         lines += [f'  XDAT {k} {decimal(v)} 0 0 1 0 0 ""' for k, v in enumerate((float(len(alpha)), 1.0, *alpha), 1)]
     lines.append(f"  DISZ {decimal(float(lens.thickness[index]))}")
     if lens.media[index] != AIR:
-        lines.append(f"  GLAS {_glass(lens.media[index], index)}")
+        lines.append(f"  GLAS {_glass(lens.media[index])}")
     lines.append(f"  CONI {decimal(float(lens.conic[index]))}")
     if math.isfinite(radius):
         lines += [f'  DIAM {decimal(radius)} 1 0 0 1 ""', f"  FLAP 0 {decimal(radius)} 0"]
@@ -212,11 +206,11 @@ def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
     return lines
 
 
-def _glass(material: Material, index: int) -> str:
+def _glass(material: Material) -> str:
     if material.formula == "model":
         numbers = " ".join(decimal(value) for value in material.coefficients)
-        label = material.name.split()[0] if " " in material.name else _BLANK
+        label = material.name.split()[0] if " " in material.name else BLANK
         return f"{label} 1 0 {numbers} 0 0 0 0 0"
-    if " " in material.name or material.name in ("MIRROR", _BLANK):
-        raise FileError(f"surface {index}: Zemax cannot have a glass called {material.name!r}; rename it")
-    return f"{material.name} 0 0 1.5 40 0 0 0 0 0 0"  # placeholders: Zemax takes the index from the catalogue
+    name = material.zemax.split()[-1] if material.zemax else material.name
+    nd, vd = map(decimal, material.abbe())  # for readers without the catalogue, from which Zemax takes the index
+    return f"{name} 0 0 {nd} {vd} 0 0 0 0 0 0"
