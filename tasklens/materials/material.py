@@ -135,7 +135,7 @@ class Material:
         return index
 
     def abbe(self) -> tuple[float, float]:
-        """Compute nd and Vd = (nd - 1) / (nF - nC); zeros where the fit does not cover F, d, C; Vd 0 without dispersion."""
+        """Compute nd and Vd = (nd - 1) / (nF - nC); zeros where the fit does not cover F, d and C."""
         lines = F_LINE, D_LINE, C_LINE
         if not all(map(self.covers, lines)):
             return 0.0, 0.0
