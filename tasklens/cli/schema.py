@@ -2,7 +2,7 @@
 
 import json
 
-from tasklens.study.study import Study
+from tasklens.study import schema as study_schema
 
 
 def schema() -> None:
@@ -12,4 +12,4 @@ def schema() -> None:
 
     # yaml-language-server: $schema=study.schema.json
     """
-    print(json.dumps(Study.model_json_schema(), indent=2))
+    print(json.dumps(study_schema.schema(), indent=2))

@@ -16,7 +16,7 @@ from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
 from tasklens.study import single
 from tasklens.study.study import Study
-from tasklens.study.tables import candidates, starts
+from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # of a folder, at most
 
@@ -51,7 +51,7 @@ def design(
             if len(first) > 1:
                 raise InputError(f"{entry.design_name} begins with one lens, expected one, got {', '.join(first)}")
             made[name], notes, _ = methods.design(
-                found.lens_design(name, seed),
+                lens_design(found, name, seed),
                 network if entry.classified else None,
                 dataset if entry.supervised else None,
                 {other: (made[other], 0.0) for other in first},

@@ -73,7 +73,7 @@ def design(study: Study, lens: str, seed: int) -> Plan:
         "starts": {name: lens_file(study, name, seed) for name in starts},
         "metrics": {name: measurement(study, name, study.supervisor, seed, "metrics") for name in starts},
     }
-    return Plan(study.lens_design(lens, seed), inputs, gpus=int(entry.supervised))
+    return Plan(paper_tables.lens_design(study, lens, seed), inputs, gpus=int(entry.supervised))
 
 
 def _diffraction_patterns(study: Study) -> dict[str, str]:

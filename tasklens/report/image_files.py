@@ -26,7 +26,9 @@ def write_psf(path: Path, grid: Tensor, lens: Lens, view: View) -> None:
     suffix = path.suffix.lower()
     illumination, notes = relative_illumination(lens, view), psf_notes(view, grid)
     if suffix == ".npz":
-        arrays: dict[str, Any] = {key: numpy.asarray(notes[key]) for key in ("fields_mm", "wavelengths_um", "pixel_pitch_um")}
+        arrays: dict[str, Any] = {
+            key: numpy.asarray(notes[key]) for key in ("fields_mm", "wavelengths_um", "pixel_pitch_um")
+        }
         with replacing(path) as temporary, open(temporary, "wb") as file:
             numpy.savez_compressed(file, psf=grid.detach().numpy(), illumination=illumination.numpy(), **arrays)
     elif suffix == ".safetensors":

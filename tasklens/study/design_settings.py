@@ -2,8 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
-from pydantic_core import CoreSchema
+from pydantic import Field, field_validator, model_validator
 
 from tasklens.study.settings import (
     Count,
@@ -45,11 +44,6 @@ class LearningRates(Frozen):
         if given not in PRESETS:
             raise ValueError(f"expected learning rates, or one of {', '.join(PRESETS)}")
         return PRESETS[given]
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Let editors accept the name of a preset too."""
-        return {"anyOf": [{"enum": list(PRESETS)}, handler(core)]}
 
 
 class ColdStart(Frozen):

@@ -36,6 +36,11 @@ def problems(error: ValidationError, settings: Any) -> list[str]:
     return [_line(item, settings) for item in error.errors()]
 
 
+def in_words(where: str, error: ValidationError, settings: Any) -> str:
+    """Return all mistakes in one line, each key with `where` in front."""
+    return "; ".join(f"{where}.{line}" for line in problems(error, settings))
+
+
 def missing_keys(error: ValidationError) -> list[str]:
     """Return the keys at the top that are missing."""
     return [str(item["loc"][0]) for item in error.errors() if item["type"] == "missing" and len(item["loc"]) == 1]

@@ -22,8 +22,8 @@ from tasklens.study.design_settings import (
     SupervisedSettings,
     TaskDrivenSettings,
 )
-from tasklens.study.lens_entries import ImportedLens, LensDesign, LensEntry
-from tasklens.study.messages import problems
+from tasklens.study.lens_entries import ImportedLens, LensEntry
+from tasklens.study.messages import in_words
 from tasklens.study.settings import (
     CaptureSettings,
     ClassifierSettings,
@@ -44,12 +44,6 @@ TABLES: tuple[TableName, ...] = get_args(TableName)
 
 class StudyError(InputError):
     """A study file that cannot be run; the message names the key, the value and what was expected."""
-
-
-def _files_or_definitions(schema: dict[str, Any]) -> None:
-    """Let editors accept what `materials` is given as: files, or definitions by name."""
-    definitions = {key: schema.pop(key) for key in ("type", "additionalProperties")}
-    schema["anyOf"] = [{"type": "array", "items": {"type": "string"}}, definitions]
 
 
 class Study(Frozen):
@@ -82,10 +76,7 @@ class Study(Frozen):
     evaluation_rays: Count = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
     elements: dict[Name, tuple[str, ...]] = Field(min_length=1, description="Plastics from front to back, by name.")
     materials: dict[str, Material] = Field(
-        default_factory=dict,
-        validate_default=True,
-        description="Files of further plastics (.yaml, .agf).",
-        json_schema_extra=_files_or_definitions,
+        default_factory=dict, validate_default=True, description="Files of further plastics (.yaml, .agf)."
     )
     designs: dict[Name, DesignSettings] = Field(min_length=1, description="Design methods by name.")
     imported: dict[Name, ImportedLens] = Field(default_factory=dict, description="Lenses from files, by name.")
@@ -226,13 +217,8 @@ class Study(Frozen):
             try:
                 lens = self._variant(name, variant)
             except ValidationError as error:
-                where = f"ablations.{name}.variants.{variant}"
-                of_capture = error.title == CaptureSettings.__name__
-                raise _within(
-                    f"{where}.capture" if of_capture else where,
-                    error,
-                    CaptureSettings if of_capture else DesignSettings,
-                ) from None
+                changed: Any = CaptureSettings if error.title == CaptureSettings.__name__ else DesignSettings
+                raise ValueError(in_words(f"ablations.{name}.variants.{variant}", error, changed)) from None
             named = [*self.designs, *self.imported]
             named += [item.name(key, other) for key, item in self.ablations.items() for other in item.variants]
             if named.count(lens.design_name) > 1:
@@ -248,7 +234,7 @@ class Study(Frozen):
         try:
             return Spec.model_validate(common | self.specs.get(elements, {}))
         except ValidationError as error:
-            raise _within(f"specs.{elements}", error, Spec) from None
+            raise ValueError(in_words(f"specs.{elements}", error, Spec)) from None
 
     def capture_of(self, lens: str) -> CaptureSettings:
         """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""
@@ -291,19 +277,6 @@ class Study(Frozen):
         """Names of the imaging designs that others start from: not those whose apertures stop light."""
         return tuple(name for name in self.imaging_designs if getattr(self.designs[name], "vignetting", None) is None)
 
-    def lens_design(self, name: str, seed: int) -> LensDesign:
-        """Return what the design of the lens `name` may read; raises StudyError."""
-        entry = self.lens(name)
-        return LensDesign(
-            entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
-            spec=self.spec_of(entry.elements),
-            constraints=self.constraints,
-            capture=self.capture_of(name).model_copy(update={"diffraction": False}) if entry.supervised else None,
-            classifier=self.classifier(self.supervisor) if entry.classified else None,
-            rays=self.evaluation_rays,
-            seed=seed,
-        )
-
     def lens(self, name: str) -> LensEntry:
         """Return the lens `name`; raises StudyError with the known names."""
         return pick(self.lenses | self.variants, name, "lens")
@@ -311,11 +284,6 @@ class Study(Frozen):
     def classifier(self, name: str) -> ClassifierSettings:
         """Return the classifier `name`; raises StudyError with the known names."""
         return pick(self.classifiers, name, "classifier")
-
-
-def _within(where: str, error: ValidationError, settings: Any) -> ValueError:
-    """Return the error of settings that are checked after all others, in the words of all others."""
-    return ValueError("; ".join(f"{where}.{line}" for line in problems(error, settings)))
 
 
 _Entry = TypeVar("_Entry")
