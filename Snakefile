@@ -4,6 +4,7 @@ import os
 import shlex
 import sys
 from functools import cache
+from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
@@ -24,7 +25,7 @@ if not workflow.config_settings.configfiles:
 
 
 try:
-    study = loading.parse(config)
+    study = loading.parse(config, [Path(path) for path in workflow.config_settings.configfiles])
 except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
@@ -88,7 +89,7 @@ for target, paths in TARGETS.items():
 include: "workflow/rules/jobs.smk"
 
 
-if jobs.others(study):  # `tasklens fine-tune` makes one of these by hand
+if jobs.others(study):  # `tasklens run fine-tune` makes one of these by hand
 
     ruleorder: fine_tune_others > fine_tune
 
@@ -103,7 +104,7 @@ onstart:
     kinds = {job.rule.name for job in running}
     networks = "--networks" if "reference" in kinds else ""
     if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
-        shell("tasklens check {RESOLVED} {networks} > /dev/null")
+        shell("tasklens study check {RESOLVED} {networks} > /dev/null")
     found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
     if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
         found.discard(str(report_jobs.verdicts.output(study, "md")))
@@ -117,4 +118,4 @@ onsuccess:
 
 
 onerror:
-    print(f"Tables of what has finished: tasklens table {RESOLVED} {study.tables[0]} --partial")
+    print(f"Tables of what has finished: tasklens run table {RESOLVED} {study.tables[0]} --partial")

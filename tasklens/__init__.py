@@ -1,1 +1,27 @@
-"""Task-driven lens design: the gradient of a classifier's loss passes through captures, PSFs and rays to the lens."""
+"""Task-driven lens design: the gradient of a classifier's loss passes through captures, PSFs and rays to the lens.
+
+For notebooks, with `help()` of each:
+
+    load_lens, save_lens    lens.yaml and Zemax files
+    trace, psf, analyse     rays, point spread functions, figures of a lens
+    simulate                captures of an image
+    design                  a new lens
+"""
+
+from importlib import import_module
+from typing import Any
+
+__all__ = ["analyse", "design", "load_lens", "psf", "save_lens", "simulate", "trace"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for: `import tasklens` by itself imports nothing, neither torch nor numba."""
+    if name == "design":  # a package that can be called: see there
+        return import_module("tasklens.design")
+    if name in __all__:
+        return getattr(import_module("tasklens.notebook"), name)
+    raise AttributeError(f"module 'tasklens' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

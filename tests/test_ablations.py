@@ -70,7 +70,7 @@ MISTAKES = [
     ("elements", "doublet", ["elements", "doublet", "singlet"]),
     ("design", "nothing", ["design", "nothing", "tasklens"]),
     ("variants", {}, ["variants", "at least 1"]),
-    ("variants", {"few": {"rsys": 8}}, ["variants.few", "rsys", "not permitted"]),
+    ("variants", {"few": {"rsys": 8}}, ["variants.few", "rsys", "unknown key; did you mean rays"]),
     ("variants", {"few": {"rays": 0}}, ["variants.few", "rays", "greater than 0"]),
     ("variants", {"few": {"capture": {"outside_window": "ignore"}}}, ["variants.few", "outside_window", "veil"]),
     ("variants", {"few": {"capture": "renormalise"}}, ["variants.few.capture", "renormalise", "keys and values"]),

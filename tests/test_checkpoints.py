@@ -14,8 +14,8 @@ import yaml
 from examples import changed, random_images, tiny_study
 from test_design import descended, small_network
 
+from tasklens.cli.app import main
 from tasklens.design import supervision
-from tasklens.pipeline import cli
 from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
 from tasklens.runtime.checkpoints import Checkpoint, key
@@ -60,7 +60,7 @@ def workplace(tmp_path_factory):
 
 
 def run(stage: str, *arguments: str) -> int:
-    return cli.main([stage, "study.yaml", *arguments])
+    return main(["run", stage, "study.yaml", *arguments])
 
 
 def outputs(before: float) -> dict[str, bytes]:
@@ -164,9 +164,9 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
 
 def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     """SIGKILL, which nothing can catch, in the middle of a design; the next process ends it."""
-    command = "from tasklens.pipeline import cli\nfrom tasklens.runtime import checkpoints\n"
-    command += "checkpoints.INTERVAL = 0.0\ncli.main()"
-    call = [sys.executable, "-c", command, "design", "study.yaml", "singlet-tasklens"]
+    command = "from tasklens.cli.app import main\nfrom tasklens.runtime import checkpoints\n"
+    command += "checkpoints.INTERVAL = 0.0\nmain()"
+    call = [sys.executable, "-c", command, "run", "design", "study.yaml", "singlet-tasklens"]
     assert run(*JOBS["task"]) == 0
     lens = Path("results/tiny/lenses/singlet-tasklens/seed0/lens.yaml")
     expected = lens.read_bytes()

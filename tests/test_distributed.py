@@ -10,7 +10,7 @@ import torch
 import yaml
 from examples import changed, read_rows, tiny_study
 
-from tasklens.pipeline import cli
+from tasklens.cli.app import main
 from tasklens.runtime import distributed
 from tasklens.runtime.distributed import ProcessGroup
 from tasklens.runtime.errors import InputError
@@ -29,20 +29,20 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     monkeypatch.chdir(tmp_path)
     for call in (["images"], ["reference", "small"], ["design", "singlet-imaging1"]):
-        assert cli.main([call[0], "study.yaml", *call[1:]]) == 0
-    job = ["fine-tune", "study.yaml", "singlet-imaging1", "small"]
+        assert main(["run", call[0], "study.yaml", *call[1:]]) == 0
+    job = ["run", "fine-tune", "study.yaml", "singlet-imaging1", "small"]
     metrics = Path("results/tiny/metrics/singlet-imaging1/seed0/small.csv")
 
     def measured() -> dict[tuple[str, str], float]:
         return {(row["metric"], row["field"]): float(row["value"]) for row in read_rows(metrics)}
 
-    assert cli.main(job) == 0
+    assert main(job) == 0
     alone = measured()
     weights = Path("results/tiny/classifiers/singlet-imaging1/seed0/small.safetensors")
     expected = {name: value.clone() for name, value in read_tensors(weights)[0].items()}
     for path in (metrics, weights):
         path.unlink()
-    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.pipeline.cli"]
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.cli"]
     done = subprocess.run([sys.executable, *torchrun, *job], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("fine-tune  step 1/") == 1

@@ -7,7 +7,8 @@ import pytest
 import yaml
 from examples import read_rows, tiny_study
 
-from tasklens.pipeline import cli, jobs, report_jobs
+from tasklens.cli.app import main
+from tasklens.pipeline import jobs, report_jobs
 from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.study.loading import parse
 from tasklens.study.names import split
@@ -47,7 +48,7 @@ def make() -> None:
 
 
 def verified(stage: str, *arguments: str) -> int:
-    return cli.main([stage, "verified.yaml", *arguments])
+    return main(["run", stage, "verified.yaml", *arguments])
 
 
 def measured(output: str, lens: str, measured_name: str = "small") -> Path:

@@ -12,8 +12,9 @@ import pytest
 import yaml
 from examples import changed, tiny_study, with_imported, write
 
+from tasklens.cli import run as commands
 from tasklens.materials.catalogues import builtin
-from tasklens.pipeline import cli, digest, jobs, report_jobs, run
+from tasklens.pipeline import digest, jobs, report_jobs, run
 from tasklens.pipeline import stage as stages
 from tasklens.pipeline.stage import STAGES, Plan, Stage, flatten
 from tasklens.runtime import files
@@ -341,10 +342,10 @@ def test_every_function_among_the_stages_is_a_stage():
     assert len(set(patterns)) == len(patterns)
 
 
-def test_a_new_stage_takes_a_declaration_and_a_function(tmp_path, monkeypatch, capsys):
+def test_a_new_stage_takes_a_declaration_and_a_function(tmp_path, monkeypatch):
     """Its command, its files, and what is said of a missing input follow from these."""
     monkeypatch.setattr(stages, "STAGES", {})
-    monkeypatch.setattr(cli, "STAGES", stages.STAGES)
+    monkeypatch.setattr(commands, "STAGES", stages.STAGES)
 
     @stages.stage("tasklens.runtime.files.polish_glass", {"report": "polish/{lens}/seed{seed}.txt"})
     def polish_glass(study: Study, lens: str, seed: int) -> Plan:
@@ -358,10 +359,10 @@ def test_a_new_stage_takes_a_declaration_and_a_function(tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     write("study.yaml", yaml.safe_dump(tiny_study()))
     command = ["polish-glass", "study.yaml", "singlet-imaging1", "--seed", "3"]
-    assert cli.main(command) == 2
-    assert "polish_glass/singlet-imaging1-seed3: missing input singlet-imaging1.yaml" in capsys.readouterr().err
+    with pytest.raises(FileError, match=r"polish_glass/singlet-imaging1-seed3: missing input singlet-imaging1\.yaml"):
+        commands.app()(command, standalone_mode=False)
     write("singlet-imaging1.yaml", "glass")
-    assert cli.main(command) == 0
+    commands.app()(command, standalone_mode=False)
     expected = "lens='singlet-imaging1' seed=3 glass"
     assert Path("results/tiny/polish/singlet-imaging1/seed3.txt").read_text() == expected
 

@@ -9,7 +9,8 @@ import pytest
 import yaml
 from examples import changed, finish, inputs_of, tiny_study, write
 
-from tasklens.pipeline import cli, jobs, report_jobs
+from tasklens.cli.app import main
+from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.report_jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
 from tasklens.report.failure import failed
@@ -197,13 +198,13 @@ def test_a_partial_table_has_what_has_been_measured(study, lost):
 
 def partial(study) -> pandas.DataFrame:
     Path("study.yaml").write_text(dump(study))
-    assert cli.main(["table", "study.yaml", "table1", "--partial"]) == 0
+    assert main(["run", "table", "study.yaml", "table1", "--partial"]) == 0
     return pandas.read_csv("results/tiny/tables/table1-partial.csv").set_index("design")
 
 
 def test_nothing_measured_yet_is_said(study, capsys):
     Path("study.yaml").write_text(dump(study.model_copy(update={"name": "new"})))
-    assert cli.main(["table", "study.yaml", "table1", "--partial"]) == 2
+    assert main(["run", "table", "study.yaml", "table1", "--partial"]) == 2
     assert "nothing has been measured" in capsys.readouterr().err
 
 

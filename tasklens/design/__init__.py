@@ -1,1 +1,37 @@
-"""Methods of lens design, the only package that uses both optics and networks."""
+"""Methods of lens design; called, `tasklens.design(...)` designs one lens without a study.
+
+    lens, view, notes = tasklens.design("least_squares", ["COC", "OKP4"], f_number=2.8)
+    tasklens.save_lens("lens.yaml", lens, view, notes)
+
+Arguments:
+
+    method       least_squares, spot, image_quality; and with a network task, joint_ray_space, end_to_end
+    elements     plastics from front to back: names of built-in ones, or of those in `materials`
+    seed         of all random numbers
+    settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"finish": {"steps": 200}}
+    materials    files of further plastics (.yaml, .agf)
+    images       folder of photographs: <class>/*, or train/<class>/*; by default rendered textures
+    size         side of the photographs [pixels]
+    classifier   the network: {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}
+    f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect
+                 specification; by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels
+
+It returns the lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
+Lenses that a method begins with are designed first. A doublet by least squares takes a minute.
+"""
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+
+class _Callable(ModuleType):
+    """The package as a function: a notebook's `tasklens.design` has the name of this package."""
+
+    def __call__(self, *arguments: Any, **keywords: Any) -> Any:
+        # By name, since jobs that import a module of this package do not depend on this one.
+        return import_module("tasklens.design.single").design(*arguments, **keywords)
+
+
+sys.modules[__name__].__class__ = _Callable

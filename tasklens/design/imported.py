@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import torch
 
+from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import rim, sobol_disc
-from tasklens.optics.analysis.spots import centroid, chief_rays, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.pupil import rim
+from tasklens.optics.analysis.spots import chief_rays, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
@@ -64,25 +65,6 @@ def read(settings: ImportedLens) -> Prescription:
     if settings.file.suffix.lower() == ".zmx":
         return zemax.read(settings.file, settings.catalogues)
     return prescription.read(settings.file)[0]
-
-
-def refocused(lens: Lens, view: View, rays: int) -> Lens:
-    """Refocus a lens to the smallest mean over fields of the RMS spot radius about the centroid.
-
-    Rays are straight behind the lens, so that each RMS is the norm of an affine function of the shift: the mean is
-    convex, with one minimum.
-    """
-    from scipy.optimize import minimize_scalar
-
-    traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
-
-    def mean_rms(shift: float) -> float:
-        moved = replace(traced, x=traced.x + shift * traced.l / traced.n, y=traced.y + shift * traced.m / traced.n)
-        return float(rms_spot_radius(moved, centroid(moved)).mean())
-
-    thickness = lens.thickness.clone()
-    thickness[-1] += minimize_scalar(mean_rms, bracket=(0.0, 0.01 * view.efl)).x
-    return replace(lens, thickness=thickness)
 
 
 def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:

@@ -11,7 +11,7 @@ from tasklens.pipeline.digest import folder_digest
 from tasklens.pipeline.stage import Plan, stage
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
-from tasklens.study.lens_entries import ImportedLens, LensDesign
+from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.names import SHARP, SPLITS
 from tasklens.study.settings import Slice
 from tasklens.study.study import Study, StudyError
@@ -64,15 +64,6 @@ LENS_FOLDER = "lenses/{lens}/seed{seed}"
 def design(study: Study, lens: str, seed: int) -> Plan:
     """Design a lens, or import it; write its prescription, figures, history and PSFs."""
     entry = study.lens(lens)
-    settings = LensDesign(
-        entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
-        spec=study.spec_of(entry.elements),
-        constraints=study.constraints,
-        capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
-        classifier=study.classifier(study.supervisor) if entry.classified else None,
-        rays=study.evaluation_rays,
-        seed=seed,
-    )
     starts, candidates = paper_tables.starts(study, lens), paper_tables.candidates(study, lens)
     inputs = {
         "train": split(study, "train") if entry.supervised else None,
@@ -82,7 +73,7 @@ def design(study: Study, lens: str, seed: int) -> Plan:
         "starts": {name: lens_file(study, name, seed) for name in starts},
         "metrics": {name: measurement(study, name, study.supervisor, seed, "metrics") for name in starts},
     }
-    return Plan(settings, inputs, gpus=int(entry.supervised))
+    return Plan(paper_tables.lens_design(study, lens, seed), inputs, gpus=int(entry.supervised))
 
 
 def _diffraction_patterns(study: Study) -> dict[str, str]:

@@ -95,9 +95,9 @@ class Stage:
         """Return the command that a person would type for a job of the study in `file`."""
         processes = self.plan_from(study, wildcards).processes
         # Snakemake sets the threads of a job to its cores, here those of all its processes.
-        torchrun = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.pipeline.cli"
+        torchrun = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.cli"
         words = [f"--seed {wildcards[name]}" if name == SEED else wildcards[name] for name in self.wildcards]
-        return " ".join(["tasklens" if processes == 1 else torchrun, self.name.replace("_", "-"), file, *words])
+        return " ".join(["tasklens" if processes == 1 else torchrun, "run", self.name.replace("_", "-"), file, *words])
 
     def patterns_in(self, study: Study) -> Mapping[str, str]:
         """Return the patterns of the outputs in a study."""

@@ -93,6 +93,25 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
     return pool.take(order[images.minival :]), pool.take(order[: images.minival]), test
 
 
+def training_images(images: ImageSettings, path: Path, *, device: torch.device = CPU) -> ImageDataset:
+    """Return training images alone: of a folder those in folder/train/<class>, or in folder/<class>.
+
+    Args:
+        path: the .npy file that photographs are converted to.
+
+    Raises:
+        FileError: a missing folder, an empty class, or an unreadable image.
+    """
+    if images.folder is None:
+        assert images.train is not None  # rendered images need counts
+        return replace(_rendered(images.train, 2 * images.seed, images), device=device)
+    if not images.folder.is_dir():
+        raise FileError(f"{images.folder}: no such folder of images")
+    listing = folders.find(images.folder, ("train", "."), images.train, images.seed)
+    folders.convert(listing, images.size, path, torch.get_num_threads())
+    return ImageDataset(map_array(path), listing.labels, listing.classes, device)
+
+
 def _rendered(count: int, seed: int, images: ImageSettings) -> ImageDataset:
     from tasklens.recognition import scenes
 

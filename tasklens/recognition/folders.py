@@ -101,12 +101,25 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
 
 def read(path: Path, size: int) -> Tensor:
     """Read the central square of an image as RGB, resized to (3, size, size) uint8; raises FileError."""
+    return _tensor(ImageOps.fit(decode(path), (size, size), Image.Resampling.BICUBIC))
+
+
+def read_whole(path: Path) -> Tensor:
+    """Read an image as RGB, (3, H, W) uint8; raises FileError."""
+    return _tensor(decode(path))
+
+
+def decode(path: Path) -> Image.Image:
+    """Decode an image to RGB, turned by its EXIF tag; raises FileError."""
     try:
         with Image.open(path) as file:
             image = ImageOps.exif_transpose(file)
             if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
                 image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
-            image = ImageOps.fit(image.convert("RGB"), (size, size), Image.Resampling.BICUBIC)
+            return image.convert("RGB")
     except Exception as error:  # of any kind, whichever decoder notices
         raise FileError(f"{path}: cannot be read as an image ({error})") from error
+
+
+def _tensor(image: Image.Image) -> Tensor:
     return torch.from_numpy(numpy.array(image)).permute(2, 0, 1)

@@ -52,12 +52,12 @@ def panel(title: str, path: Path, psf: Path) -> Panel:
 
 
 def draw(path: Path, panels: Sequence[Panel]) -> None:
-    """Draw one lens, or several one above the other, and write a PNG file."""
+    """Draw one lens, or several one above the other, in the format of the suffix of `path`: .png, .svg or .pdf."""
     whole = Figure(figsize=(13, 6 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     with replacing(path) as temporary:
-        whole.savefig(temporary, dpi=110, format="png")
+        whole.savefig(temporary, dpi=110, format=path.suffix.removeprefix("."))
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:

@@ -1,19 +1,18 @@
 """Devices of jobs: a GPU that no other job of ours on this machine uses, or the CPU."""
 
-import fcntl
 import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TextIO
 
 import torch
+from filelock import FileLock, Timeout
 from torch import Tensor
 
 from tasklens.runtime.errors import InputError
 
 CPU = torch.device("cpu")
-_locked: dict[str, TextIO] = {}  # open lock files by GPU; a lock is released when its process ends
+_locked: dict[str, FileLock] = {}  # by GPU; a lock is released when its process ends
 
 
 def claim() -> torch.device:
@@ -47,7 +46,7 @@ def claim_several(wanted: int) -> list[torch.device]:
                 found.append(torch.device("cuda", index))
         if len(found) == wanted:
             if wanted > 1:
-                _locked.pop("several").close()
+                _locked.pop("several").release()
             return found
         time.sleep(1.0)
 
@@ -81,14 +80,10 @@ def _lock(name: str) -> bool:
     """Try to lock a name; return whether this process now holds the lock."""
     if name in _locked:
         return True
-    path = Path(tempfile.gettempdir()) / f"tasklens-{name}.lock"
-    if not path.exists():
-        path.touch()
-    file = path.open()  # read access suffices for a lock: the file may belong to another user
+    lock = FileLock(Path(tempfile.gettempdir()) / f"tasklens-{name}.lock", mode=0o666)  # of all users of the machine
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
+        lock.acquire(timeout=0)
+    except Timeout:
         return False
-    _locked[name] = file
+    _locked[name] = lock
     return True

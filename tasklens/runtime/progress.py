@@ -2,6 +2,22 @@
 
 import sys
 import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+# Is given the label, the step (counted from 1), the number of steps and the values of every step.
+Listener = Callable[[str, int, int, Mapping[str, float]], None]
+_listeners: list[Listener] = []
+
+
+@contextmanager
+def reporting_to(listener: Listener) -> Iterator[None]:
+    """Report progress to `listener` in place of lines on standard error, such as to a bar."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
 
 
 class Progress:
@@ -14,6 +30,9 @@ class Progress:
 
     def __call__(self, step: int, **values: float) -> None:
         """Report that `step` of the total (counted from 1) is done."""
+        if _listeners:
+            _listeners[-1](self.label, step, self.total, values)
+            return
         now = time.monotonic()
         if self.first is None:
             self.first = step

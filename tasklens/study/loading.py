@@ -1,43 +1,67 @@
 """Reading and writing of study files (YAML)."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
 from pydantic import ValidationError
 
+from tasklens.study.messages import missing_keys, problems
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
 
 
-def parse(config: Mapping) -> Study:
+def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     """Validate a mapping and return the study.
 
+    Args:
+        files: the files that it was read from, laid over each other, for messages.
+
     Raises:
-        StudyError: names every wrong key, its value and what was expected.
+        StudyError: names every wrong key, its value and what was expected; or says that the only file is to be laid
+            over another one.
     """
     try:
         return Study.model_validate(dict(config))
     except ValidationError as error:
-        lines = []
-        for item in error.errors():
-            key = ".".join(str(part) for part in item["loc"]) or "study"
-            value = item["input"]
-            shown = f" = {value!r}" if not isinstance(value, dict) else ""
-            lines.append(f"  {key}{shown}: {item['msg'].removeprefix('Value error, ')}")
-        raise StudyError("the study cannot be run:\n" + "\n".join(lines)) from None
+        missing = missing_keys(error)
+        if len(files) == 1 and "format" in missing and len(missing) > 1:
+            raise StudyError(_layer(files[0], missing)) from None
+        lines = problems(error, Study)
+    name = f"{', '.join(map(str, files))}: " if files else ""
+    if len(lines) == 1:
+        raise StudyError(f"{name}{lines[0]}")
+    raise StudyError(f"{name}the study cannot be run:\n" + "\n".join(f"  {line}" for line in lines))
+
+
+def _layer(path: Path, missing: Sequence[str]) -> str:
+    """Say what a file that is no whole study is laid over, by the command in its head, if there is one."""
+    alone = f"alone it has no {', '.join(missing)}"
+    for names in re.findall(r"--configfile((?: \S+\.ya?ml)+)", path.read_text(encoding="utf-8")):
+        before, found, _ = names.partition(path.name)
+        below = before.split()[:-1] if not before.endswith(" ") else before.split()
+        if found and below:
+            return f"{path}: lay it over {' and '.join(below)} (--configfile {' '.join(below)} {path}); {alone}"
+    return f"{path}: lay it over the study that it changes (--configfile STUDY {path}); {alone}"
 
 
 def load(path: str | Path) -> Study:
     """Read a study from a YAML file; raises StudyError as `parse` does, and for a file that is no YAML mapping."""
+    if Path(path).is_dir():
+        raise StudyError(f"{path}: is a folder; expected a study file (YAML), as those in config/")
     try:
-        with open(path) as file:
+        with open(path, encoding="utf-8") as file:
             content = yaml.safe_load(file)
     except yaml.YAMLError as error:
-        raise StudyError(f"{path}: not valid YAML: {error}") from None
+        mark = getattr(error, "problem_mark", None)
+        where = f"{path}, line {mark.line + 1}" if mark else str(path)
+        raise StudyError(f"{where}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
+    except UnicodeDecodeError:
+        raise StudyError(f"{path}: no text; expected a study file (YAML)") from None
     if not isinstance(content, Mapping):
         raise StudyError(f"{path}: expected keys and values, found {type(content).__name__}")
-    return parse(content)
+    return parse(content, [Path(path)])
 
 
 def dump(study: Study) -> str:

@@ -23,6 +23,7 @@ from tasklens.study.design_settings import (
     TaskDrivenSettings,
 )
 from tasklens.study.lens_entries import ImportedLens, LensEntry
+from tasklens.study.messages import in_words
 from tasklens.study.settings import (
     CaptureSettings,
     ClassifierSettings,
@@ -216,7 +217,8 @@ class Study(Frozen):
             try:
                 lens = self._variant(name, variant)
             except ValidationError as error:
-                raise ValueError(f"ablations.{name}.variants.{variant}.{_problems(error)}") from None
+                changed: Any = CaptureSettings if error.title == CaptureSettings.__name__ else DesignSettings
+                raise ValueError(in_words(f"ablations.{name}.variants.{variant}", error, changed)) from None
             named = [*self.designs, *self.imported]
             named += [item.name(key, other) for key, item in self.ablations.items() for other in item.variants]
             if named.count(lens.design_name) > 1:
@@ -232,7 +234,7 @@ class Study(Frozen):
         try:
             return Spec.model_validate(common | self.specs.get(elements, {}))
         except ValidationError as error:
-            raise ValueError(f"specs.{elements}.{_problems(error)}") from None
+            raise ValueError(in_words(f"specs.{elements}", error, Spec)) from None
 
     def capture_of(self, lens: str) -> CaptureSettings:
         """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""
@@ -282,10 +284,6 @@ class Study(Frozen):
     def classifier(self, name: str) -> ClassifierSettings:
         """Return the classifier `name`; raises StudyError with the known names."""
         return pick(self.classifiers, name, "classifier")
-
-
-def _problems(error: ValidationError) -> str:
-    return "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
 
 
 _Entry = TypeVar("_Entry")

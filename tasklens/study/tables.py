@@ -1,4 +1,4 @@
-"""Contents of the tables and of the verification of a study; no torch here."""
+"""Contents of the tables, the designs and the verification of a study; no torch here."""
 
 from collections.abc import Iterable
 
@@ -9,6 +9,7 @@ from tasklens.study.design_settings import (
     SupervisedSettings,
     TaskDrivenSettings,
 )
+from tasklens.study.lens_entries import LensDesign
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
@@ -86,6 +87,20 @@ def table_lenses(study: Study) -> tuple[str, ...]:
     """Return the names of all lenses in the tables of the study."""
     found = {lens for contents in tables(study) for lens in contents.lenses}
     return tuple(lens for lens in study.lenses if lens in found)
+
+
+def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
+    """Return the slice of a study that the design of a lens may read; raises StudyError."""
+    entry = study.lens(lens)
+    return LensDesign(
+        entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
+        spec=study.spec_of(entry.elements),
+        constraints=study.constraints,
+        capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
+        classifier=study.classifier(study.supervisor) if entry.classified else None,
+        rays=study.evaluation_rays,
+        seed=seed,
+    )
 
 
 def starts(study: Study, lens: str) -> tuple[str, ...]:

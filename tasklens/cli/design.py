@@ -1,0 +1,146 @@
+"""`tasklens design`: one lens without a study."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+import yaml
+
+from tasklens.cli.outputs import AsJson, Force, new_file, print_json
+from tasklens.runtime.errors import InputError
+
+_SPEC, _NETWORK = "Specification", "Network and photographs, for the methods that have them"
+_METHOD = "least_squares, spot, image_quality; by a network: task, joint_ray_space, end_to_end."
+
+
+def design(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Lens: .yaml or .zmx.", show_default=False)],
+    elements: Annotated[str, typer.Option(help="Plastics from front to back.")] = "COC,OKP4",
+    method: Annotated[str, typer.Option(help=_METHOD)] = "least_squares",
+    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A setting of the method, as in a study: evaluations=2000, finish.steps=200."),
+    ] = None,
+    materials: Annotated[list[Path] | None, typer.Option(help="File of further plastics (.yaml, .agf).")] = None,
+    f_number: Annotated[float | None, typer.Option(help="2.8", rich_help_panel=_SPEC)] = None,
+    field_of_view: Annotated[float | None, typer.Option(help="68.8 degrees, full", rich_help_panel=_SPEC)] = None,
+    diagonal: Annotated[float | None, typer.Option(help="Of the sensor: 4 mm", rich_help_panel=_SPEC)] = None,
+    pixel_pitch: Annotated[float | None, typer.Option(help="1.8 micrometres", rich_help_panel=_SPEC)] = None,
+    kernel_size: Annotated[int | None, typer.Option(help="Width of PSFs: 51 pixels", rich_help_panel=_SPEC)] = None,
+    wavelengths: Annotated[
+        str | None, typer.Option(help="0.6563,0.5893,0.4861 micrometres", rich_help_panel=_SPEC)
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="Folder: <class>/*, or train/<class>/*.", rich_help_panel=_NETWORK)
+    ] = None,
+    size: Annotated[int, typer.Option(help="Side of the images, pixels.", rich_help_panel=_NETWORK)] = 224,
+    classifier: Annotated[str | None, typer.Option(help="Name in timm.", rich_help_panel=_NETWORK)] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Its weights: .safetensors, .pth, .npz.", rich_help_panel=_NETWORK)
+    ] = None,
+    pretrained: Annotated[
+        bool, typer.Option("--pretrained", help="Weights from timm's hub.", rich_help_panel=_NETWORK)
+    ] = False,
+    outputs: Annotated[
+        Literal["classes", "imagenet", "all_imagenet"],
+        typer.Option(help="Of the network: the folder's classes, or ImageNet's.", rich_help_panel=_NETWORK),
+    ] = "classes",
+    argument: Annotated[
+        list[str] | None, typer.Option(help="Of timm's create_model: img_size=64.", rich_help_panel=_NETWORK)
+    ] = None,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Design one lens. By least squares a doublet takes a minute; by a network, what it begins with comes first.
+
+    tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
+
+    tasklens design --method task --images photographs --classifier resnet18 --weights mine.safetensors -o mine.yaml
+    """
+    new_file(output, force, ".yaml", ".yml", ".zmx")
+    spec = {
+        "f_number": f_number,
+        "field_of_view_deg": field_of_view,
+        "diagonal_mm": diagonal,
+        "pixel_pitch_um": pixel_pitch,
+        "kernel_size": kernel_size,
+        "wavelengths_um": wavelengths and wavelengths.split(","),
+    }
+    network: dict[str, Any] | None = None
+    if classifier is not None:
+        network = {"model": classifier, "outputs": outputs, "arguments": _nested(argument or (), "--argument")}
+        network |= {"weights": weights, "pretrained": pretrained}
+        if (weights is None) != pretrained:
+            raise InputError(f"--classifier {classifier}: expected its --weights FILE, or --pretrained")
+        if weights is not None and not weights.is_file():
+            raise InputError(f"{weights}: no such file of weights")
+    changed = _nested(settings or (), "--set")
+    from tasklens import notebook
+    from tasklens.design.single import design as designed
+    from tasklens.report import glance
+
+    with _progress():
+        lens, view, notes = designed(
+            method,
+            elements.split(","),
+            seed=seed,
+            settings=changed,
+            materials=materials or (),
+            images=images,
+            size=size,
+            classifier=network,
+            **{key: value for key, value in spec.items() if value is not None},
+        )
+    notebook.save_lens(output, lens, view, notes)
+    summary = glance.summary(lens, notes, notes["figures"])
+    if json:
+        print_json(summary | {"file": str(output)})
+    else:
+        print(glance.text(str(output), summary))
+
+
+def _nested(given: Sequence[str], option: str) -> dict[str, Any]:
+    """Return settings KEY=VALUE as nested mappings: a.b=1 is {"a": {"b": 1}}; raises InputError."""
+    found: dict[str, Any] = {}
+    for each in given:
+        key, equals, text = each.partition("=")
+        *outer, last = key.split(".")
+        inner = found
+        for name in outer:
+            inner = inner.setdefault(name, {})
+        try:
+            inner[last] = yaml.safe_load(text)
+        except (yaml.YAMLError, TypeError):
+            equals = ""
+        if not equals or not all((*outer, last)):
+            raise InputError(f"{option} {each}: expected KEY=VALUE, such as finish.steps=200")
+    return found
+
+
+@contextmanager
+def _progress() -> Iterator[None]:
+    """Show progress as a bar for each part of the design on a terminal; else lines come as from any job."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from tasklens.runtime.progress import reporting_to
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, TextColumn("{task.fields[values]}"), console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def listen(label: str, step: int, total: int, values: Any) -> None:
+            if label not in tasks or bars.tasks[tasks[label]].completed >= total > step:  # the next part of this name
+                tasks[label] = bars.add_task(label, total=total, values="")
+            first = next(iter(values.items()), None)
+            bars.update(tasks[label], completed=min(step, total), values=f"{first[0]} {first[1]:.4g}" if first else "")
+
+        with reporting_to(listen):
+            yield

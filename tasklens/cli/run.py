@@ -1,0 +1,73 @@
+"""`tasklens run STAGE STUDY ...`: one job of a study; the commands are made from the declared stages.
+
+    tasklens run design config/config.yaml doublet-tasklens --seed 0
+
+Files are read and written below results/<study name>/.
+"""
+
+from collections.abc import Callable
+from inspect import Parameter, Signature
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tasklens.pipeline import report_jobs
+from tasklens.pipeline.run import run
+from tasklens.pipeline.stage import SEED, STAGES, Stage
+from tasklens.study.loading import load
+from tasklens.study.names import SHARP
+from tasklens.study.study import TableName
+
+_HELP = {
+    "study": "Study file (YAML).",
+    "lens": f"Name of a lens; {SHARP} for the sharp images, where a classifier follows.",
+    "measured_name": "Name of a classifier, with -restored on restored captures.",
+    "table": "One of the paper's tables.",
+    "classifier": "Name of a classifier.",
+    "elements": "Name of elements, such as doublet.",
+    "ablation": "Name of an ablation.",
+}
+_KINDS = {"table": TableName}
+
+
+def app() -> typer.Typer:
+    """Return the group of the commands of all declared stages."""
+    group = typer.Typer(no_args_is_help=True)
+    group.callback()(lambda: None)  # a group, whatever the number of its commands
+    for stage in STAGES.values():
+        group.command(stage.name.replace("_", "-"), help=stage.plan.__doc__)(_command(stage))
+    return group
+
+
+def _command(stage: Stage) -> Callable[..., None]:
+    """Return the command of a stage: its wildcards are arguments, the seed and `--partial` options."""
+
+    def command(study: Path, partial: bool = False, **wildcards: Any) -> None:
+        found = load(study)
+        if wildcards.get(SEED, 0) is None:
+            wildcards[SEED] = found.seeds[0]
+        if status := run(stage, found, wildcards, partial):
+            raise typer.Exit(status)
+
+    parameters = [
+        _argument("study", Path),
+        *(_argument(name, _KINDS.get(name, str)) for name in stage.wildcards if name != SEED),
+    ]
+    if SEED in stage.wildcards:
+        parameters.append(_option(SEED, int | None, None, "By default the first seed of the study."))
+    if stage is report_jobs.table:
+        parameters.append(_option("partial", bool, False, "Write <table>-partial, of what is measured.", "--partial"))
+    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    return command
+
+
+def _argument(name: str, kind: Any) -> Parameter:
+    annotation = Annotated[kind, typer.Argument(help=_HELP.get(name), show_default=False)]
+    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation)
+
+
+def _option(name: str, kind: Any, default: Any, help: str, *declarations: str) -> Parameter:
+    annotation = Annotated[kind, typer.Option(*declarations, help=help, show_default=False)]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

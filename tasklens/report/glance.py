@@ -1,0 +1,93 @@
+"""Lenses at a glance: the few figures by which they are compared."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas
+
+from tasklens.materials.material import AIR
+from tasklens.optics.lens import Lens
+from tasklens.report.publish import right_aligned, rounded
+
+_FIELDS = {  # key in the figures of a lens: what a person reads, number of decimals
+    "angle_deg": ("field [degrees]", 1),
+    "rms_centroid_um": ("RMS spot radius [um]", 2),
+    "radius_80_um": ("radius of 80 % of the light [um]", 2),
+    "mtf_tangential_half_nyquist": ("MTF at half Nyquist, tangential", 2),
+    "mtf_sagittal_half_nyquist": ("MTF at half Nyquist, sagittal", 2),
+    "energy_in_window": ("light inside the PSF window", 3),
+    "distortion_percent": ("distortion [%]", 2),
+    "relative_illumination": ("relative illumination", 2),
+}
+_DIGITS = {"EFL": ".3f", "F/": ".2f", "track": ".2f", "RMS": ".2f", "80": ".2f", "MTF": ".2f", "distortion": ".2f"}
+_DIGITS |= {"light": ".3f", "illumination": ".2f", "margin": ".4f"}
+
+
+def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
+    """Return what a lens is: materials, first-order data, and figures at the smallest, middle and largest field.
+
+    Args:
+        content: what its file says besides: origin, worst margin.
+        figures: its optical figures.
+    """
+    order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
+    shown = [order[0], order[len(order) // 2], order[-1]]
+    found: dict[str, Any] = {
+        "materials": [medium.name for medium in lens.media if medium != AIR],
+        **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm", "image_distance_mm", "airy_radius_um")},
+        "fields": {key: [figures[key][field] for field in shown] for key in _FIELDS},
+    }
+    return found | {key: content[key] for key in ("worst_margin", "origin") if key in content}
+
+
+def text(name: str, found: Mapping) -> str:
+    """Return a summary as a few lines for a terminal."""
+    materials = found["materials"]
+    lines = [
+        f"{name}: {len(materials)} element{'s' * (len(materials) != 1)}, {', '.join(materials)}",
+        f"  focal length {found['efl_mm']:.3f} mm, F/{found['f_number']:.2f}, {found['track_mm']:.2f} mm from the "
+        f"first surface to the image, Airy radius {found['airy_radius_um']:.1f} um",
+    ]
+    for key, (meaning, digits) in _FIELDS.items():
+        lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in found["fields"][key]))
+    if "worst_margin" in found:
+        lines.append(f"  worst margin: {found['worst_margin']['value']:.4f} ({found['worst_margin']['limit']})")
+    if "design" in found.get("origin", {}):
+        origin = found["origin"]
+        seed = f", seed {origin['seed']}" if "seed" in origin else ""
+        lines.append(f"  design: {origin['design']} by {origin['method']}{seed}")
+    return "\n".join(lines)
+
+
+def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
+    """Return the row of a lens in a table of several: means and extremes over its fields."""
+
+    def mean(*keys: str) -> float:
+        values = [value for key in keys for value in figures[key]]
+        return sum(values) / len(values)
+
+    return {
+        "lens": name,
+        "EFL [mm]": figures["efl_mm"],
+        "F/": figures["f_number"],
+        "track [mm]": figures["track_mm"],
+        "field [deg]": round(2 * max(figures["angle_deg"]), 1),
+        "RMS mean [um]": mean("rms_centroid_um"),
+        "RMS worst [um]": max(figures["rms_centroid_um"]),
+        "80 % mean [um]": mean("radius_80_um"),
+        "MTF 1/2": mean("mtf_tangential_half_nyquist", "mtf_sagittal_half_nyquist"),
+        "light in window": mean("energy_in_window"),
+        "distortion [%]": max(figures["distortion_percent"], key=abs),
+        "illumination": min(figures["relative_illumination"]),
+        "margin": content["worst_margin"]["value"] if "worst_margin" in content else None,
+    }
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows as a Markdown table, with what its columns are."""
+    found = pandas.DataFrame(rows).astype({"margin": "float64"})
+    note = (
+        "RMS, 80 % (radius of that part of the light), MTF (at half Nyquist) and light in the PSF window: means over "
+    )
+    note += "the fields; distortion and illumination: of the worst field."
+    return f"{right_aligned(rounded(found, _DIGITS))}\n\n{note}"

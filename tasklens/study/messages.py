@@ -1,0 +1,153 @@
+"""What is wrong with given settings, one line for each mistake, in words of the user's file; no torch here."""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+_LONGEST = 60  # characters of a value that is shown
+_KINDS = {  # what is expected, by pydantic's types of errors
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "text",
+    "path_type": "a path",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "dict_type": "keys and values",
+    "model_type": "keys and values",
+    "model_attributes_type": "keys and values",
+    "dataclass_type": "keys and values",
+    "string_pattern_mismatch": "a name of lower-case letters, digits and _",
+    "path_not_file": "a file, and there is none",
+}
+
+
+def problems(error: ValidationError, settings: Any) -> list[str]:
+    """Return a line for each mistake in `settings`, a class or a union: key, value, and what was expected."""
+    return [_line(item, settings) for item in error.errors()]
+
+
+def in_words(where: str, error: ValidationError, settings: Any) -> str:
+    """Return all mistakes in one line, each key with `where` in front."""
+    return "; ".join(f"{where}.{line}" for line in problems(error, settings))
+
+
+def missing_keys(error: ValidationError) -> list[str]:
+    """Return the keys at the top that are missing."""
+    return [str(item["loc"][0]) for item in error.errors() if item["type"] == "missing" and len(item["loc"]) == 1]
+
+
+def _line(item: ErrorDetails, settings: Any) -> str:
+    keys, place = _walk(settings, item["loc"])
+    kind, context, value = item["type"], item.get("ctx", {}), item["input"]
+    if kind == "missing":
+        if isinstance(item["loc"][-1], int):
+            return f"{'.'.join(keys[:-1])}: entry {item['loc'][-1] + 1} is missing"
+        field = place.get(keys[-1])
+        about = f": {field.description}" if field is not None and field.description else ""
+        return f"{'.'.join(keys)}: missing{about}"
+    if kind == "extra_forbidden":
+        return f"{'.'.join(keys)}{_shown(value)}: unknown key{_suggestion(keys[-1], place)}"
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        key = context["discriminator"].strip("'")
+        where = ".".join([*keys, key])
+        if kind == "union_tag_not_found":
+            return f"{where}: missing; one of {', '.join(sorted(place))}"
+        return f"{where} = {context['tag']!r}: unknown{_suggestion(context['tag'], place)}"
+    message = _expected(item)
+    if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # it names a key itself
+        return message
+    shown = "" if "[key]" in item["loc"] else _shown(value)
+    return f"{'.'.join(keys)}{shown}: {message}" if keys else message
+
+
+def _expected(item: ErrorDetails) -> str:
+    if item["type"] in _KINDS:
+        return f"expected {_KINDS[item['type']]}"
+    if item["type"] == "too_short":
+        return f"expected at least {item['ctx']['min_length']}, found {item['ctx']['actual_length']}"
+    message = item["msg"].removeprefix("Value error, ")
+    return re.sub("^Input should be (a valid )?", "expected ", message)
+
+
+def _shown(value: Any) -> str:
+    text = {"None": "null", "True": "true", "False": "false"}.get(repr(value), repr(value))  # as YAML has them
+    return "" if isinstance(value, Mapping) or len(text) > _LONGEST else f" = {text}"
+
+
+def _suggestion(word: str, known: Mapping[str, Any]) -> str:
+    """Suggest the known word next to a wrong one, also one in a section of this place; else list all."""
+    inside = {
+        key: f"{name}.{key}" for name, field in known.items() for key in _fields(getattr(field, "annotation", None))
+    }
+    nearest = difflib.get_close_matches(word, known, 1)
+    if not nearest and word in inside:
+        nearest = [inside[word]]
+    if nearest:
+        return f"; did you mean {nearest[0]}?"
+    return f"; expected one of {', '.join(known)}" if known else ""
+
+
+def _walk(settings: Any, location: Iterable[str | int]) -> tuple[list[str], Mapping[str, Any]]:
+    """Follow pydantic's location of a mistake.
+
+    Returns:
+        The keys of the user's file: a location also holds the tag of a union. And what is known there: the fields of
+        the settings that the last key belongs to, by key; of a union whose tag is wrong or missing its tags.
+    """
+    keys: list[str] = []
+    annotation = settings
+    place: Mapping[str, Any] = {}
+    for part in location:
+        tagged = _tagged(annotation)
+        if part in tagged:
+            annotation = tagged[str(part)]
+            continue
+        if part == "[key]":
+            continue
+        keys.append(str(part))
+        place = _fields(annotation)
+        annotation = place[str(part)].annotation if part in place else _inside(annotation)
+    return keys, _tagged(annotation) or place
+
+
+def _plain(annotation: Any) -> Any:
+    """Return an annotation without its metadata, and without None."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Union, UnionType):
+        others = [each for each in get_args(annotation) if each is not type(None)]
+        if len(others) == 1:
+            return _plain(others[0])
+    return annotation
+
+
+def _fields(annotation: Any) -> Mapping[str, Any]:
+    """Return the fields of settings by key; empty for anything else."""
+    found = _plain(annotation)
+    return found.model_fields if isinstance(found, type) and issubclass(found, BaseModel) else {}
+
+
+def _tagged(annotation: Any) -> dict[str, Any]:
+    """Return the settings of a union by their `method`; empty for anything else."""
+    found = _plain(annotation)
+    if get_origin(found) not in (Union, UnionType):
+        return {}
+    methods = [(_fields(each).get("method"), each) for each in get_args(found)]
+    named = [(field.annotation, each) for field, each in methods if field is not None]
+    return {get_args(tag)[0]: each for tag, each in named if get_origin(tag) is Literal}
+
+
+def _inside(annotation: Any) -> Any:
+    """Return the annotation of the values of a mapping or sequence."""
+    arguments = [each for each in get_args(_plain(annotation)) if each is not Ellipsis]
+    return arguments[-1] if arguments else None

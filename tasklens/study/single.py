@@ -1,0 +1,87 @@
+"""A study of one lens, for a design without a study file; no torch here."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tasklens.runtime.errors import InputError
+from tasklens.study.loading import parse
+from tasklens.study.study import Study
+
+ELEMENTS = "lens"  # name of its elements
+_NETWORK = "network"
+_FIRST = "least_squares"  # designed first where a design begins with the best imaging lens
+_SIDE = 64  # of rendered images [pixels]
+
+
+@cache
+def methods() -> dict[str, dict[str, Any]]:
+    """Return the settings of a design by each method."""
+    return yaml.safe_load(Path(__file__).with_name("designs.yaml").read_text(encoding="utf-8"))
+
+
+def study(
+    method: str,
+    elements: Sequence[str],
+    spec: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    materials: Sequence[str],
+    images: Mapping[str, Any] | None,
+    classifier: Mapping[str, Any] | None,
+) -> Study:
+    """Return a study of the lens and those that it begins with, in the order of their designs.
+
+    Args:
+        method: one of `methods`.
+        elements: plastics from front to back.
+        spec, settings: keys that differ of `spec`, and of the design.
+        materials: files of further plastics.
+        images, classifier: sections of a study file; None: rendered textures, no network.
+
+    Raises:
+        StudyError: a wrong key or value.
+        InputError: an unknown method, or one that needs a network where there is none.
+    """
+    if method not in methods():
+        raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
+    designs = _with_starts(method, _merged(methods()[method], settings))
+    side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
+    found = parse(
+        {
+            "format": 2,
+            "name": "one",
+            "images": images or {"size": side, "train": 500, "minival": 10, "test": 10},
+            "spec": dict(spec),
+            "elements": {ELEMENTS: list(elements)},
+            "materials": list(materials),
+            "designs": designs,
+            "supervisor": _NETWORK,
+            "classifiers": {_NETWORK: classifier or {"model": "none", "pretrained": True}},
+            "fine_tuning": {"epochs": 0, "learning_rate": 1e-3},
+            "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
+        }
+    )
+    if classifier is None and any(lens.classified for lens in found.lenses.values()):
+        raise InputError(f"method {method}: needs a network: --classifier NAME --weights FILE, in Python `classifier`")
+    return found
+
+
+def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the designs that one begins with, and theirs, in front of it."""
+    first = settings.get("candidates", [_FIRST] if settings.get("start") == "best_imaging" else [])
+    found: dict[str, Mapping[str, Any]] = {}
+    for name in first if isinstance(first, list) else []:
+        if name not in methods() or name == method:
+            raise InputError(f"candidates: {name!r} is not one of the other methods {', '.join(methods())}")
+        found = _with_starts(name, methods()[name]) | found
+    return {**found, method: settings}
+
+
+def _merged(base: Any, changes: Any) -> Any:
+    """Merge mappings key by key, at any depth."""
+    if not (isinstance(base, Mapping) and isinstance(changes, Mapping)):
+        return changes
+    return {**base, **{key: _merged(base.get(key), value) for key, value in changes.items()}}
