@@ -8,7 +8,8 @@ from test_zemax_files import FILES, reading_of
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import zemax
-from tasklens.optics.io.prescription import Prescription, for_view
+from tasklens.optics.io.lens_files import with_use
+from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.view import view_of_spec
 from tasklens.study.settings import Spec
 
@@ -50,7 +51,7 @@ def test_optiland_reads_what_we_write(tmp_path, path):
 def test_optiland_reads_a_lens_of_a_study(tmp_path):
     """Its spec becomes fields and wavelengths; names of glasses are those that both programs know."""
     view = view_of_spec(Spec())
-    zemax.write(tmp_path / "lens.zmx", for_view(Prescription(LENS), view))
+    zemax.write(tmp_path / "lens.zmx", with_use(Prescription(LENS), view))
     found = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
     assert float(found.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
     assert found.fields.num_fields == len(view.fields)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import yaml
 
 from tasklens.materials.material import AIR, Material, from_definitions
 from tasklens.optics.lens import Lens
-from tasklens.optics.view import View
 from tasklens.runtime.files import FileError, number, positive, write_text
 
 FORMAT = 2
@@ -45,16 +44,6 @@ class Prescription:
     wavelengths_um: tuple[float, ...] | None = None
     primary: int | None = None
     object_distance_mm: float = math.inf
-
-
-def for_view(prescription: Prescription, view: View) -> Prescription:
-    """Return a prescription with the fields, as angles, and the wavelengths of a view, where it has none itself."""
-    angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
-    fields = prescription.fields or ("angle_deg", tuple((x, y) for x, y in angles))
-    if prescription.wavelengths_um:
-        return replace(prescription, fields=fields)
-    waves = view.wavelengths
-    return replace(prescription, fields=fields, wavelengths_um=waves, primary=waves.index(view.reference))
 
 
 def to_dict(prescription: Prescription) -> dict:
