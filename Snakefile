@@ -1,17 +1,21 @@
 """Workflow of a study: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
 
+import logging
 import os
 import shlex
 import sys
 from functools import cache
+from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
-from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES, flatten, results
+from tasklens.pipeline.terminal import Terminal
+from tasklens.recognition import class_folders
 from tasklens.runtime import files
 from tasklens.study import claims, loading, names
 from tasklens.study import study as studies
@@ -23,6 +27,7 @@ if not workflow.config_settings.configfiles:
     configfile: "config/config.yaml"
 
 
+overwrite = config.pop("overwrite", False)  # consent, no part of the study
 try:
     study = loading.parse(config)
 except studies.StudyError as error:
@@ -93,28 +98,50 @@ if jobs.others(study):  # `tasklens fine-tune` makes one of these by hand
     ruleorder: fine_tune_others > fine_tune
 
 
-shown = []  # the tables of this run, printed at its end
+main = workflow.exec_mode == workflow.exec_mode.DEFAULT and not workflow.output_settings.dryrun
+if main:
+    terminal = Terminal(study, logging.getLogger("snakemake.logging"), bool(workflow.output_settings.quiet))
+
+
+def label(job):
+    return runs.label_of(job.log, results(study))
 
 
 onstart:
+    cores = workflow.cores or 1
+    running = {label(job): job for job in workflow.dag.needrun_jobs() if job.rule.name in STAGES}
+    planned = {
+        name: changes.PlannedJob(
+            job.rule.name,
+            job.wildcards_dict,
+            any(os.path.exists(path) for path in job.output),
+            tuple(label(other) for other in workflow.dag.dependencies[job] if other.rule.name in STAGES),
+        )
+        for name, job in running.items()
+    }
+    found = changes.overwritten(Path(RESOLVED), study, planned)
+    refusal = changes.refusal(found, study, durations, cores)
+    if refusal and not overwrite:
+        raise WorkflowError(refusal)
+    kinds = {job.stage for job in planned.values()}
+    if "images" in kinds:
+        class_folders.check(study.images)
     # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
     files.write_if_changed(RESOLVED, loading.dump(study))
-    running = list(workflow.dag.needrun_jobs())
-    kinds = {job.rule.name for job in running}
     networks = "--networks" if "reference" in kinds else ""
     if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
         shell("tasklens check {RESOLVED} {networks} > /dev/null")
-    found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
-    if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
-        found.discard(str(report_jobs.verdicts.output(study, "md")))
-    shown.extend(sorted(path for path in found if path.endswith(".md")))
-    print(durations.forecast([job.rule.name for job in running if job.rule.name in STAGES], workflow.cores or 1))
+    if found.otherwise:
+        print(f"Changed code or input files: {changes.amount(found.otherwise, durations, cores)}")
+    print(durations.forecast([job.stage for job in planned.values()], cores))
+    terminal.begin({name: job.stage for name, job in planned.items()}, cores)
 
 
 onsuccess:
-    for path in shown:
-        print(open(path, encoding="utf-8").read())
+    terminal.end()
+    print(closing.success(study, terminal.run))
 
 
 onerror:
-    print(f"Tables of what has finished: tasklens table {RESOLVED} {study.tables[0]} --partial")
+    terminal.end()
+    print(closing.failure(study, terminal.run))

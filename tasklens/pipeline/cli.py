@@ -17,6 +17,7 @@ from typing import Any
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage
+from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study.loading import load
 from tasklens.study.names import SHARP
@@ -46,9 +47,13 @@ def check(args: argparse.Namespace) -> None:
         for entry in study.imported.values():
             spec = study.spec_of(entry.elements)
             imported.fit(entry, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+    class_folders.check(study.images)
     if args.networks:
         from tasklens.recognition import classifiers
 
+        if study.images.folder and any(each.outputs != "classes" for each in study.classifiers.values()):
+            train = class_folders.split_folder(study.images.folder, class_folders.TRAIN)
+            classifiers.imagenet_outputs(class_folders.classes(train))
         for name, classifier in study.classifiers.items():
             classifiers.check(name, classifier, study.images.size)
         for name, design in study.designs.items():

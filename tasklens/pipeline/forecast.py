@@ -33,8 +33,7 @@ def benchmarks(folder: Path) -> dict[str, Measured]:
     """Read Snakemake's benchmark files below a folder, by stage."""
     found: dict[str, list[tuple[float, float]]] = {}
     for path in sorted(folder.rglob("*.tsv")):
-        with open(path, newline="") as file:
-            rows = list(csv.DictReader(file, delimiter="\t"))
+        rows = _rows(path)
         if rows:
             stage = path.relative_to(folder).parts[0].removesuffix(".tsv")
             found.setdefault(stage, []).append((float(rows[-1]["s"]), _number(rows[-1]["max_rss"])))
@@ -42,6 +41,17 @@ def benchmarks(folder: Path) -> dict[str, Measured]:
         stage: Measured(mean(s for s, _ in jobs), max(s for s, _ in jobs), max(mb for _, mb in jobs))
         for stage, jobs in found.items()
     }
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file, delimiter="\t"))
+
+
+def seconds_of(path: Path) -> float | None:
+    """Read the duration of one job from its benchmark file [s]; None where there is none."""
+    rows = _rows(path) if path.exists() else []
+    return float(rows[-1]["s"]) if rows else None
 
 
 def _number(text: str) -> float:
@@ -114,3 +124,11 @@ class Durations:
         if len(unknown) < len(counts):
             line += f", about {total / cores / 60:.0f} minutes on {cores} cores"
         return f"{line}; nothing is known yet of how long {', '.join(unknown)} takes." if unknown else f"{line}."
+
+
+def duration(seconds: float) -> str:
+    """Return a duration in words of two units at most, such as `1 h 20 min`."""
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
