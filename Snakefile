@@ -1,22 +1,25 @@
 """Workflow of a study: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
 
-import logging
 import os
 import shlex
 import sys
 from functools import cache
 from pathlib import Path
+from subprocess import CalledProcessError
 
 from snakemake.exceptions import WorkflowError
+from snakemake.logging import logger
+from snakemake.settings.types import ExecMode
 from snakemake.utils import min_version
 
 from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES, flatten, results
-from tasklens.pipeline.terminal import Terminal
+from tasklens.pipeline.terminal import Terminal, after_dry_run
 from tasklens.recognition import class_folders
 from tasklens.runtime import files
+from tasklens.runtime.errors import InputError
 from tasklens.study import claims, loading, names
 from tasklens.study import study as studies
 
@@ -98,39 +101,51 @@ if jobs.others(study):  # `tasklens fine-tune` makes one of these by hand
     ruleorder: fine_tune_others > fine_tune
 
 
-main = workflow.exec_mode == workflow.exec_mode.DEFAULT and not workflow.output_settings.dryrun
-if main:
-    terminal = Terminal(study, logging.getLogger("snakemake.logging"), bool(workflow.output_settings.quiet))
-
-
-def label(job):
-    return runs.label_of(job.log, results(study))
-
-
-onstart:
-    cores = workflow.cores or 1
-    running = {label(job): job for job in workflow.dag.needrun_jobs() if job.rule.name in STAGES}
-    planned = {
-        name: changes.PlannedJob(
+def planned_jobs():
+    """Return the jobs of this run by label."""
+    label = lambda job: runs.label_of(job.log, results(study))
+    return {
+        label(job): changes.PlannedJob(
             job.rule.name,
             job.wildcards_dict,
             any(os.path.exists(path) for path in job.output),
             tuple(label(other) for other in workflow.dag.dependencies[job] if other.rule.name in STAGES),
         )
-        for name, job in running.items()
+        for job in workflow.dag.needrun_jobs(exclude_finished=False)  # a dry run counts all as finished
+        if job.rule.name in STAGES
     }
-    found = changes.overwritten(Path(RESOLVED), study, planned)
-    refusal = changes.refusal(found, study, durations, cores)
-    if refusal and not overwrite:
-        raise WorkflowError(refusal)
+
+
+def refusal(found):
+    """Return why this run must not start: changed values would overwrite finished results; else None."""
+    return None if overwrite else changes.refusal(found, study, durations, workflow.cores or 1)
+
+
+if workflow.output_settings.dryrun:
+    after_dry_run(logger, lambda: refusal(changes.overwritten(Path(RESOLVED), study, planned_jobs())))
+elif workflow.exec_mode == ExecMode.DEFAULT:
+    terminal = Terminal(study, logger, bool(workflow.output_settings.quiet))
+
+
+onstart:
+    planned, cores = planned_jobs(), workflow.cores or 1
     kinds = {job.stage for job in planned.values()}
+    found = changes.overwritten(Path(RESOLVED), study, planned)
+    if reason := refusal(found):
+        sys.exit(reason)
     if "images" in kinds:
-        class_folders.check(study.images)
+        try:
+            class_folders.check(study.images)
+        except InputError as error:
+            sys.exit(f"{error}")
     # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
     files.write_if_changed(RESOLVED, loading.dump(study))
     networks = "--networks" if "reference" in kinds else ""
     if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
-        shell("tasklens check {RESOLVED} {networks} > /dev/null")
+        try:
+            shell("tasklens check {RESOLVED} {networks} > /dev/null")
+        except CalledProcessError as error:  # which has said why
+            sys.exit(error.returncode)
     if found.otherwise:
         print(f"Changed code or input files: {changes.amount(found.otherwise, durations, cores)}")
     print(durations.forecast([job.stage for job in planned.values()], cores))

@@ -25,7 +25,7 @@ _SHOWN = 10  # changed values in a message
 
 @dataclass(frozen=True)
 class Change:
-    """A changed value of a study: its dotted key, and the values before and after; None where the key is new or gone."""
+    """A changed value of a study: its dotted key, the values before and after; None where it is new or gone."""
 
     key: str
     old: Any
@@ -63,7 +63,7 @@ def resolved(study: Study) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PlannedJob:
-    """A job that is to run: its stage and wildcards, whether outputs of it exist, and labels of the jobs it waits for."""
+    """A job that is to run: its stage and wildcards, whether it has outputs, and labels of the jobs it waits for."""
 
     stage: str
     wildcards: Mapping[str, str]

@@ -122,7 +122,7 @@ class Durations:
         unknown = [stage for stage in counts if seconds[stage] is None]
         line = f"Study {self.study}: {counts.total()} jobs"
         if len(unknown) < len(counts):
-            line += f", about {total / cores / 60:.0f} minutes on {cores} cores"
+            line += f", about {duration(total / cores)} on {cores} core{'s' if cores > 1 else ''}"
         return f"{line}; nothing is known yet of how long {', '.join(unknown)} takes." if unknown else f"{line}."
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from statistics import mean
 
@@ -14,7 +15,7 @@ from tasklens.study.study import Study
 _ROUNDING = 1e-6  # tolerance on margins [mm or a fraction], as in `verify`
 
 
-def outcome(study: Study, stage: str, wildcards: dict[str, str], log: Path) -> str:
+def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -> str:
     """Say what a job has made: the spot of a lens, accuracies, where a table is; else the last line of its log."""
     outputs = STAGES[stage].outputs(study, **wildcards)
     if stage == "design":

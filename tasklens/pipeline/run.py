@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.stage import Plan, Stage, flatten, progress_path, results
+from tasklens.pipeline.progress_file import progress_file
+from tasklens.pipeline.stage import Plan, Stage, flatten, results
 from tasklens.runtime.files import FileError, Files
-from tasklens.runtime.progress import progress_file
 from tasklens.study.study import Study
 
 
@@ -36,7 +36,7 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise FileError(f"{label}: missing input {missing[0]}{more}; `snakemake` makes what a job needs")
     first = os.environ.get("RANK", "0") == "0"  # of a process group, the first process writes
-    reported = progress_file(progress_path(study, label)) if first else nullcontext()
+    reported = progress_file(results(study), label) if first else nullcontext()
     with reported, _imported(stage.function) as function:
         if not stage.resumable:
             return function(plan.settings, Files(**inputs), Files(**outputs))

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tasklens.pipeline import progress_file
 from tasklens.pipeline.forecast import Durations, duration
 from tasklens.runtime.files import write_text
 
@@ -90,7 +91,7 @@ class Run:
         return max(longest, sum(known) / self.cores)
 
     def _left(self, label: str, durations: Durations) -> float | None:
-        """Return how long a running job still takes [s]: by its own account of its phase, and by its stage's benchmarks."""
+        """Return how long a running job still takes [s]: the longer of what its phase and its stage's jobs say."""
         job, found = self.jobs[label], self.progress(label)
         expected = durations.seconds(job.stage)
         by_benchmark = None if expected is None or job.began is None else max(0.0, expected - (time.time() - job.began))
@@ -102,10 +103,7 @@ class Run:
 
     def progress(self, label: str) -> Mapping[str, Any] | None:
         """Read how far a job is; None where it has not begun to say."""
-        try:
-            return json.loads(Path(self.folder, "progress", f"{label}.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
+        return progress_file.read(self.folder, label)
 
     def describe(self, label: str, durations: Durations) -> str:
         """Say in one line what a running job does: phase, step, values and time left."""

@@ -23,11 +23,6 @@ def results(study: Study) -> str:
     return f"results/{study.name}"
 
 
-def progress_path(study: Study, label: str) -> Path:
-    """Return the file that says how far a job is while it runs."""
-    return Path(results(study), "progress", f"{label}.json")
-
-
 def flatten(files: Any) -> Iterator[Path]:
     """Yield all paths in nested mappings and sequences; None means no file."""
     if isinstance(files, Path):

@@ -7,7 +7,7 @@ there is a line a minute in place of the bar.
 
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from tasklens.pipeline import runs
+from tasklens.pipeline import closing, runs
 from tasklens.pipeline.forecast import Durations, duration, seconds_of
 from tasklens.pipeline.outcome import last_lines, outcome
 from tasklens.pipeline.stage import STAGES, results
@@ -27,8 +27,13 @@ _MINUTE_S = 60.0
 _SHOWN = 8  # running jobs below the bar
 _LOG_LINES = 12  # of a failed job
 _DEFAULT_HANDLER = "DefaultStreamHandler"  # Snakemake's name
-_TOLD = ("Nothing to be done", "Trying to restart job", "Terminating processes", "Will exit after", "Unlock")
-_KNOWN = ("Exiting because a job execution failed", "At least one job did not complete")  # said here in other words
+_NOTHING = "Nothing to be done"
+_TOLD = ("Terminating processes", "Will exit after", "Unlock")
+_KNOWN = (
+    "Exiting because a job execution failed",
+    "At least one job did not complete",
+    "non-zero exit status",
+)  # said here in other words
 
 
 class Terminal(logging.Handler):
@@ -97,6 +102,10 @@ class Terminal(logging.Handler):
                 text = self.format(record)
                 if not any(known in text for known in _KNOWN):
                     self._print(text)
+            elif str(record.msg).startswith("Trying to restart job"):
+                self._print("        it is tried again")
+            elif str(record.msg).startswith(_NOTHING):
+                self._print(f"{_NOTHING}.\n{closing.success(self.study, None)}")
         except Exception:  # as every handler does: what cannot be shown must not end a run
             self.handleError(record)
 
@@ -161,3 +170,14 @@ class Terminal(logging.Handler):
         lines = [f"  {self.run.describe(label, self.durations)}" for label in running[:_SHOWN]]
         lines += [f"  and {len(running) - _SHOWN} more"] if len(running) > _SHOWN else []
         return Group(grid, *(Text(line, no_wrap=True, overflow="ellipsis") for line in lines))
+
+
+def after_dry_run(logger: logging.Logger, say: Callable[[], str | None]) -> None:
+    """Print what `say` returns, if anything, below Snakemake's lines of a dry run, where it is seen."""
+
+    class Last(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if str(record.msg).startswith("This was a dry-run") and (text := say()):
+                print(f"\n{text}")
+
+    logger.addHandler(Last())

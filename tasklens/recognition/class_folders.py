@@ -52,7 +52,7 @@ def same_classes(folder: Path, train: Sequence[str], test: Sequence[str]) -> Non
 
 
 def check(images: ImageSettings) -> None:
-    """Check that a folder has what a study needs, without listing it: classes, an image in each, enough for the minival.
+    """Check that a folder has classes, an image in each, and enough for the minival, without listing all of them.
 
     Raises:
         FileError: names the folder, what was expected and what was found.

@@ -6,7 +6,7 @@ from pathlib import Path
 _KINDS = {
     "more": "more accurate than",
     "less": "less accurate than",
-    "undecided": "as accurate, to what can be told, as",
+    "undecided": "as accurate, as far as can be told, as",
 }
 
 
