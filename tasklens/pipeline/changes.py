@@ -39,8 +39,13 @@ class Change:
         return f"{self.key}: {_shown(self.old)} -> {_shown(self.new)}"
 
 
+def in_one_line(value: Any) -> str:
+    """Return a value as YAML in one line."""
+    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1e9).removesuffix("\n...\n").strip()
+
+
 def _shown(value: Any) -> str:
-    text = yaml.safe_dump(value, default_flow_style=True, width=1e9).removesuffix("\n...\n").strip()
+    text = in_one_line(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

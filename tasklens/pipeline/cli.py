@@ -17,7 +17,6 @@ from typing import Any
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage
-from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study.loading import load
 from tasklens.study.names import SHARP
@@ -36,29 +35,10 @@ _HELP: dict[str, dict[str, Any]] = {
 
 def check(args: argparse.Namespace) -> None:
     """Check a study file and its imported lenses, compile the tracer where it is not yet, and print a summary."""
-    from tasklens.optics.tracing.trace import compile_tracer
+    from tasklens.pipeline import checks
 
     study = load(args.study)
-    compile_tracer()
-    if study.imported:
-        from tasklens.design import imported
-        from tasklens.optics.view import view_of_spec
-
-        for entry in study.imported.values():
-            spec = study.spec_of(entry.elements)
-            imported.fit(entry, view_of_spec(spec), spec.f_number, study.evaluation_rays)
-    class_folders.check(study.images)
-    if args.networks:
-        from tasklens.recognition import classifiers
-
-        if study.images.folder and any(each.outputs != "classes" for each in study.classifiers.values()):
-            train = class_folders.split_folder(study.images.folder, class_folders.TRAIN)
-            classifiers.imagenet_outputs(class_folders.classes(train))
-        for name, classifier in study.classifiers.items():
-            classifiers.check(name, classifier, study.images.size)
-        for name, design in study.designs.items():
-            if size := getattr(design, "size", None):
-                classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)
+    checks.check(study, args.networks, weights=False)  # Snakemake knows which ones its jobs need
     print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
 
 

@@ -134,6 +134,22 @@ class Run:
         return f"{line}, {'more than ' if unknown else 'about '}{duration(left)} left"
 
 
+def status(run: Run, durations: Durations) -> list[str]:
+    """Describe a run in lines: how far it is, what runs, what has failed."""
+    lines = [f"{run.study}: {run.headline(durations)}"]
+    if run.ended is not None:
+        took = duration(run.ended - run.started)
+        lines[0] = f"{run.study}: the last run ended after {took}, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
+    elif not run.is_alive:
+        lines[0] = f"{run.study}: the last run was killed, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
+        lines.append("  the same `snakemake` command goes on, after `snakemake --unlock`")
+    else:
+        lines += [f"  {run.describe(label, durations)}" for label in run.labels(RUNNING)]
+    for label in run.labels(FAILED):
+        lines += [f"FAILED  {title(label)}: {run.jobs[label].result}", f"        {run.folder}/logs/{label}.log"]
+    return lines
+
+
 def read(folder: Path) -> Run | None:
     """Read the state of the last run of a study from its results folder; None where there is none."""
     try:

@@ -1,6 +1,7 @@
 """Reading and writing of study files (YAML)."""
 
 from collections.abc import Mapping
+from functools import reduce
 from pathlib import Path
 
 import yaml
@@ -28,16 +29,30 @@ def parse(config: Mapping) -> Study:
         raise StudyError("the study cannot be run:\n" + "\n".join(lines)) from None
 
 
-def load(path: str | Path) -> Study:
-    """Read a study from a YAML file; raises StudyError as `parse` does, and for a file that is no YAML mapping."""
+def read(path: str | Path) -> Mapping:
+    """Read the keys of a study file; raises StudyError for a file that is no YAML mapping."""
     try:
-        with open(path) as file:
+        with open(path, encoding="utf-8") as file:
             content = yaml.safe_load(file)
     except yaml.YAMLError as error:
         raise StudyError(f"{path}: not valid YAML: {error}") from None
     if not isinstance(content, Mapping):
         raise StudyError(f"{path}: expected keys and values, found {type(content).__name__}")
-    return parse(content)
+    return content
+
+
+def laid_over(below: Mapping, above: Mapping) -> dict:
+    """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced."""
+    merged = dict(below)
+    for key, value in above.items():
+        under = merged.get(key)
+        merged[key] = laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def load(*paths: str | Path) -> Study:
+    """Read a study from YAML files, each laid over those before it; raises StudyError as `read` and `parse` do."""
+    return parse(reduce(laid_over, map(read, paths)))
 
 
 def dump(study: Study) -> str:
