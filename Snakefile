@@ -14,7 +14,7 @@ from snakemake.utils import min_version
 
 from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.forecast import Durations
+from tasklens.pipeline.forecast import durations_of
 from tasklens.pipeline.stage import STAGES, flatten, results
 from tasklens.pipeline.terminal import Terminal, after_dry_run
 from tasklens.recognition import class_folders
@@ -37,7 +37,7 @@ except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
 RESOLVED = f"{results(study)}/study.yaml"  # the study with all defaults, read by jobs
-durations = Durations(study.name, results(study))
+durations = durations_of(study)
 LENSES = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
 
 # `tasklens` is that of the Python that runs Snakemake, even if its environment is not activated.

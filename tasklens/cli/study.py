@@ -10,7 +10,7 @@ import typer
 
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
-from tasklens.pipeline.forecast import Durations, duration
+from tasklens.pipeline.forecast import Durations, duration, durations_of
 from tasklens.pipeline.stage import results
 from tasklens.recognition import class_folders
 from tasklens.report.differences import differences
@@ -113,7 +113,7 @@ def plan(
     """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""
     study = loading.load(*files)
     planned = planning.plan(study, files, target)
-    durations = Durations(study.name, results(study))
+    durations = durations_of(study)
     seconds, unmeasured = planning.seconds(planned, durations)
     disk_mb, unweighed = planning.disk_mb(study, planned)
     memory_mb = planning.memory_mb(planned, durations)
@@ -135,7 +135,7 @@ def plan(
     if not total:
         print(f"{study.name}: nothing is to be done for {target}.")
         return
-    print(f"{study.name}: {total} jobs, about {duration(seconds / cores)} on {cores} cores{_but(unmeasured)}")
+    print(durations.forecast((stage for stage, each in planned.items() for _ in range(each.remaining)), cores))
     print(f"memory: {memory_mb} MB for the largest job; disk: {disk_mb:.0f} MB more{_but(unweighed)}")
 
 

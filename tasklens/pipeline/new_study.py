@@ -9,7 +9,7 @@ import yaml
 
 from tasklens.pipeline.changes import in_one_line
 from tasklens.pipeline.digest import ROOT
-from tasklens.pipeline.forecast import Durations, duration
+from tasklens.pipeline.forecast import Durations, duration, durations_of
 from tasklens.runtime.errors import InputError
 from tasklens.study import tables as paper_tables
 from tasklens.study.design_settings import LeastSquaresSettings
@@ -22,7 +22,6 @@ ELEMENTS = {"singlet": ["COC"]} | yaml.safe_load(DEFAULT.read_text(encoding="utf
 _CORE = ("tasklens", "image_error", "image_contrast", "imaging2", "imaging3")
 _LEAST = ("tasklens", "image_error", "imaging2")
 _WIDTH = 120  # of a line
-_LARGE = 96  # side of images [pixels] from which on durations are those of photographs
 
 
 @dataclass(frozen=True)
@@ -122,11 +121,10 @@ def seconds(study: Study, cores: int) -> float:
     A job takes what a job of its stage takes in the default study, or with large images in that of photographs. The
     jobs that wait for each other take their sum, on however many cores: images, reference, designs, a fine-tuning.
     """
-    measured = Durations("photographs" if study.images.size >= _LARGE else "small", "")
-    fallback = Durations("small", "")
+    guesses, default = durations_of(study), Durations("small", "")
     counts = {name: count * len(study.seeds) for name, count in _jobs_of_a_seed(study).items()}
     counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts": 1}
-    each = {stage: measured.seconds(stage) or fallback.seconds(stage) or 0.0 for stage in counts}
+    each = {stage: guesses.seconds(stage) or default.seconds(stage) or 0.0 for stage in counts}
     longest = max(_depth(study, lens) for lens in study.lenses)
     chain = each["images"] + each["reference"] + longest * each["design"] + each["fine_tune"]
     return max(chain, sum(count * each[stage] for stage, count in counts.items()) / cores)

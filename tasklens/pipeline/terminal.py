@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tasklens.pipeline import closing, runs
-from tasklens.pipeline.forecast import Durations, duration, seconds_of
+from tasklens.pipeline.forecast import duration, durations_of, seconds_of
 from tasklens.pipeline.outcome import last_lines, outcome
 from tasklens.pipeline.stage import STAGES, results
 from tasklens.study.study import Study
@@ -41,7 +41,7 @@ class Terminal(logging.Handler):
 
     def __init__(self, study: Study, logger: logging.Logger, quiet: bool):
         super().__init__()
-        self.study, self.durations = study, Durations(study.name, results(study))
+        self.study, self.durations = study, durations_of(study)
         self.run: runs.Run | None = None
         self.live: Live | None = None
         self.stopped = threading.Event()
@@ -126,7 +126,7 @@ class Terminal(logging.Handler):
         self.run.end(label, runs.DONE, seconds_of(Path(results(self.study), "benchmarks", f"{label}.tsv")))
         self.run.jobs[label].result = outcome(self.study, stage, wildcards, log)
         self.run.save()
-        self.durations = Durations(self.study.name, results(self.study))
+        self.durations = durations_of(self.study)
         job = self.run.jobs[label]
         done = len(self.run.labels(runs.DONE))
         count = f"{done:>{len(str(len(self.run.jobs)))}}/{len(self.run.jobs)}"
