@@ -5,15 +5,21 @@ import shlex
 import sys
 from functools import cache
 from pathlib import Path
+from subprocess import CalledProcessError
 
 from snakemake.exceptions import WorkflowError
+from snakemake.logging import logger
+from snakemake.settings.types import ExecMode
 from snakemake.utils import min_version
 
-from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.forecast import Durations
+from tasklens.pipeline.forecast import durations_of
 from tasklens.pipeline.stage import STAGES, flatten, results
+from tasklens.pipeline.terminal import Terminal, after_dry_run
+from tasklens.recognition import class_folders
 from tasklens.runtime import files
+from tasklens.runtime.errors import InputError
 from tasklens.study import claims, loading, names
 from tasklens.study import study as studies
 
@@ -24,13 +30,14 @@ if not workflow.config_settings.configfiles:
     configfile: "config/config.yaml"
 
 
+overwrite = config.pop("overwrite", False)  # consent, no part of the study
 try:
     study = loading.parse(config, [Path(path) for path in workflow.config_settings.configfiles])
 except studies.StudyError as error:
     raise WorkflowError(str(error)) from None
 
 RESOLVED = f"{results(study)}/study.yaml"  # the study with all defaults, read by jobs
-durations = Durations(study.name, results(study))
+durations = durations_of(study)
 LENSES = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
 
 # `tasklens` is that of the Python that runs Snakemake, even if its environment is not activated.
@@ -94,28 +101,62 @@ if jobs.others(study):  # `tasklens run fine-tune` makes one of these by hand
     ruleorder: fine_tune_others > fine_tune
 
 
-shown = []  # the tables of this run, printed at its end
+def planned_jobs():
+    """Return the jobs of this run by label."""
+    label = lambda job: runs.label_of(job.log, results(study))
+    return {
+        label(job): changes.PlannedJob(
+            job.rule.name,
+            job.wildcards_dict,
+            any(os.path.exists(path) for path in job.output),
+            tuple(label(other) for other in workflow.dag.dependencies[job] if other.rule.name in STAGES),
+        )
+        for job in workflow.dag.needrun_jobs(exclude_finished=False)  # a dry run counts all as finished
+        if job.rule.name in STAGES
+    }
+
+
+def refusal(found):
+    """Return why this run must not start: changed values would overwrite finished results; else None."""
+    return None if overwrite else changes.refusal(found, study, durations, workflow.cores or 1)
+
+
+if workflow.output_settings.dryrun:
+    after_dry_run(logger, lambda: refusal(changes.overwritten(Path(RESOLVED), study, planned_jobs())))
+elif workflow.exec_mode == ExecMode.DEFAULT:
+    terminal = Terminal(study, logger, bool(workflow.output_settings.quiet))
 
 
 onstart:
+    planned, cores = planned_jobs(), workflow.cores or 1
+    kinds = {job.stage for job in planned.values()}
+    found = changes.overwritten(Path(RESOLVED), study, planned)
+    if reason := refusal(found):
+        sys.exit(reason)
+    if "images" in kinds:
+        try:
+            class_folders.check(study.images)
+        except InputError as error:
+            sys.exit(f"{error}")
     # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
     files.write_if_changed(RESOLVED, loading.dump(study))
-    running = list(workflow.dag.needrun_jobs())
-    kinds = {job.rule.name for job in running}
     networks = "--networks" if "reference" in kinds else ""
     if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
-        shell("tasklens study check {RESOLVED} {networks} > /dev/null")
-    found = {path for job in running for path in job.output if path.startswith(f"{results(study)}/tables/")}
-    if any(job.rule.name == "verify" for job in running):  # it prints the verdicts itself
-        found.discard(str(report_jobs.verdicts.output(study, "md")))
-    shown.extend(sorted(path for path in found if path.endswith(".md")))
-    print(durations.forecast([job.rule.name for job in running if job.rule.name in STAGES], workflow.cores or 1))
+        try:
+            shell("tasklens study check {RESOLVED} --no-weights {networks} > /dev/null")
+        except CalledProcessError as error:  # which has said why
+            sys.exit(error.returncode)
+    if found.otherwise:
+        print(f"Changed code or input files: {changes.amount(found.otherwise, durations, cores)}")
+    print(durations.forecast([job.stage for job in planned.values()], cores))
+    terminal.begin({name: job.stage for name, job in planned.items()}, cores)
 
 
 onsuccess:
-    for path in shown:
-        print(open(path, encoding="utf-8").read())
+    terminal.end()
+    print(closing.success(study, terminal.run))
 
 
 onerror:
-    print(f"Tables of what has finished: tasklens run table {RESOLVED} {study.tables[0]} --partial")
+    terminal.end()
+    print(closing.failure(study, terminal.run))

@@ -1,39 +1,216 @@
-"""`tasklens study ...`: study files."""
+"""`tasklens study ...`: study files and their results."""
 
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from tasklens.study.loading import load
+from tasklens.pipeline import changes, new_study, planning, runs
+from tasklens.pipeline import export as exporting
+from tasklens.pipeline.forecast import Durations, duration, durations_of
+from tasklens.pipeline.stage import results
+from tasklens.recognition import class_folders
+from tasklens.report.differences import differences
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError, write_text
+from tasklens.study import loading
+from tasklens.study.study import Study
 
 app = typer.Typer(no_args_is_help=True)
-app.callback()(lambda: None)  # a group, whatever the number of its commands
+
+Files = Annotated[list[Path], typer.Argument(help="Study files, each laid over those before it.", show_default=False)]
+Place = Annotated[Path, typer.Argument(help="Study file, or folder of its results.", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the study: results are in results/<name>.", show_default=False)],
+    images: Annotated[str | None, typer.Option(help="Folder of photographs, or `built-in`.")] = None,
+    size: Annotated[int | None, typer.Option(help="Side of the images [pixels].")] = None,
+    networks: Annotated[str | None, typer.Option(help="Such as resnet,vit, or of timm; the first supervises.")] = None,
+    elements: Annotated[str | None, typer.Option(help="Such as doublet,triplet or mine=COC+OKP4.")] = None,
+    f_number: Annotated[float | None, typer.Option(help="F-number of the lenses.")] = None,
+    field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal [degrees].")] = None,
+    seeds: Annotated[int | None, typer.Option(help="Number of seeds.")] = None,
+    minutes: Annotated[float | None, typer.Option(help="Time to spend [minutes].")] = None,
+    cores: Annotated[int, typer.Option(help="Cores to spend it on.")] = 2,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: defaults for what is not given.")] = False,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Study file; by default NAME.yaml.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
+    """Write a commented study file that fits a time, from answers or options."""
+    path = output or Path(f"{name}.yaml")
+    if path.exists() and not force:
+        raise FileError(f"{path}: is there already; --force overwrites it, --output names another file")
+
+    def asked(value: Any, question: str, default: Any) -> Any:
+        return value if value is not None else default if yes else typer.prompt(question, default=default)
+
+    place = asked(images, "Images: a folder with train/<class>/* and test/<class>/*, or built-in", "built-in")
+    folder = None if place == "built-in" else Path(place)
+    wish = new_study.Wish(
+        name=name,
+        folder=folder,
+        size=size or (64 if folder is None else 224),
+        networks=_words(asked(networks, "Networks (resnet, mobilenetv3, swin, vit, or names of timm)", "resnet")),
+        elements=_elements(asked(elements, "Elements (singlet, doublet, triplet, quadruplet)", "doublet")),
+        f_number=asked(f_number, "F-number", 2.8),
+        field_of_view_deg=asked(field_of_view, "Full field of view [degrees]", 68.8),
+        seeds=asked(seeds, "Seeds", 1),
+    )
+    minutes = asked(minutes, "Time to spend [minutes]", 30.0)
+    cut, seconds = new_study.fit(wish, minutes, cores)
+    class_folders.check(loading.parse(new_study.content(wish, cut)).images)
+    write_text(path, new_study.text(wish, cut, seconds, cores, path))
+    print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
+    print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables --configfile {path}")
+
+
+def _words(text: str) -> tuple[str, ...]:
+    found = tuple(word.strip() for word in text.split(",") if word.strip())
+    if not found:
+        raise InputError("expected at least one name")
+    return found
+
+
+def _elements(text: str) -> dict[str, list[str]]:
+    """Parse names of the default study's elements, and `name=PLASTIC+PLASTIC`."""
+    found = {}
+    for word in _words(text):
+        name, given, plastics = word.partition("=")
+        if not given and name not in new_study.ELEMENTS:
+            known = ", ".join(new_study.ELEMENTS)
+            raise InputError(f"--elements: unknown {name!r}; expected one of {known}, or NAME=PLASTIC+PLASTIC")
+        found[name] = plastics.split("+") if given else list(new_study.ELEMENTS[name])
+    return found
 
 
 @app.command()
 def check(
-    study: Annotated[Path, typer.Argument(help="Study file (YAML).", show_default=False)],
+    files: Files,
     networks: Annotated[bool, typer.Option("--networks", help="Build every classifier once, without weights.")] = False,
+    weights: Annotated[bool, typer.Option(help="Look for the files of weights of all classifiers.")] = True,
 ) -> None:
-    """Check a study file and its imported lenses, compile the tracer where it is not yet, and print a summary."""
-    from tasklens.optics.tracing.trace import compile_tracer
+    """Check a study file, its images and imported lenses, compile the tracer where it is not yet; print a summary."""
+    from tasklens.pipeline.checks import check as check_study
 
-    found = load(study)
-    compile_tracer()
-    if found.imported:
-        from tasklens.design import imported
-        from tasklens.optics.view import view_of_spec
+    study = loading.load(*files)
+    check_study(study, networks, weights)
+    print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
 
-        for entry in found.imported.values():
-            spec = found.spec_of(entry.elements)
-            imported.fit(entry, view_of_spec(spec), spec.f_number, found.evaluation_rays)
-    if networks:
-        from tasklens.recognition import classifiers
 
-        for name, classifier in found.classifiers.items():
-            classifiers.check(name, classifier, found.images.size)
-        for name, design in found.designs.items():
-            if size := getattr(design, "size", None):
-                classifiers.check(f"{found.supervisor} for designs.{name}", found.classifiers[found.supervisor], size)
-    print(f"{found.name}: {len(found.lenses)} lenses, {len(found.classifiers)} classifiers, seeds {list(found.seeds)}")
+@app.command()
+def plan(
+    files: Files,
+    target: Annotated[str, typer.Option(help="Target of the workflow.")] = "tables",
+    cores: Annotated[int, typer.Option(help="Cores that it is to run on.")] = 2,
+    as_json: Json = False,
+) -> None:
+    """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""
+    study = loading.load(*files)
+    planned = planning.plan(study, files, target)
+    durations = durations_of(study)
+    seconds, unmeasured = planning.seconds(planned, durations)
+    disk_mb, unweighed = planning.disk_mb(study, planned)
+    memory_mb = planning.memory_mb(planned, durations)
+    changed = [str(change) for change in _changes(study)]
+    if as_json:
+        jobs = {stage: {k: v for k, v in asdict(each).items() if k != "files"} for stage, each in planned.items()}
+        figures = {"seconds": seconds / cores, "memory_mb": memory_mb, "disk_mb": disk_mb}
+        gaps = {"seconds_unknown_of": unmeasured, "disk_unknown_of": unweighed}
+        print(json.dumps({"study": study.name, "changed": changed, "jobs": jobs, **figures, **gaps}, indent=1))
+        return
+    print(f"{'stage':<18} {'done':>5} {'missing':>8} {'again':>6}  {'each':>10}")
+    for stage, each in planned.items():
+        known = durations.seconds(stage)
+        one = "?" if known is None else duration(known)
+        print(f"{stage:<18} {len(each.done):>5} {len(each.missing):>8} {len(each.again):>6}  {one:>10}")
+    if changed:
+        print("Changed since the last run:", *changed, sep="\n  ")
+    total = sum(each.remaining for each in planned.values())
+    if not total:
+        print(f"{study.name}: nothing is to be done for {target}.")
+        return
+    print(durations.forecast((stage for stage, each in planned.items() for _ in range(each.remaining)), cores))
+    print(f"memory: {memory_mb} MB for the largest job; disk: {disk_mb:.0f} MB more{_but(unweighed)}")
+
+
+def _but(unknown: list[str]) -> str:
+    return f", not counting {', '.join(unknown)}, of which nothing is known yet" if unknown else ""
+
+
+def _changes(study: Study) -> list[changes.Change]:
+    """Return the values that differ from those of the last run of the study; none before the first."""
+    stored = Path(results(study), "study.yaml")
+    return changes.changes(loading.read(stored), changes.resolved(study)) if stored.exists() else []
+
+
+def _folder(place: Path) -> Path:
+    """Return the folder of results of a study file, or of a folder of results itself."""
+    if place.is_dir():
+        if not (place / "study.yaml").is_file():
+            raise FileError(f"{place}: no study.yaml in it; expected the results of a study, results/<name>")
+        return place
+    return Path(results(loading.load(place)))
+
+
+@app.command()
+def status(place: Place, as_json: Json = False) -> None:
+    """Say what runs now, what is done and what has failed, from files alone: also for a study on a cluster."""
+    folder = _folder(place)
+    run = runs.read(folder)
+    if run is None:
+        raise FileError(f"{folder}/run.json: no run of this study is known; `tasklens study plan` says what remains")
+    durations = Durations(run.study, str(folder))
+    if as_json:
+        running = {label: run.progress(label) for label in run.labels(runs.RUNNING)}
+        left = {"alive": run.is_alive, "seconds_left": run.seconds_left(durations), "progress": running}
+        print(json.dumps(asdict(run) | left, indent=1))
+        return
+    print("\n".join(runs.status(run, durations)))
+
+
+@app.command()
+def diff(
+    old: Place,
+    new: Place,
+    every: Annotated[bool, typer.Option("--all", help="All columns, not only accuracies.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Say what differs between two studies in configuration, and what that did to their tables."""
+    folders = [_folder(place) for place in (old, new)]
+    changed = changes.changes(*map(_configuration, (old, new)))
+    found = [each for each in differences(*folders) if every or as_json or each.column.startswith("accuracy")]
+    if as_json:
+        print(json.dumps({"changes": [asdict(c) for c in changed], "tables": [asdict(d) for d in found]}, indent=1))
+        return
+    print("\n".join(map(str, changed)) or "The configurations are equal.")
+    for table in dict.fromkeys(each.table for each in found):
+        print(f"\n{table}", *(f"  {each}" for each in found if each.table == table), sep="\n")
+    if not found:
+        missing = [str(folder) for folder in folders if not (folder / "tables").is_dir()]
+        print(f"\nNo tables yet in {', '.join(missing)}." if missing else "\nThe tables have the same numbers.")
+
+
+def _configuration(place: Path) -> Mapping[str, Any]:
+    return changes.resolved(loading.load(place / "study.yaml" if place.is_dir() else place))
+
+
+@app.command()
+def export(
+    place: Place,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Zip file; by default <name>.zip.")] = None,
+    weights: Annotated[bool, typer.Option("--weights", help="With the weights of all networks.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
+    """Write what a colleague needs of a study into one zip file: all but images, checkpoints and weights."""
+    folder = _folder(place)
+    path = output or Path(f"{folder.resolve().name}.zip")
+    if path.exists() and not force:
+        raise FileError(f"{path}: is there already; --force overwrites it, --output names another file")
+    count = exporting.export(folder, path, weights)
+    print(f"{path}: {count} files, {path.stat().st_size / 1e6:.1f} MB")

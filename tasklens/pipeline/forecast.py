@@ -12,7 +12,11 @@ from functools import cached_property
 from pathlib import Path
 from statistics import mean
 
+from tasklens.pipeline.stage import results
+from tasklens.study.study import Study
+
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
+_LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
 _LIMIT = 4.0  # time limit of a job over the longest job of its stage
 _LEAST_LIMIT_MIN = 10.0
 _UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage without benchmarks
@@ -33,8 +37,7 @@ def benchmarks(folder: Path) -> dict[str, Measured]:
     """Read Snakemake's benchmark files below a folder, by stage."""
     found: dict[str, list[tuple[float, float]]] = {}
     for path in sorted(folder.rglob("*.tsv")):
-        with open(path, newline="") as file:
-            rows = list(csv.DictReader(file, delimiter="\t"))
+        rows = _rows(path)
         if rows:
             stage = path.relative_to(folder).parts[0].removesuffix(".tsv")
             found.setdefault(stage, []).append((float(rows[-1]["s"]), _number(rows[-1]["max_rss"])))
@@ -42,6 +45,17 @@ def benchmarks(folder: Path) -> dict[str, Measured]:
         stage: Measured(mean(s for s, _ in jobs), max(s for s, _ in jobs), max(mb for _, mb in jobs))
         for stage, jobs in found.items()
     }
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file, delimiter="\t"))
+
+
+def seconds_of(path: Path) -> float | None:
+    """Read the duration of one job from its benchmark file [s]; None where there is none."""
+    rows = _rows(path) if path.exists() else []
+    return float(rows[-1]["s"]) if rows else None
 
 
 def _number(text: str) -> float:
@@ -65,10 +79,11 @@ class Durations:
     Args:
         study: name of the study.
         results: folder of its results.
+        similar: name of a study in `config/` whose durations are taken where nothing else is known.
     """
 
-    def __init__(self, study: str, results: str):
-        self.study, self.folder = study, Path(results) / "benchmarks"
+    def __init__(self, study: str, results: str, similar: str = ""):
+        self.study, self.folder, self.similar = study, Path(results) / "benchmarks", similar
 
     @cached_property
     def here(self) -> dict[str, Measured]:
@@ -79,6 +94,11 @@ class Durations:
     def elsewhere(self) -> dict[str, Measured]:
         """Benchmarks of this study on another machine, by stage."""
         return elsewhere(self.study)
+
+    @cached_property
+    def guesses(self) -> dict[str, Measured]:
+        """Benchmarks of the similar study, by stage; limits of time and memory are not taken from them."""
+        return elsewhere(self.similar)
 
     @property
     def scale(self) -> float:
@@ -91,7 +111,9 @@ class Durations:
         """Return the expected duration of a job of a stage [s]; None without benchmarks."""
         if stage in self.here:
             return self.here[stage].seconds
-        return self.elsewhere[stage].seconds * self.scale if stage in self.elsewhere else None
+        if stage in self.elsewhere:
+            return self.elsewhere[stage].seconds * self.scale
+        return self.guesses[stage].seconds if stage in self.guesses else None
 
     def limit_minutes(self, stage: str) -> int:
         """Return the time limit of a job of a stage [min]."""
@@ -112,5 +134,20 @@ class Durations:
         unknown = [stage for stage in counts if seconds[stage] is None]
         line = f"Study {self.study}: {counts.total()} jobs"
         if len(unknown) < len(counts):
-            line += f", about {total / cores / 60:.0f} minutes on {cores} cores"
+            line += f", about {duration(total / cores)} on {cores} core{'s' if cores > 1 else ''}"
+        if any(stage in self.guesses and stage not in self.here and stage not in self.elsewhere for stage in counts):
+            line += f", if jobs are as long as those of the study {self.similar}"
         return f"{line}; nothing is known yet of how long {', '.join(unknown)} takes." if unknown else f"{line}."
+
+
+def durations_of(study: Study) -> Durations:
+    """Return the durations of a study; where nothing is known of a stage, of a study with images of its size."""
+    return Durations(study.name, results(study), "photographs" if study.images.size >= _LARGE else "small")
+
+
+def duration(seconds: float) -> str:
+    """Return a duration in words of two units at most, such as `1 h 20 min`."""
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

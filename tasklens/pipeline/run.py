@@ -3,12 +3,13 @@
 import gc
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from tasklens.pipeline.digest import code_digest
+from tasklens.pipeline.progress_file import progress_file
 from tasklens.pipeline.stage import Plan, Stage, flatten, results
 from tasklens.runtime.files import FileError, Files
 from tasklens.study.study import Study
@@ -34,12 +35,14 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise FileError(f"{label}: missing input {missing[0]}{more}; `snakemake` makes what a job needs")
-    with _imported(stage.function) as function:
+    first = os.environ.get("RANK", "0") == "0"  # of a process group, the first process writes
+    reported = progress_file(results(study), label) if first else nullcontext()
+    with reported, _imported(stage.function) as function:
         if not stage.resumable:
             return function(plan.settings, Files(**inputs), Files(**outputs))
         checkpoint = _checkpoint(stage, plan, Path(results(study), "checkpoints", label.replace("/", "-", 1)))
         function(plan.settings, Files(**inputs), Files(**outputs), checkpoint)
-    if os.environ.get("RANK", "0") == "0":  # of a process group, the first process writes the outputs
+    if first:
         checkpoint.remove()
     return None
 

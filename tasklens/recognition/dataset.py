@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tasklens.recognition import folders
+from tasklens.recognition import class_folders, folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import CPU, send
 from tasklens.runtime.files import FileError, map_array, write_text, writing_array
@@ -80,15 +80,11 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
         test = _rendered(images.test, 2 * images.seed + 1, images)
     else:
         limit = None if images.train is None else images.train + images.minival
-        pool = folders.find(images.folder, ("train",), limit, images.seed)
-        test = folders.find(images.folder, ("test", "val"), images.test, images.seed)
-        if pool.classes != test.classes:
-            different = ", ".join(sorted(set(pool.classes) ^ set(test.classes)))
-            raise FileError(f"{images.folder}: train and test have different classes: {different}")
+        pool = folders.find(images.folder, class_folders.TRAIN, limit, images.seed)
+        test = folders.find(images.folder, class_folders.TEST, images.test, images.seed)
+        class_folders.same_classes(images.folder, pool.classes, test.classes)
     if len(pool) <= images.minival:
-        raise FileError(
-            f"images.minival = {images.minival}: expected fewer than the {len(pool)} training images it is cut from"
-        )
+        raise class_folders.too_few(images, len(pool))
     order = torch.randperm(len(pool), generator=torch.Generator().manual_seed(images.seed))
     return pool.take(order[images.minival :]), pool.take(order[: images.minival]), test
 

@@ -10,12 +10,12 @@ import torch
 from PIL import Image, ImageOps
 from torch import Tensor
 
+from tasklens.recognition import class_folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.files import FileError, temporary_of, writing_array
 from tasklens.runtime.progress import Progress
 
 Image.MAX_IMAGE_PIXELS = None  # no limit of Pillow's: the files are trusted, and may be of any size
-SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 _BLOCK = 64  # photographs per task of a thread
 
 
@@ -44,18 +44,14 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
     Raises:
         FileError: no such folder, no class in it, or a class without photographs.
     """
-    split = next((folder / name for name in names if (folder / name).is_dir()), None)
-    if split is None:
-        raise FileError(f"images.folder = {folder}: expected a folder {' or '.join(names)} in it, a folder per class")
-    classes = sorted(entry.name for entry in split.iterdir() if entry.is_dir())
-    if not classes:
-        raise FileError(f"{split}: expected a folder per class in it, found none")
+    split = class_folders.split_folder(folder, names)
+    classes = class_folders.classes(split)
     generator = torch.Generator().manual_seed(seed)
     per_class = []
     for name in classes:
-        files = sorted(f for f in (split / name).rglob("*") if f.suffix.lower() in SUFFIXES)
+        files = sorted(class_folders.photographs(split / name))
         if not files:
-            raise FileError(f"{split / name}: this class has no image ({', '.join(SUFFIXES)})")
+            raise class_folders.no_image(split / name)
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
     rounds = max(map(len, per_class))
     chosen = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]

@@ -7,17 +7,17 @@ from contextlib import contextmanager
 
 # Is given the label, the step (counted from 1), the number of steps and the values of every step.
 Listener = Callable[[str, int, int, Mapping[str, float]], None]
-_listeners: list[Listener] = []
+_listeners: list[tuple[Listener, bool]] = []
 
 
 @contextmanager
-def reporting_to(listener: Listener) -> Iterator[None]:
-    """Report progress to `listener` in place of lines on standard error, such as to a bar."""
-    _listeners.append(listener)
+def reporting_to(listener: Listener, lines: bool = False) -> Iterator[None]:
+    """Report progress to `listener`, in place of lines on standard error or, with `lines`, beside them."""
+    _listeners.append((listener, lines))
     try:
         yield
     finally:
-        _listeners.remove(listener)
+        _listeners.remove((listener, lines))
 
 
 class Progress:
@@ -31,8 +31,10 @@ class Progress:
     def __call__(self, step: int, **values: float) -> None:
         """Report that `step` of the total (counted from 1) is done."""
         if _listeners:
-            _listeners[-1](self.label, step, self.total, values)
-            return
+            listener, lines = _listeners[-1]
+            listener(self.label, step, self.total, values)
+            if not lines:
+                return
         now = time.monotonic()
         if self.first is None:
             self.first = step

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from pathlib import Path
 
 import yaml
@@ -46,8 +47,8 @@ def _layer(path: Path, missing: Sequence[str]) -> str:
     return f"{path}: lay it over the study that it changes (--configfile STUDY {path}); {alone}"
 
 
-def load(path: str | Path) -> Study:
-    """Read a study from a YAML file; raises StudyError as `parse` does, and for a file that is no YAML mapping."""
+def read(path: str | Path) -> Mapping:
+    """Read the keys of a study file; raises StudyError for a file that is no YAML mapping."""
     if Path(path).is_dir():
         raise StudyError(f"{path}: is a folder; expected a study file (YAML), as those in config/")
     try:
@@ -61,7 +62,21 @@ def load(path: str | Path) -> Study:
         raise StudyError(f"{path}: no text; expected a study file (YAML)") from None
     if not isinstance(content, Mapping):
         raise StudyError(f"{path}: expected keys and values, found {type(content).__name__}")
-    return parse(content, [Path(path)])
+    return content
+
+
+def laid_over(below: Mapping, above: Mapping) -> dict:
+    """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced."""
+    merged = dict(below)
+    for key, value in above.items():
+        under = merged.get(key)
+        merged[key] = laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def load(*paths: str | Path) -> Study:
+    """Read a study from YAML files, each laid over those before it; raises StudyError as `read` and `parse` do."""
+    return parse(reduce(laid_over, map(read, paths)), [Path(path) for path in paths])
 
 
 def dump(study: Study) -> str:

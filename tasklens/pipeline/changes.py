@@ -1,0 +1,177 @@
+"""What differs between two configurations of a study, and which finished results the new one would overwrite."""
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tasklens.pipeline.forecast import Durations, duration
+from tasklens.pipeline.stage import STAGES
+from tasklens.study.loading import dump, load
+from tasklens.study.study import Study, StudyError
+
+_COUNTED = {  # results that took long, by stage; what is made of them is overwritten without asking
+    "design": "lenses",
+    "reference": "classifiers",
+    "fine_tune": "classifiers",
+    "fine_tune_others": "classifiers",
+    "restore": "restorations",
+}
+_SHOWN = 10  # changed values in a message
+
+
+@dataclass(frozen=True)
+class Change:
+    """A changed value of a study: its dotted key, the values before and after; None where it is new or gone."""
+
+    key: str
+    old: Any
+    new: Any
+
+    def __str__(self) -> str:
+        if isinstance(self.new, dict) and self.old is None:
+            return f"{self.key}: added"
+        if isinstance(self.old, dict) and self.new is None:
+            return f"{self.key}: removed"
+        return f"{self.key}: {_shown(self.old)} -> {_shown(self.new)}"
+
+
+def in_one_line(value: Any) -> str:
+    """Return a value as YAML in one line."""
+    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1e9).removesuffix("\n...\n").strip()
+
+
+def _shown(value: Any) -> str:
+    text = in_one_line(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[Change]:
+    """Return the changed values between two resolved studies, in the order of their keys."""
+    found: list[Change] = []
+    for key in dict.fromkeys([*old, *new]):
+        before, after, name = old.get(key), new.get(key), f"{prefix}{key}"
+        if isinstance(before, Mapping) and isinstance(after, Mapping):
+            found += changes(before, after, f"{name}.")
+        elif before != after:
+            found.append(Change(name, before, after))
+    return found
+
+
+def resolved(study: Study) -> dict[str, Any]:
+    """Return a study with all defaults, as it stands in its file."""
+    return yaml.safe_load(dump(study))
+
+
+@dataclass(frozen=True)
+class PlannedJob:
+    """A job that is to run: its stage and wildcards, whether it has outputs, and labels of the jobs it waits for."""
+
+    stage: str
+    wildcards: Mapping[str, str]
+    exists: bool
+    needs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Overwritten:
+    """Finished results that a run would make again.
+
+    Attributes:
+        changes: changed values of the study; empty if only code or input files differ.
+        by_values: stages of the jobs that a changed value makes again, directly or by what they read.
+        otherwise: stages of the jobs that are made again for another reason: code, input files, or by request.
+    """
+
+    changes: tuple[Change, ...]
+    by_values: tuple[str, ...]
+    otherwise: tuple[str, ...]
+
+
+def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
+    """Find the finished results that the jobs of a run overwrite, where the study was stored before.
+
+    A job is made again by a changed value if its settings differ from those that the stored study gives it, or if it
+    reads what such a job makes. Further seeds, lenses or classifiers change no settings of other jobs.
+
+    Args:
+        stored: the resolved study of the last run.
+        jobs: the jobs of the run by label.
+    """
+    finished = {label for label, job in jobs.items() if job.exists and job.stage in _COUNTED}
+    if not finished or not stored.exists():
+        return Overwritten((), (), ())
+    try:
+        before = load(stored)
+    except StudyError:  # of another version
+        before = None
+    different = {label for label, job in jobs.items() if before is None or _differs(job, before, study)}
+    affected = finished & _with_dependents(different, jobs)
+    known = yaml.safe_load(stored.read_text(encoding="utf-8"))
+    return Overwritten(
+        tuple(changes(known, resolved(study))),
+        tuple(jobs[label].stage for label in sorted(affected)),
+        tuple(jobs[label].stage for label in sorted(finished - affected)),
+    )
+
+
+def _differs(job: PlannedJob, before: Study, after: Study) -> bool:
+    stage = STAGES[job.stage]
+    if not job.exists:
+        return False
+    try:
+        old = stage.plan_from(before, job.wildcards).settings.model_dump(mode="json")
+    except StudyError:  # it was not in the study
+        return True
+    new = stage.plan_from(after, job.wildcards).settings.model_dump(mode="json")
+    if isinstance(old.get("classifiers"), dict):  # measured beside each other, with the numbers that each has alone
+        common = old["classifiers"].keys() & new["classifiers"].keys()
+        for each in (old, new):
+            each["classifiers"] = {name: each["classifiers"][name] for name in common}
+    return old != new
+
+
+def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) -> set[str]:
+    """Return jobs, and all that wait for them, directly or not."""
+    found = set(labels)
+    grown = True
+    while grown:
+        more = {label for label, job in jobs.items() if label not in found and not found.isdisjoint(job.needs)}
+        found |= more
+        grown = bool(more)
+    return found
+
+
+def amount(stages: Iterable[str], durations: Durations, cores: int) -> str:
+    """Say how many results of some stages there are, and how long they take on some cores."""
+    stages = list(stages)
+    counts = Counter(_COUNTED[stage] for stage in stages)
+    words = [f"{count} {kind if count > 1 else _one(kind)}" for kind, count in counts.items()]
+    known = [seconds for stage in stages if (seconds := durations.seconds(stage)) is not None]
+    return f"{', '.join(words)} again" + (f", {duration(sum(known) / cores)}" if known else "")
+
+
+def _one(kind: str) -> str:
+    return {"lenses": "lens"}.get(kind, kind.removesuffix("s"))
+
+
+def refusal(found: Overwritten, study: Study, durations: Durations, cores: int) -> str | None:
+    """Return what to say instead of running, where changed values would overwrite finished results; else None."""
+    if not found.by_values:
+        return None
+    total = amount(found.by_values, durations, cores)
+    lines = [str(change) for change in found.changes[:_SHOWN]]
+    if len(found.changes) > _SHOWN:
+        lines.append(f"and {len(found.changes) - _SHOWN} more changed values")
+    lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
+    return "\n".join(
+        [
+            f"These changes would overwrite finished results of the study {study.name}; nothing was changed:",
+            *(f"  {line}" for line in lines),
+            f"Keep them, and give the new ones a name of their own:  --config name={study.name}_2",
+            "Or overwrite them:  --config overwrite=true",
+        ]
+    )

@@ -1,0 +1,46 @@
+"""Checks of a study before its first job: images, imported lenses, networks; compiles the tracer."""
+
+from tasklens.optics.tracing.trace import compile_tracer
+from tasklens.recognition import class_folders
+from tasklens.runtime.files import FileError
+from tasklens.study.study import Study
+
+
+def check(study: Study, networks: bool, weights: bool) -> None:
+    """Check what a study reads, and compile the tracer where it is not yet.
+
+    Args:
+        networks: build every classifier once, without weights; and check that the folders of classes are named by
+            WordNet ids where a network has ImageNet's outputs.
+        weights: look for the files of weights of all classifiers.
+
+    Raises:
+        InputError: names what cannot be used.
+    """
+    class_folders.check(study.images)
+    for name, classifier in study.classifiers.items():
+        if weights and classifier.weights is not None and not classifier.weights.is_file():
+            raise FileError(f"classifiers.{name}.weights = {classifier.weights}: no such file; correct the path")
+    compile_tracer()
+    if study.imported:
+        from tasklens.design import imported
+        from tasklens.optics.view import view_of_spec
+
+        for entry in study.imported.values():
+            spec = study.spec_of(entry.elements)
+            imported.fit(entry, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+    if networks:
+        _check_networks(study)
+
+
+def _check_networks(study: Study) -> None:
+    from tasklens.recognition import classifiers
+
+    for name, classifier in study.classifiers.items():
+        classifiers.check(name, classifier, study.images.size)
+        if classifier.outputs != "classes" and study.images.folder is not None:
+            train = class_folders.split_folder(study.images.folder, class_folders.TRAIN)
+            classifiers.imagenet_outputs(class_folders.classes(train))
+    for name, design in study.designs.items():
+        if size := getattr(design, "size", None):
+            classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)

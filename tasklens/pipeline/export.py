@@ -1,0 +1,53 @@
+"""A study in one file for a colleague: configuration, tables, lenses, measurements, and how to go on with it."""
+
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from tasklens.runtime.files import FileError, replacing
+
+_LEFT_OUT = {"checkpoints", "images", "progress"}  # what is made anew, or is for the running jobs alone
+_WEIGHTS = {"classifiers", "restoration"}
+
+
+def files_of(folder: Path, weights: bool) -> Iterator[Path]:
+    """Yield the files of a study's results that are exported."""
+    left_out = _LEFT_OUT if weights else _LEFT_OUT | _WEIGHTS
+    for path in sorted(folder.rglob("*")):
+        parts = path.relative_to(folder).parts
+        if path.is_file() and parts[0] not in left_out and not path.name.startswith("."):
+            yield path
+
+
+def export(folder: Path, output: Path, weights: bool) -> int:
+    """Write a zip file of a study's results; return the number of files.
+
+    Args:
+        weights: with the weights of all networks.
+
+    Raises:
+        FileError: the folder has no study.
+    """
+    if not (folder / "study.yaml").is_file():
+        raise FileError(f"{folder}: no study.yaml in it; expected the results of a study, results/<name>")
+    files = list(files_of(folder, weights))
+    with replacing(output) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(f"{folder.name}/README.txt", _readme(folder, weights))
+        for path in files:
+            archive.write(path, Path(folder.name, path.relative_to(folder)))
+    return len(files)
+
+
+def _readme(folder: Path, weights: bool) -> str:
+    return f"""\
+Results of the study {folder.name}, made by TaskLens; the commit and the versions are in tables/*.json.
+
+study.yaml    the configuration, with every default
+tables/       tables as CSV, Markdown and LaTeX; verdicts.csv: each claim with its interval
+lenses/       prescription (lens.yaml), history of the design, PSFs (psf.safetensors) of every lens and seed
+metrics/      accuracies by field, and predictions by image
+benchmarks/   time and memory of every job; logs/ has what each said
+{"classifiers/  weights of every network" if weights else "The weights of networks are left out."}
+
+To make it again:  snakemake -j2 tables --configfile study.yaml
+"""

@@ -1,0 +1,210 @@
+"""A new study that fits a time: the default study, cut until the measured durations of its jobs say so."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tasklens.pipeline.changes import in_one_line
+from tasklens.pipeline.digest import ROOT
+from tasklens.pipeline.forecast import Durations, duration, durations_of
+from tasklens.runtime.errors import InputError
+from tasklens.study import tables as paper_tables
+from tasklens.study.design_settings import LeastSquaresSettings
+from tasklens.study.loading import parse
+from tasklens.study.names import SHARP
+from tasklens.study.study import Study
+
+DEFAULT = ROOT / "config" / "config.yaml"
+ELEMENTS = {"singlet": ["COC"]} | yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))["elements"]
+_CORE = ("tasklens", "image_error", "image_contrast", "imaging2", "imaging3")
+_LEAST = ("tasklens", "image_error", "imaging2")
+_WIDTH = 120  # of a line
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How much of the default study is kept: tables, designs (None: all), and a fraction of steps and images."""
+
+    words: str
+    tables: tuple[str, ...]
+    designs: tuple[str, ...] | None = None
+    fraction: float = 1.0
+
+
+CUTS = (
+    Cut("all four tables", ("table1", "table2", "table3", "table4")),
+    Cut("tables 1 to 3, without restoration", ("table1", "table2", "table3")),
+    Cut("tables 1 and 3, of one network", ("table1", "table3")),
+    Cut("table 1, without designs by spot and end to end", ("table1",), _CORE),
+    Cut("table 1 of three designs", ("table1",), _LEAST),
+    Cut("table 1 of three designs with a quarter of their steps and images", ("table1",), _LEAST, 0.25),
+)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a study is to be about.
+
+    Attributes:
+        folder: folder of photographs; None for the rendered images.
+        networks: names of networks of the default study, or of timm, which start from published weights; the first one
+            supervises the designs.
+        elements: plastics from front to back by name.
+    """
+
+    name: str
+    folder: Path | None
+    size: int
+    networks: tuple[str, ...]
+    elements: Mapping[str, Sequence[str]]
+    f_number: float
+    field_of_view_deg: float
+    seeds: int
+
+
+def content(wish: Wish, cut: Cut) -> dict[str, Any]:
+    """Return the keys of the study file: the default study with what is wished, and cut."""
+    base = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+    designs = {name: _design(base["designs"], name, cut) for name in cut.designs or base["designs"]}
+    images: dict[str, Any] = {"size": wish.size, "minival": base["images"]["minival"], "seed": 0}
+    if wish.folder is None:
+        images |= {key: max(500, round(base["images"][key] * cut.fraction)) for key in ("train", "test")}
+    else:
+        images["folder"] = str(wish.folder)
+    found = {
+        "format": base["format"],
+        "name": wish.name,
+        "seeds": list(range(wish.seeds)),
+        "tables": list(cut.tables),
+        "images": images,
+        "spec": base["spec"] | {"f_number": wish.f_number, "field_of_view_deg": wish.field_of_view_deg},
+        "elements": {name: list(plastics) for name, plastics in wish.elements.items()},
+        "supervisor": wish.networks[0],
+        "classifiers": {name: _network(base["classifiers"], name, wish.size) for name in wish.networks},
+        "designs": designs,
+        "fine_tuning": base["fine_tuning"],
+        "restoration": base["restoration"],
+    }
+    parse(found)  # raises StudyError
+    return found
+
+
+def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
+    """Return a design of the default study, of candidates that are kept, with a fraction of the steps."""
+    kept = cut.designs or tuple(designs)
+    design = dict(designs[name])
+    if "candidates" in design:
+        design["candidates"] = [other for other in design["candidates"] if other in kept]
+    if "finish" in design and cut.fraction < 1:
+        design["finish"] = design["finish"] | {"steps": round(design["finish"]["steps"] * cut.fraction)}
+    if design["method"] == "least_squares" and cut.fraction < 1:
+        design["evaluations"] = round(LeastSquaresSettings.model_fields["evaluations"].default * cut.fraction)
+    return design
+
+
+def _network(networks: Mapping[str, Any], name: str, size: int) -> dict[str, Any]:
+    """Return a network of the default study for images of a size, or a published one of timm with a new head."""
+    if name not in networks:
+        return {"model": name, "pretrained": True, "training": {"epochs": 1, "learning_rate": 3e-4}}
+    network = dict(networks[name])
+    if "img_size" in network.get("arguments", {}):
+        network["arguments"] = network["arguments"] | {"img_size": size}
+    return network
+
+
+def seconds(study: Study, cores: int) -> float:
+    """Estimate the duration of the target `tables` on some cores of the machine of `config/durations.csv` [s].
+
+    A job takes what a job of its stage takes in the default study, or with large images in that of photographs. The
+    jobs that wait for each other take their sum, on however many cores: images, reference, designs, a fine-tuning.
+    """
+    guesses, default = durations_of(study), Durations("small", "")
+    counts = {name: count * len(study.seeds) for name, count in _jobs_of_a_seed(study).items()}
+    counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts": 1}
+    each = {stage: guesses.seconds(stage) or default.seconds(stage) or 0.0 for stage in counts}
+    longest = max(_depth(study, lens) for lens in study.lenses)
+    chain = each["images"] + each["reference"] + longest * each["design"] + each["fine_tune"]
+    return max(chain, sum(count * each[stage] for stage, count in counts.items()) / cores)
+
+
+def _depth(study: Study, lens: str) -> int:
+    """Return the number of designs that wait for each other up to that of a lens."""
+    before = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)}
+    return 1 + max((_depth(study, other) for other in before), default=0)
+
+
+def _jobs_of_a_seed(study: Study) -> dict[str, int]:
+    contents = paper_tables.tables(study)
+    lenses = dict.fromkeys(lens for each in contents for lens in each.lenses)
+    waiting = list(lenses)
+    while waiting:
+        lens = waiting.pop()
+        needed = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)} - lenses.keys()
+        lenses |= dict.fromkeys(needed)
+        waiting += needed
+    measured = {pair for each in contents for pair in each.measured} | {(SHARP, study.supervisor)}
+    by_supervisor = {pair for pair in measured if pair[1].startswith(study.supervisor)}
+    return {
+        "design": len(lenses),
+        "fine_tune": len(by_supervisor),
+        "fine_tune_others": len({lens for lens, _ in measured - by_supervisor}),
+        "restore": len({lens for each in contents if each.restored for lens in each.lenses}),
+    }
+
+
+def fit(wish: Wish, minutes: float, cores: int) -> tuple[Cut, float]:
+    """Return the richest cut of the default study that takes at most `minutes` on some cores, and its duration [s].
+
+    Raises:
+        InputError: not even the least one fits.
+    """
+    for cut in CUTS:
+        found = seconds(parse(content(wish, cut)), cores) * cut.fraction
+        if found <= 60 * minutes:
+            return cut, found
+    raise InputError(
+        f"--minutes {minutes:g}: the least study of this kind takes about {duration(found)} on {cores} cores; "
+        "give it more time, or fewer elements, networks or seeds"
+    )
+
+
+_COMMENTS = {
+    "name": "results are in results/<name>",
+    "seeds": "each job once per seed; of five or more, verdicts are more than suggestions",
+    "tables": "1: task-driven against imaging lenses; 2: other networks; 3: end-to-end design; 4: with restoration",
+    "images": "with `folder`, photographs in train/<class>/* and test/<class>/* (or val); else rendered",
+    "spec": "of all lenses; lengths in mm unless a key says otherwise",
+    "elements": "plastics from front to back; tasklens/materials/plastics.yaml has those that are built in",
+    "supervisor": "supervises the task-driven designs, and measures lenses in tables 1, 3 and 4",
+    "classifiers": "networks by their names in timm",
+    "designs": "config/config.yaml says of each what it is",
+    "fine_tuning": "of every classifier on every lens",
+    "restoration": "of table 4",
+}
+
+
+def text(wish: Wish, cut: Cut, forecast_s: float, cores: int, path: Path) -> str:
+    """Return the study file: what it is, its command and duration, and its keys with comments."""
+    lines = [
+        f"# {cut.words[0].upper()}{cut.words[1:]}: about {duration(forecast_s)} on {cores} cores of the machine on",
+        "# which config/durations.csv was measured. All keys: tasklens/study/settings.py, with units and limits.",
+        "#",
+        f"#   snakemake -j{cores} tables --configfile {path}",
+    ]
+    for key, value in content(wish, cut).items():
+        if key in _COMMENTS:
+            lines.append(f"\n# {_COMMENTS[key]}")
+        lines += _yaml(key, value)
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(key: str, value: Any, indent: str = "") -> list[str]:
+    """Return the lines of a key in YAML: a mapping in one line if that is short and it holds no other."""
+    line = f"{indent}{key}: {in_one_line(value)}"
+    deep = isinstance(value, Mapping) and any(isinstance(each, Mapping) for each in value.values())
+    if not isinstance(value, Mapping) or (len(line) <= _WIDTH and not deep):
+        return [line]
+    return [f"{indent}{key}:", *(line for k, v in value.items() for line in _yaml(k, v, f"{indent}  "))]

@@ -1,0 +1,181 @@
+"""State of a run of a study, in results/<study>/run.json: which jobs wait, run, are done or have failed.
+
+Snakemake's process writes it whenever a job begins or ends. How far a running job is, is in its progress file, which
+the job writes itself, on whichever machine; so that both can be read from another terminal, also of a cluster.
+"""
+
+import json
+import os
+import socket
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tasklens.pipeline import progress_file
+from tasklens.pipeline.forecast import Durations, duration
+from tasklens.runtime.files import write_text
+
+WAITING, RUNNING, DONE, FAILED = "waiting", "running", "done", "failed"
+_SILENT_S = 120.0  # a running job that has not written for longer is said to be silent
+
+
+@dataclass
+class Job:
+    """One job: its stage and state, when it began [s since 1970], how long it took [s], and its result in words."""
+
+    stage: str
+    state: str = WAITING
+    began: float | None = None
+    seconds: float | None = None
+    result: str = ""
+
+
+@dataclass
+class Run:
+    """A run: its study and results folder, the process, and all its jobs by label, such as `design/doublet-spot-seed0`.
+
+    Attributes:
+        ended: when the run ended [s since 1970]; None before, and where its process was killed.
+    """
+
+    study: str
+    folder: str
+    cores: int
+    jobs: dict[str, Job]
+    host: str = field(default_factory=socket.gethostname)
+    pid: int = field(default_factory=os.getpid)
+    started: float = field(default_factory=time.time)
+    ended: float | None = None
+
+    def begin(self, label: str) -> None:
+        """Note that a job begins."""
+        if label in self.jobs:
+            self.jobs[label].state, self.jobs[label].began = RUNNING, time.time()
+            self.save()
+
+    def end(self, label: str, state: str, seconds: float | None = None, result: str = "") -> None:
+        """Note that a job has ended, by default after the time since it began."""
+        job = self.jobs[label]
+        job.state, job.result = state, result
+        job.seconds = time.time() - (job.began or time.time()) if seconds is None else seconds
+        self.save()
+
+    def finish(self) -> None:
+        """Note that the run has ended."""
+        self.ended = time.time()
+        self.save()
+
+    def save(self) -> None:
+        """Write the state."""
+        write_text(Path(self.folder, "run.json"), json.dumps(asdict(self), indent=1) + "\n")
+
+    def labels(self, state: str) -> list[str]:
+        """Return the jobs in a state."""
+        return [label for label, job in self.jobs.items() if job.state == state]
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the run goes on, as far as this machine can know."""
+        return self.ended is None and (self.host != socket.gethostname() or _exists(self.pid))
+
+    def seconds_left(self, durations: Durations) -> float | None:
+        """Return how long the remaining jobs take on the run's cores [s]; None where nothing is known of any."""
+        waiting = [durations.seconds(self.jobs[label].stage) for label in self.labels(WAITING)]
+        running = [self._left(label, durations) for label in self.labels(RUNNING)]
+        known = [seconds for seconds in (*waiting, *running) if seconds is not None]
+        if not known:
+            return None
+        longest = max((seconds for seconds in running if seconds is not None), default=0.0)
+        return max(longest, sum(known) / self.cores)
+
+    def _left(self, label: str, durations: Durations) -> float | None:
+        """Return how long a running job still takes [s]: the longer of what its phase and its stage's jobs say."""
+        job, found = self.jobs[label], self.progress(label)
+        expected = durations.seconds(job.stage)
+        by_benchmark = None if expected is None or job.began is None else max(0.0, expected - (time.time() - job.began))
+        own = None
+        if found and "remaining_s" in found:
+            own = max(0.0, found["remaining_s"] - (time.time() - found["updated"]))
+        known = [seconds for seconds in (by_benchmark, own) if seconds is not None]
+        return max(known) if known else None
+
+    def progress(self, label: str) -> Mapping[str, Any] | None:
+        """Read how far a job is; None where it has not begun to say."""
+        return progress_file.read(self.folder, label)
+
+    def describe(self, label: str, durations: Durations) -> str:
+        """Say in one line what a running job does: phase, step, values and time left."""
+        found = self.progress(label)
+        words = [title(label)]
+        if found is None:
+            return f"{words[0]}  starting"
+        if "phase" in found:
+            words.append(f"{found['phase']} {found['step']}/{found['total']}")
+            words += [f"{name} {value:.4g}" for name, value in found["values"].items()]
+        left = self._left(label, durations)
+        if left:
+            words.append(f"{duration(left)} left")
+        silent = time.time() - found["updated"]
+        if silent > _SILENT_S and "phase" in found:
+            words.append(f"silent for {duration(silent)}")
+        return "  ".join(words)
+
+    def headline(self, durations: Durations) -> str:
+        """Say in one line how many jobs are done, and how long the others take."""
+        done, failed = len(self.labels(DONE)), len(self.labels(FAILED))
+        line = f"{done} of {len(self.jobs)} jobs" + (f", {failed} failed" if failed else "")
+        left = self.seconds_left(durations)
+        if left is None:
+            return line
+        unknown = {self.jobs[label].stage for label in self.labels(WAITING)}
+        unknown = {stage for stage in unknown if durations.seconds(stage) is None}
+        return f"{line}, {'more than ' if unknown else 'about '}{duration(left)} left"
+
+
+def status(run: Run, durations: Durations) -> list[str]:
+    """Describe a run in lines: how far it is, what runs, what has failed."""
+    lines = [f"{run.study}: {run.headline(durations)}"]
+    if run.ended is not None:
+        took = duration(run.ended - run.started)
+        lines[0] = f"{run.study}: the last run ended after {took}, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
+    elif not run.is_alive:
+        lines[0] = f"{run.study}: the last run was killed, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
+        lines.append("  the same `snakemake` command goes on, after `snakemake --unlock`")
+    else:
+        lines += [f"  {run.describe(label, durations)}" for label in run.labels(RUNNING)]
+    for label in run.labels(FAILED):
+        lines += [f"FAILED  {title(label)}: {run.jobs[label].result}", f"        {run.folder}/logs/{label}.log"]
+    return lines
+
+
+def read(folder: Path) -> Run | None:
+    """Read the state of the last run of a study from its results folder; None where there is none."""
+    try:
+        content = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    return Run(
+        **content | {"jobs": {label: Job(**job) for label, job in content["jobs"].items()}, "folder": str(folder)}
+    )
+
+
+def label_of(log: Iterable[str], folder: str) -> str | None:
+    """Return the label of a job from its log file; None for a target, which has none."""
+    return next((os.path.relpath(path, f"{folder}/logs").removesuffix(".log") for path in log), None)
+
+
+def title(label: str) -> str:
+    """Return a label as words, such as `design doublet-spot-seed0`."""
+    return label.replace("/", " ", 1)
+
+
+def _exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

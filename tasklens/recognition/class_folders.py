@@ -1,0 +1,81 @@
+"""Folders of photographs, a folder per class: what is in them, and whether it is enough; no torch here."""
+
+import os
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+from tasklens.runtime.files import FileError
+from tasklens.study.settings import ImageSettings
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+TRAIN, TEST = ("train",), ("test", "val")  # possible names of the folders of the splits
+
+
+def split_folder(folder: Path, names: Sequence[str]) -> Path:
+    """Return the first of the folders `names` that is in `folder`; raises FileError if there is none."""
+    if not folder.is_dir():
+        raise FileError(f"images.folder = {folder}: no such folder; correct the path")
+    split = next((folder / name for name in names if (folder / name).is_dir()), None)
+    if split is None:
+        raise FileError(f"images.folder = {folder}: expected a folder {' or '.join(names)} in it, a folder per class")
+    return split
+
+
+def classes(split: Path) -> list[str]:
+    """Return the names of the classes in the folder of a split; raises FileError if there are none."""
+    found = sorted(entry.name for entry in split.iterdir() if entry.is_dir())
+    if not found:
+        raise FileError(f"{split}: expected a folder per class in it, found none")
+    return found
+
+
+def photographs(folder: Path) -> Iterator[Path]:
+    """Yield the photographs of a class, in no order and one after the other, so that a few cost nothing."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                yield from photographs(Path(entry.path))
+            elif entry.name.lower().endswith(SUFFIXES):
+                yield Path(entry.path)
+
+
+def no_image(folder: Path) -> FileError:
+    """Return the error of a class without photographs."""
+    return FileError(f"{folder}: this class has no image ({', '.join(SUFFIXES)}); add some, or remove the folder")
+
+
+def same_classes(folder: Path, train: Sequence[str], test: Sequence[str]) -> None:
+    """Raise FileError if the classes of two splits differ."""
+    if different := sorted(set(train) ^ set(test)):
+        raise FileError(f"{folder}: train and test have different classes: {', '.join(different)}")
+
+
+def check(images: ImageSettings) -> None:
+    """Check that a folder has classes, an image in each, and enough for the minival, without listing all of them.
+
+    Raises:
+        FileError: names the folder, what was expected and what was found.
+    """
+    if images.folder is None:
+        return
+    splits = [split_folder(images.folder, names) for names in (TRAIN, TEST)]
+    train, test = (classes(split) for split in splits)
+    same_classes(images.folder, train, test)
+    if len(train) < 2:
+        raise FileError(f"{splits[0]}: expected two classes or more, a folder each, found only {train[0]}")
+    for split in splits:
+        for name in train:
+            if next(photographs(split / name), None) is None:
+                raise no_image(split / name)
+    needed = images.minival + 1
+    found = sum(1 for _ in islice((file for name in train for file in photographs(splits[0] / name)), needed))
+    if found < needed:
+        raise too_few(images, found)
+
+
+def too_few(images: ImageSettings, found: int) -> FileError:
+    """Return the error of a folder with too few training images."""
+    return FileError(
+        f"images.minival = {images.minival}: expected fewer than the {found} training images it is cut from"
+    )
