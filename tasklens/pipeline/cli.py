@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tasklens.pipeline import report_jobs
+from tasklens.pipeline.partial import prepare
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage
 from tasklens.runtime.errors import InputError
@@ -75,7 +76,10 @@ def _run_stage(stage: Stage, args: argparse.Namespace) -> int:
     wildcards = {name: getattr(args, name) for name in stage.wildcards}
     if wildcards.get(SEED, 0) is None:
         wildcards[SEED] = study.seeds[0]
-    return run(stage, study, wildcards, getattr(args, "partial", False)) or 0
+    partial = getattr(args, "partial", False)
+    if partial and stage is report_jobs.report:
+        prepare(study)
+    return run(stage, study, wildcards, partial) or 0
 
 
 def _count(text: str) -> int:
@@ -102,8 +106,8 @@ def _parser() -> argparse.ArgumentParser:
         added = command(stage.name, stage.plan.__doc__, partial(_run_stage, stage), "study", *words)
         if SEED in stage.wildcards:
             added.add_argument("--seed", type=int, help="by default the first seed of the study")
-        if stage is report_jobs.table:
-            added.add_argument("--partial", action="store_true", help="write <table>-partial, of what is measured")
+        if stage in (report_jobs.table, report_jobs.report):
+            added.add_argument("--partial", action="store_true", help=f"write <{stage.name}>-partial, of what is there")
     added = command("check", check.__doc__, check, "study")
     added.add_argument("--networks", action="store_true", help="build every classifier once, without weights")
     added = command("analyse", analyse.__doc__, analyse)

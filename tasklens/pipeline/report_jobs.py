@@ -123,8 +123,8 @@ def merit_function(study: Study) -> Plan:
     {
         "page": f"{LENS_FOLDER}/certificate.md",
         "zemax": f"{LENS_FOLDER}/lens.zmx",
-        **{name: f"{LENS_FOLDER}/{name}.svg" for name in ("section", "curves")},
-        **{name: f"{LENS_FOLDER}/{name}.webp" for name in ("spots", "psfs")},
+        "section": f"{LENS_FOLDER}/section.svg",
+        **{name: f"{LENS_FOLDER}/{name}.webp" for name in ("spots", "psfs", "curves")},
         **_drawn("{lens}-seed{seed}"),
     },
 )
@@ -162,7 +162,7 @@ def captures(study: Study) -> Plan:
         classifiers={name: study.classifier(name) for name in dict.fromkeys(used)},
     )
     inputs = {
-        "test": dict(zip(("images", "labels"), split(study, "test"), strict=True)),
+        "test": split(study, "test"),
         "psfs": {lens: psf_file(study, lens, seed) for lens in contents.lenses},
         "restorations": {lens: restore.output(study, "weights", lens=lens, seed=seed) for lens in sorted(restored)},
         "weights": weights,
@@ -188,11 +188,13 @@ def report(study: Study) -> Plan:
         supervisor=study.supervisor,
         tables=shown,
         elements={lens: study.lens(lens).elements for lens in lenses},
-        task_driven=[lens for lens in lenses if study.lens(lens).task_driven],
+        by_task=[lens for lens in lenses if study.lens(lens).task_driven],
+        by_classifier=[lens for lens in lenses if study.lens(lens).classified],
         margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
         questions=[paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS],
         gaps=contents.gaps,
         optional={path.stem: path for path in _optional(study)},
+        optional_figures={"merit_function": merit_function.output(study, "figure")},
         benchmarks=folder / "benchmarks",
         configuration=dump(study),
     )

@@ -127,10 +127,10 @@ def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
 def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Path) -> None:
     """Write the parts of the figure of a lens as pictures of their own, for a page."""
     parts = (
-        (draw_section, section, (7, 4.2)),
+        (draw_section, section, (5.2, 3.4)),
         (draw_spots, spots, (9, 3.6)),
         (draw_psfs, psfs, (13, 3.2)),
-        (draw_curves, charts, (9, 3.6)),
+        (draw_curves, charts, (9, 3.8)),
     )
     for function, path, size in parts:
         with matplotlib.rc_context(_NIGHT if function is draw_psfs else {}):

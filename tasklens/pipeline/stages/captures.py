@@ -1,9 +1,7 @@
 """The same test images through every lens, and what each network answers."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
-import pandas
 import torch
 from safetensors.numpy import save_file
 from timm.data import ImageNetInfo
@@ -13,15 +11,14 @@ from restoration.nafnet import build
 from tasklens.imaging import Camera, psnr
 from tasklens.recognition import classifiers, dataset
 from tasklens.recognition.classifiers import Classifier
-from tasklens.report import predictions
+from tasklens.report.chosen_images import choose
 from tasklens.runtime.devices import claim
-from tasklens.runtime.files import FileError, Files, read_tensors, replacing, write_rows
+from tasklens.runtime.files import Files, read_tensors, replacing, write_rows
 from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
 
 FIELDS = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
-_DIVIDING = 2  # images that divide the lenses
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
@@ -31,7 +28,7 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
         FileError: no lens has been measured yet.
     """
     device = claim()
-    test = dataset.read(*inputs.test.values(), device=device)
+    test = dataset.read(*inputs.test, device=device)
     chosen = choose(inputs.predictions)
     images, labels = test.batch(torch.tensor(chosen))
     known = _class_names()
@@ -74,30 +71,6 @@ def _key(lens: str, restored: bool) -> str:
 
 def _bytes(images: Tensor) -> Tensor:
     return (255 * images).round().clamp(0, 255).byte().contiguous()
-
-
-def choose(files: Mapping[str, Path]) -> list[int]:
-    """Choose the images to show from predictions by lens (or SHARP), without looking at them.
-
-    Of the test images that are recognised sharp (if that is measured): the first one, and two that divide the lenses
-    most, those recognised through nearest to half of all lenses and fields. Each has another label.
-
-    Raises:
-        FileError: there are no predictions of a lens.
-    """
-    correct = {lens: predictions.read(path) for lens, path in files.items()}
-    sharp = correct.pop(SHARP, None)
-    if not correct:
-        raise FileError("captures: no lens has been measured yet")
-    share = pandas.concat([found.mean(axis=1) for found in correct.values()], axis=1).mean(axis=1)
-    if sharp is not None and sharp.mean(axis=1).any():
-        share = share[sharp.mean(axis=1) > 0]
-    order = [share.index[0], *(share - 0.5).abs().sort_values(kind="stable").index]
-    chosen: dict[str, int] = {}
-    for image, label in order:
-        if len(chosen) <= _DIVIDING:
-            chosen.setdefault(label, int(image))
-    return list(chosen.values())
 
 
 @torch.no_grad()

@@ -27,10 +27,6 @@ _CAPTIONS = {
     "merit_function": "Merit functions: what each classifier wants of a lens, by spatial frequency [cycles per pixel]",
 }
 _SPREAD = " ± is the standard deviation over seeds."
-_HISTORIES = (
-    ("validation_loss", "loss on fixed images", "Loss on the fixed images of the design", False),
-    ("rms_um", "RMS spot [um]", "RMS spot radius during the design", True),
-)
 
 
 def make(settings: Slice, inputs: Files, outputs: Files) -> None:
@@ -59,6 +55,7 @@ def render(settings: Slice, inputs: Files) -> str:
         "supervisor": settings.supervisor,
         "summary": _summary(settings, frames),
         "answers": _answers(settings, frames),
+        "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
         "convergence": words.convergence(_gaps(settings, inputs)),
         "missing": missing(settings, inputs),
         "optional": [name for name in settings.optional if name not in frames],
@@ -66,6 +63,7 @@ def render(settings: Slice, inputs: Files) -> str:
         "verdicts": _table("verdicts", frames["verdicts"]) if "verdicts" in frames else None,
         "more": [_table(name, frame) for name, frame in frames.items() if name in ("psf_tail", "effort")],
         "further": [_table(name, frame) for name, frame in frames.items() if name in settings.optional],
+        "drawn": {name: pictures.link(path) for name, path in settings.optional_figures.items() if path.exists()},
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
         "comparisons": _comparisons(settings, frames),
         "gallery": gallery.entries(settings, inputs, table1),
@@ -157,11 +155,17 @@ def _histories(settings: Slice, inputs: Files) -> list[charts.Chart]:
     found = []
     for elements in dict.fromkeys(settings.elements.values()):
         lenses = [lens for lens, own in settings.elements.items() if own == elements and lens in inputs.histories]
-        runs = {lens.partition("-")[2]: _read(inputs.histories[lens]) for lens in lenses}
-        for column, unit, title, log in _HISTORIES:
-            said = f"{title} of each {elements}, over the share of its run that is done. {_ends(runs, column)}"
-            key = f"history-{elements}-{column.replace('_', '-')}"
-            found.append(charts.histories(key, f"{elements}: {title.lower()}", column, unit, runs, said, log))
+        runs = {lens: _last_part(_read(inputs.histories[lens])) for lens in lenses}
+        said = f"RMS spot radius in the last part of the design of each {elements}. {_ends(runs, 'rms_um')}"
+        title = f"Design of each {elements}: RMS spot"
+        found.append(charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, said, True))
+        runs = {lens: run for lens, run in runs.items() if lens in settings.by_classifier}
+        said = (
+            f"Loss of the classifier on the fixed images of the design of each {elements}, which ends with the lens of "
+            f"the least one. {_ends(runs, 'validation_loss')}"
+        )
+        title = f"Design of each {elements}: loss of the classifier"
+        found.append(charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, said, False))
     runs = {lens: _read(path) for lens, path in inputs.restorations.items()}
     said = f"PSNR on minival while the restoration networks are trained. {_ends(runs, 'psnr_db')}"
     found.append(charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, said, False))
@@ -171,6 +175,13 @@ def _histories(settings: Slice, inputs: Files) -> list[charts.Chart]:
 def _read(path: Path) -> pandas.DataFrame:
     """Read a history, which is empty for an imported lens."""
     return pandas.read_csv(path) if path.read_text().strip() else pandas.DataFrame()
+
+
+def _last_part(history: pandas.DataFrame) -> pandas.DataFrame:
+    """Return the last phase of a descent; of a search from many starts the least RMS spot so far."""
+    if "phase" in history:
+        return history[history["phase"] == history["phase"].iloc[-1]].reset_index(drop=True)
+    return history.assign(rms_um=history["rms_um"].cummin()) if "start" in history else history
 
 
 def _ends(runs: Mapping[str, pandas.DataFrame], column: str) -> str:

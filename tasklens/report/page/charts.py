@@ -19,6 +19,8 @@ SYMBOLS = (
 )
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 _POINTS = 160  # of a curve
+_TICKS = [m * 10**e for e in range(-1, 4) for m in (1, 2, 5)]  # of logarithmic axes
+_LEGEND = {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"}
 
 
 @dataclass(frozen=True)
@@ -82,16 +84,10 @@ def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
         "design; dashed line: sharp images. Touch a design in the legend to hide its lenses."
     )
     axes = {
-        "xaxis": {
-            "type": "log",
-            "title": {"text": "RMS spot radius [um]"},
-            "dtick": "D2",
-            "minor": {"ticks": "outside"},
-        },
+        "xaxis": {"type": "log", "title": {"text": "RMS spot radius [um]"}, "tickvals": _TICKS},
         "yaxis": {"title": {"text": "accuracy [%]"}},
     }
-    legend = {"orientation": "h", "y": -0.2, "x": 0}
-    return _chart("accuracy", "Accuracy and sharpness", words, figure, 560, legend=legend, hovermode="closest", **axes)
+    return _chart("accuracy", "Accuracy and sharpness", words, figure, 600, legend=_LEGEND, hovermode="closest", **axes)
 
 
 def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[str]) -> Chart | None:
@@ -148,8 +144,7 @@ def histories(
     if not figure.data:
         return None
     axes = {
-        "xaxis": {"title": {"text": "share of the run"}, "tickformat": ".0%", "range": [0, 1]},
-        "yaxis": {"title": {"text": unit}, "type": "log" if log else "linear", "exponentformat": "power"},
+        "xaxis": {"title": {"text": "share of the last part"}, "tickformat": ".0%", "range": [0, 1]},
+        "yaxis": {"title": {"text": unit}} | ({"type": "log", "tickvals": _TICKS} if log else {}),
     }
-    legend = {"orientation": "h", "y": -0.25, "x": 0}
-    return _chart(key, title, words, figure, 460, legend=legend, showlegend=True, **axes)
+    return _chart(key, title, words, figure, 520, legend=_LEGEND, showlegend=True, **axes)

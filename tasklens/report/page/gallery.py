@@ -28,7 +28,7 @@ class Entry:
     Attributes:
         lens: name of the lens.
         elements: name of its elements.
-        task_driven: whether a classifier designed it.
+        by_task: whether a classifier designed it.
         facts: short facts (name, value), the most telling first.
         pictures: (data link, text alternative) by name.
         files: (file name, data link) of downloads.
@@ -39,7 +39,7 @@ class Entry:
 
     lens: str
     elements: str
-    task_driven: bool
+    by_task: bool
     facts: list[tuple[str, str]]
     pictures: dict[str, tuple[str, str]]
     files: list[tuple[str, str]]
@@ -63,7 +63,7 @@ def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame |
     return Entry(
         lens=lens,
         elements=settings.elements[lens],
-        task_driven=lens in settings.task_driven,
+        by_task=lens in settings.by_task,
         facts=_facts(lens, content, table1),
         pictures={
             name: (pictures.link(groups[name][lens]), alternative.format(**words))

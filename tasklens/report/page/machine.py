@@ -26,7 +26,7 @@ def durations(folder: Path) -> pandas.DataFrame:
             "total_min": jobs["minutes"].sum(),
             "mean_min": jobs["minutes"].mean(),
             "longest_min": jobs["minutes"].max(),
-            "most memory_MB": jobs["memory_mb"].max(),
+            "memory_mb": jobs["memory_mb"].max(),
         }
     )
     return found.sort_values("total_min", ascending=False).reset_index()

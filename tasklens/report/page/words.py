@@ -93,15 +93,31 @@ def comparison(row: Mapping[str, Any], margin: float) -> Sentence:
     same = f"{row['lens'].partition('-')[0]}-"
     baseline = ", ".join(part.strip().removeprefix(same) for part in str(baseline).split(","))
     kind = row["claim"].removeprefix("more accurate than ")
-    other = baseline if baseline == kind else f"{kind} ({baseline})"
-    interval = f"{row['low']:+.1f} to {row['high']:+.1f}"
+    other = baseline if baseline == kind else f"{baseline}, {kind}"
+    interval = f"{row['low']:+z.1f} to {row['high']:+z.1f}".replace("-", "−")
     if direction == UNDECIDED:
-        return Sentence(f"Undecided: {lens} and {other} are {row['reason']} ({interval}).", direction)
+        return Sentence(f"Undecided: {lens} is {row['reason']} ({interval}) of {other}.", direction)
     points = abs(row["difference"])
     unit = "point" if f"{points:.1f}" == "1.0" else "points"
     more = "more" if row["difference"] > 0 else "less"
     said = {SHOWN: "Shown", SUGGESTED: "Suggested"}[certainty]
-    return Sentence(f"{said}: {lens} is {points:.1f} {unit} {more} accurate than {other} ({interval}).", direction)
+    return Sentence(f"{said}: {lens} is {points:.1f} {unit} {more} accurate ({interval}) than {other}.", direction)
+
+
+def best_lenses(table1: pandas.DataFrame, task_driven: Iterable[str]) -> dict[str, Sentence]:
+    """Say for each name of elements which task-driven lens is the most accurate, and which other one, in table 1."""
+    lenses = table1[table1["elements"].fillna("") != ""].dropna(subset=["accuracy"])
+    ours = (lenses["elements"] + "-" + lenses["design"]).isin(list(task_driven))
+    found = {}
+    for name in dict.fromkeys(lenses["elements"]):
+        own = lenses["elements"] == name
+        parts = []
+        for words, kind in (("designed by the task", own & ours), ("of the others", own & ~ours)):
+            if kind.any():
+                best = lenses.loc[lenses[kind]["accuracy"].idxmax()]
+                parts.append(f"{best['accuracy']:.1f} % through {best['design']}, the best {words}")
+        found[name] = Sentence(f"{'; '.join(parts)}.")
+    return found
 
 
 def convergence(gaps: Mapping[str, Gap]) -> list[Sentence]:
