@@ -67,6 +67,7 @@ TARGETS = {  # targets of the command line; the first is the default
         report_jobs.verdicts.output(study, "csv"),
         report_jobs.psf_tail.output(study, "csv"),
         report_jobs.effort.output(study, "csv"),
+        report_jobs.report.output(study, "report"),
     ],
     **TABLES,
     "backbones": TABLES["table2"],  # the single ablations of the paper's section 5

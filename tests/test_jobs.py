@@ -26,7 +26,7 @@ from tasklens.study.settings import Slice
 from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
-TOLD = report_jobs.verdicts, report_jobs.psf_tail, report_jobs.effort  # beside the tables
+TOLD = report_jobs.verdicts, report_jobs.psf_tail, report_jobs.effort, report_jobs.report  # beside the tables
 
 
 def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
@@ -108,16 +108,17 @@ READERS = [
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job in (("design", "singlet-imaging1"), ("effort",))),
-    ("restoration.steps", 9, lambda job: job[0] == "restore" or measured(*RESTORED)(job)),
-    ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",))),
+    ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measured(*RESTORED)(job)),
+    ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",), ("captures",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] == "restore" or (job[0] in ("fine_tune", "fine_tune_others", "reproduce") and job[1] != SHARP)
+     lambda job: job[0] in ("restore", "captures")
+     or (job[0] in ("fine_tune", "fine_tune_others", "reproduce") and job[1] != SHARP)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,
-     lambda job: job == ("reference", "small") or measured("small", "small-restored")(job)
+     lambda job: job in (("reference", "small"), ("captures",)) or measured("small", "small-restored")(job)
      or (job[0] == "design" and job[1] in CLASSIFIED)),
     ("classifiers.other.model", "test_vit2",
-     lambda job: job == ("reference", "other") or measured("other", "other-restored")(job)),
+     lambda job: job in (("reference", "other"), ("captures",)) or measured("other", "other-restored")(job)),
     ("elements.singlet", ["PMMA"], lambda job: job[0] == "design"),
 ]  # fmt: skip
 
@@ -127,7 +128,8 @@ def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value,
     before, after = slices(tiny_study()), slices(changed(tiny_study(), key, value))
     assert before.keys() == after.keys()
     touched = {job for job in before if before[job] != after[job]}
-    assert touched == {job for job in before if reads(job)} != set()
+    assert touched - {("report",)} == {job for job in before if reads(job)} != set()
+    assert ("report",) in touched  # it shows the whole configuration
 
 
 def test_diffraction_changes_no_design():
@@ -146,7 +148,7 @@ def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
     mine = builtin("COC").definition()
     before = slices(study | {"materials": {"MINE": mine}})
     after = slices(study | {"materials": {"MINE": mine | {"coefficients": [2.31, 0.01, 0.037, 0, 0, 0]}}})
-    touched = {job for job in before if before[job] != after[job]}
+    touched = {job for job in before if before[job] != after[job]} - {("report",)}
     assert touched == {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
 
 
@@ -165,7 +167,7 @@ def test_a_study_may_make_some_of_the_tables():
     """Its tails, verdicts and verification are of these, of their lenses and of their measurements."""
     some = changed(tiny_study(), "tables", ["table3"])
     before, after = slices(tiny_study()), slices(some)
-    told = {("psf_tail",), ("merit_function",), ("verdicts",), ("verify",)}
+    told = {("psf_tail",), ("merit_function",), ("verdicts",), ("verify",), ("captures",), ("report",)}
     assert {job for job in before if before[job] != after[job]} == told
     study = parse(some)
     verified = report_jobs.verify.plan(study).settings
@@ -198,7 +200,7 @@ def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs
         found = needed(study, *flatten(report_jobs.verify.plan(study).inputs))
         assert {job[1:] for job in found if job[0] == "reproduce"} == set(contents.measured)
     else:
-        others = (stage.output(study, "csv") for stage in TOLD)
+        others = (next(iter(stage.outputs(study).values())) for stage in TOLD)
         found = needed(study, report_jobs.table.output(study, "csv", table=made), *others)
     expected = set(map("-".join, itertools.product(elements, designs)))
     assert {job[1] for job in found if job[0] == "design"} == expected
@@ -223,7 +225,7 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
     before, after = slices(tiny_study()), slices(with_imported())
     rows = {("table", name) for name in ("table1", "table2", "table4")}
-    rows |= {("psf_tail",), ("effort",), ("merit_function",), ("verify",)}
+    rows |= {("psf_tail",), ("effort",), ("merit_function",), ("verify",), ("captures",), ("report",)}
     assert {job for job in before if before[job] != after[job]} == rows
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
     study = parse(with_imported())
@@ -302,7 +304,7 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     found = {job for job in before if before[job] != after[job]}
     doublets = {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
-    assert found == doublets | {("psf_tail",), ("verdicts",), ("verify",)}
+    assert found == doublets | {("psf_tail",), ("verdicts",), ("verify",), ("report",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     efl_mm = report_jobs.verify.plan(both).settings.efl_mm
     assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]

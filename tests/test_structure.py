@@ -94,7 +94,7 @@ def test_modules_of_a_room_do_not_import_in_a_circle():
 def test_only_the_stages_that_measure_import_restoration():
     users = {name_of(path) for path in MODULES if any(name.startswith("restoration") for name in imports_of(path))}
     found = {user for user in users if not user.startswith("restoration")}
-    assert found == {"tasklens.pipeline.stages.restore", "tasklens.pipeline.stages.classify"}
+    assert found == {f"tasklens.pipeline.stages.{name}" for name in ("restore", "classify", "captures")}
 
 
 def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
@@ -145,6 +145,7 @@ NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
     [
         ("images", (*NETWORKS, "numba", "scipy.fft", "pandas", "matplotlib")),
         ("design", ("pandas", "matplotlib")),
+        ("captures", ("numba", "matplotlib", "torchvision.transforms.v2")),
         ("psf_tail", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib")),
         ("certificate", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot")),
         ("restore", ("numba", "pandas", "matplotlib")),
@@ -307,14 +308,14 @@ def edited(tmp_path, monkeypatch):
     digest.code_digest.cache_clear()
 
 
-READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tune_others", "reproduce"}
-JUDGE = {"verdicts", "regimes", "ablation"}
+READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
+JUDGE = {"verdicts", "regimes", "ablation", "report"}
 TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate"}
 FIGURES = {"certificate", "comparison"}
 MEASUREMENTS = {"table", "verify", "comparison", "merit_function", *JUDGE}
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail", *FIGURES}
-SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce"}
+SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
 
 
 @pytest.mark.parametrize(
@@ -352,9 +353,10 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
         ("tasklens/pipeline/stages/design.py", "grid.float()", "grid", {"design"}),
         ("tasklens/optics/analysis/diffraction.py", "_MARGIN = 8.0", "_MARGIN = 9.0", OPTICS),
-        ("tasklens/pipeline/stages/classify.py", ".requires_grad_(False)", "", SEE - {"restore"}),
-        ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail"}),
+        ("tasklens/pipeline/stages/classify.py", ".requires_grad_(False)", "", SEE - {"restore", "captures"}),
+        ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail", *FIGURES}),
         ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
+        ("tasklens/report/page/words.py", '"hold"', '"are true"', {"report"}),
         ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE),
         ("tasklens/study/settings.py", "Field(2.8,", "Field(2.9,", set()),  # such a value is in the slice
         ("tasklens/pipeline/jobs.py", "priority=1", "priority=2", set()),

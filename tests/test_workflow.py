@@ -81,6 +81,9 @@ def plan(folder: Path, study: dict | Path | None, *targets: str) -> dict[str, in
     return {name: count for name, count in counts.items() if name not in targets}
 
 
+TOLD = ("psf_tail", "effort", "captures", "report")
+
+
 class Expected:
     """Jobs counted from a study, by what the paper's tables are about."""
 
@@ -136,12 +139,13 @@ class Expected:
         }
         counts = {name: count * len(self.study.seeds) for name, count in by_seed.items()}
         counts |= {"images": 1, "reference": len(needed), "table": len(self.study.tables), **dict(seedless)}
-        return {name: count for name, count in (counts | {"psf_tail": 1, "effort": 1, "verdicts": 1}).items() if count}
+        return {name: count for name, count in (counts | {"verdicts": 1} | dict.fromkeys(TOLD, 1)).items() if count}
 
 
 def expected(study: Study) -> dict[str, int]:
     """Jobs of the target `tables`."""
-    return Expected(study).counts()
+    found = Expected(study)
+    return found.counts(("certificate", len(found.shown)))  # of the first seed, for the report
 
 
 def expected_of_everything(study: Study) -> dict[str, int]:
@@ -193,7 +197,7 @@ def test_single_values_change_the_default_study(beside_config):
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """24 lenses of the default study, not all 30: nothing else waits for those of end-to-end design."""
     one = {"images": 1, "reference": 1, "table": 1, "verdicts": 1, "design": 24, "fine_tune": 25}
-    others = {"psf_tail": 1, "effort": 1} if target == "tables" else {"reproduce": 25}
+    others = {"certificate": 24} | dict.fromkeys(TOLD, 1) if target == "tables" else {"reproduce": 25}
     assert plan(beside_config, None, target, "--config", 'tables=["table1"]') == one | others
 
 
@@ -203,8 +207,8 @@ def test_the_headline_makes_tables_1_and_3_for_five_seeds(beside_config):
     lenses = len(study.lenses) + 3 * len(study.elements) + 2
     planned = plan(beside_config, None, "tables", "--configfile", "config/config.yaml", "config/headline.yaml")
     assert planned.pop("fine_tune") == 5 * (1 + lenses) and planned.pop("table") == 2
-    one = {"images": 1, "reference": 1, "psf_tail": 1, "effort": 1, "verdicts": 1}
-    assert planned == one | {"design": 5 * lenses}
+    one = {"images": 1, "reference": 1, "verdicts": 1} | dict.fromkeys(TOLD, 1)
+    assert planned == one | {"design": 5 * lenses, "certificate": lenses}
 
 
 def test_a_study_file_without_a_format_is_refused(beside_config):

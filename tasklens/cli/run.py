@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from tasklens.pipeline import report_jobs
+from tasklens.pipeline.partial import prepare
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage
 from tasklens.study.loading import load
@@ -47,6 +48,8 @@ def _command(stage: Stage) -> Callable[..., None]:
         found = load(study)
         if wildcards.get(SEED, 0) is None:
             wildcards[SEED] = found.seeds[0]
+        if partial and stage is report_jobs.report:
+            prepare(found)
         if status := run(stage, found, wildcards, partial):
             raise typer.Exit(status)
 
@@ -56,8 +59,9 @@ def _command(stage: Stage) -> Callable[..., None]:
     ]
     if SEED in stage.wildcards:
         parameters.append(_option(SEED, int | None, None, "By default the first seed of the study."))
-    if stage is report_jobs.table:
-        parameters.append(_option("partial", bool, False, "Write <table>-partial, of what is measured.", "--partial"))
+    if stage in (report_jobs.table, report_jobs.report):
+        words = f"Write <{stage.name}>-partial, of what is there."
+        parameters.append(_option("partial", bool, False, words, "--partial"))
     command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
     command.__annotations__ = {each.name: each.annotation for each in parameters}
     return command

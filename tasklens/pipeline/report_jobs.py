@@ -4,12 +4,24 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from tasklens.pipeline.jobs import LENS_FOLDER, STAGES, design, lens_file, measurement, psf_file, reproduce
-from tasklens.pipeline.stage import Plan, stage
+from tasklens.pipeline.jobs import (
+    LENS_FOLDER,
+    STAGES,
+    design,
+    lens_file,
+    measurement,
+    psf_file,
+    reproduce,
+    restore,
+    split,
+)
+from tasklens.pipeline.stage import Plan, results, stage
 from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
+from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
+from tasklens.study.loading import dump
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
 from tasklens.study.study import Study, pick
@@ -37,6 +49,11 @@ def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
 def _published(name: str, *suffixes: str) -> dict[str, str]:
     """Return path patterns of the files of a table by suffix."""
     return {suffix.replace(".", "_"): f"tables/{name}.{suffix}" for suffix in (*suffixes, "csv", "md")}
+
+
+def _drawn(name: str) -> dict[str, str]:
+    """Return path patterns of a figure in three formats."""
+    return {"figure": f"figures/{name}.png"} | {f"figure_{kind}": f"figures/{name}.{kind}" for kind in ("svg", "pdf")}
 
 
 @stage(f"{REPORT}.tables.make", _published("{table}", "seeds.csv", "tex", "json"))
@@ -102,14 +119,21 @@ def merit_function(study: Study) -> Plan:
 
 
 @stage(
-    f"{STAGES}.certificate.run", {"page": f"{LENS_FOLDER}/certificate.md", "figure": "figures/{lens}-seed{seed}.png"}
+    f"{STAGES}.certificate.run",
+    {
+        "page": f"{LENS_FOLDER}/certificate.md",
+        "zemax": f"{LENS_FOLDER}/lens.zmx",
+        "section": f"{LENS_FOLDER}/section.svg",
+        **{name: f"{LENS_FOLDER}/{name}.webp" for name in ("spots", "psfs", "curves")},
+        **_drawn("{lens}-seed{seed}"),
+    },
 )
 def certificate(study: Study, lens: str, seed: int) -> Plan:
     """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
     return Plan(Slice(lens=lens, seed=seed), {"lens": lens_file(study, lens, seed), "psf": psf_file(study, lens, seed)})
 
 
-@stage(f"{STAGES}.comparison.run", {"figure": "figures/figure3-{elements}-seed{seed}.png"})
+@stage(f"{STAGES}.comparison.run", _drawn("figure3-{elements}-seed{seed}"))
 def comparison(study: Study, elements: str, seed: int) -> Plan:
     """Draw the task-driven lenses of some elements and the best imaging lens (figure 3)."""
     known = paper_claims.claims_by_elements(study)
@@ -122,6 +146,77 @@ def comparison(study: Study, elements: str, seed: int) -> Plan:
         "metrics": {key: measurement(study, *key, "metrics") for key in keys},
     }
     return Plan(Slice(claims=tuple(claims), seed=seed), inputs)
+
+
+@stage(f"{STAGES}.captures.run", {"images": "figures/captures.safetensors", "answers": "tables/answers.csv"})
+def captures(study: Study) -> Plan:
+    """Take some test images through every lens, of the first seed, and let each network classify them."""
+    contents, seed = paper_tables.verification(study), study.seeds[0]
+    weights = {(lens, name): measurement(study, lens, name, seed, "weights") for lens, name in contents.measured}
+    supervised = [lens for lens, name in contents.measured if name == study.supervisor]
+    restored = {lens for lens, name in contents.measured if names.split(name)[1]}
+    used = [names.split(name)[0] for _, name in contents.measured]
+    settings = Slice(
+        captures={lens: study.capture_of(lens) for lens in contents.lenses},
+        restoration=study.restoration if restored else None,
+        classifiers={name: study.classifier(name) for name in dict.fromkeys(used)},
+    )
+    inputs = {
+        "test": split(study, "test"),
+        "psfs": {lens: psf_file(study, lens, seed) for lens in contents.lenses},
+        "restorations": {lens: restore.output(study, "weights", lens=lens, seed=seed) for lens in sorted(restored)},
+        "weights": weights,
+        "predictions": {lens: measurement(study, lens, study.supervisor, seed, "predictions") for lens in supervised},
+    }
+    return Plan(settings, inputs)
+
+
+_LENS_PARTS = ("page", "zemax", "section", "spots", "psfs", "curves")  # of the certificate, in the report
+
+
+@stage(f"{REPORT}.page.assembly.make", {"report": "report.html"})
+def report(study: Study) -> Plan:
+    """Make the page that tells the results of a study, from its tables, drawings, captures and benchmarks."""
+    contents, seed = paper_tables.verification(study), study.seeds[0]
+    lenses = {lens: {"lens": lens, "seed": seed} for lens in contents.lenses}
+    shown = [each.name for each in contents.tables]
+    restored = [lens for lens, name in contents.measured if names.split(name)[1]]
+    folder = Path(results(study))
+    settings = Slice(
+        study=study.name,
+        seeds=study.seeds,
+        supervisor=study.supervisor,
+        tables=shown,
+        elements={lens: study.lens(lens).elements for lens in lenses},
+        by_task=[lens for lens in lenses if study.lens(lens).task_driven],
+        by_classifier=[lens for lens in lenses if study.lens(lens).classified],
+        margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
+        questions=[paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS],
+        gaps=contents.gaps,
+        optional={path.stem: path for path in _optional(study)},
+        optional_figures={"merit_function": merit_function.output(study, "figure")},
+        benchmarks=folder / "benchmarks",
+        configuration=dump(study),
+    )
+    keys = [(lens, study.supervisor, seed) for lens in lenses if (lens, study.supervisor) in contents.measured]
+    inputs = {
+        "tables": {name: table.output(study, "csv", table=name) for name in shown},
+        "provenance": {name: table.output(study, "json", table=name) for name in shown},
+        "others": {each.name: each.output(study, "csv") for each in (verdicts, psf_tail, effort)},
+        "frozen": {key: measurement(study, *key, "frozen") for key in keys},
+        "lenses": {lens: lens_file(study, lens, seed) for lens in lenses},
+        "histories": {lens: design.output(study, "history", **lenses[lens]) for lens in lenses},
+        **{part: {lens: certificate.output(study, part, **lenses[lens]) for lens in lenses} for part in _LENS_PARTS},
+        "restorations": {lens: restore.output(study, "history", **lenses[lens]) for lens in restored},
+        "captures": {name: captures.output(study, name) for name in ("images", "answers")},
+    }
+    return Plan(settings, inputs)
+
+
+def _optional(study: Study) -> list[Path]:
+    """Return the tables that the report shows where they exist, since they need further lenses."""
+    stages = [regimes.output(study, "csv"), merit_function.output(study, "csv")]
+    return stages + [ablation.output(study, "csv", ablation=name) for name in study.ablations]
 
 
 @stage(f"{REPORT}.verification.run", {})  # without output, it runs on every request

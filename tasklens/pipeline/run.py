@@ -19,7 +19,8 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
     """Run a job; its checkpoint is removed when its outputs are complete.
 
     Args:
-        partial: leave missing files out of mappings of inputs, and add "-partial" to the names of the outputs.
+        partial: in mappings of inputs, take the partial file of a missing one, or leave it out; and add "-partial" to
+            the names of the outputs.
 
     Raises:
         FileError: an input is missing.
@@ -29,8 +30,8 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
     inputs, label = dict(plan.inputs), stage.label.format(**wildcards)
     if partial:
         given = {name: files for name, files in inputs.items() if isinstance(files, Mapping)}
-        inputs |= {name: {k: path for k, path in files.items() if path.exists()} for name, files in given.items()}
-        outputs = {k: p.with_name(p.name.replace(".", "-partial.", 1)) for k, p in outputs.items()}
+        inputs |= {name: _there(files) for name, files in given.items()}
+        outputs = {name: _partial(path) for name, path in outputs.items()}
     missing = [path for path in flatten(inputs) if not path.exists()]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -45,6 +46,17 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
     if first:
         checkpoint.remove()
     return None
+
+
+def _partial(path: Path) -> Path:
+    """Return the name of a file that is made of a part of its inputs."""
+    return path.with_name(path.name.replace(".", "-partial.", 1))
+
+
+def _there(files: Mapping[Any, Path]) -> dict[Any, Path]:
+    """Return the files that exist, or are made of a part of their inputs."""
+    found = {key: path if path.exists() else _partial(path) for key, path in files.items()}
+    return {key: path for key, path in found.items() if path.exists()}
 
 
 @contextmanager

@@ -1,28 +1,38 @@
-"""Figures of lenses: cross-section with rays; spot diagrams, PSFs and ray fans from axis to corner."""
+"""Figures of lenses: cross-section, spots, PSFs, ray fans, MTF and encircled energy from axis to corner.
+
+All panels about the sensor have the same axes, x to the right and y upward, and are centred on the image point of the
+chief ray. Colours are those of Okabe and Ito, which people without colour vision can tell apart; lines differ in
+their dashes as well.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-from matplotlib.axes import Axes
+import matplotlib
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Circle
 from torch import Tensor
 
-from tasklens.materials.material import AIR
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, ray_fans, spot_diagram, trace_fields, trace_fields_full
-from tasklens.optics.aspheres import sag
+from tasklens.optics.analysis.spots import chief_points, ray_fans, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
+from tasklens.report import curves, spot_panels
+from tasklens.report.cross_section import cross_section
 from tasklens.runtime.files import read_tensors, replacing
 
-_SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
-_COLOURS = ("tab:blue", "tab:green", "tab:red")
-_BY_WAVELENGTH = ("tab:red", "tab:green", "tab:blue")  # as in a specification: red, green, blue
+SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
+COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
+_RAYS = 4096  # per field and wavelength
+_FANS = 41
+_DPI = 110
+# Text stays text, and the names of parts are the same in every run.
+_VECTOR = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
+_NIGHT = {"figure.facecolor": "black"} | dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor"), "white")
+_METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,9 @@ class Panel:
         lens: lens with finite clear apertures.
         view: fields, wavelengths and pixels.
         psf: (F, 3, K, K) cached PSFs.
-        figures: optical figures in the lens file, for captions.
+        figures: optical figures of the lens, for captions.
+        rays: rays of all fields on the image plane.
+        centre: (F, 2) image points of the chief rays [mm].
     """
 
     title: str
@@ -42,89 +54,86 @@ class Panel:
     view: View
     psf: Tensor
     figures: Mapping
+    rays: Rays
+    centre: Tensor
 
 
 def panel(title: str, path: Path, psf: Path) -> Panel:
     """Read what a panel shows from the files of a lens and its PSFs; raises FileError."""
     found, content = prescription.read(path)
     view = view_of(found.lens, content, str(path))
-    return Panel(title, found.lens, view, read_tensors(psf)[0]["psf"], content["figures"])
+    return panel_of(title, found.lens, view, read_tensors(psf)[0]["psf"], content["figures"])
 
 
-def draw(path: Path, panels: Sequence[Panel]) -> None:
-    """Draw one lens, or several one above the other, in the format of the suffix of `path`: .png, .svg or .pdf."""
-    whole = Figure(figsize=(13, 6 * len(panels)), layout="constrained")
+def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) -> Panel:
+    """Return what a panel shows of a lens, its PSFs and figures."""
+    rays = trace_fields(lens, view, sobol_disc(_RAYS, 0))
+    return Panel(title, lens, view, psf, figures, rays, chief_points(lens, view))
+
+
+def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
+    """Draw one lens, or several one above the other, and write a file of the format of each path's suffix."""
+    whole = Figure(figsize=(13, 9 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
-    with replacing(path) as temporary:
-        whole.savefig(temporary, dpi=110, format=path.suffix.removeprefix("."))
+    save(whole, paths)
+
+
+def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
+    """Write a figure in the format of each path's suffix: png, svg, pdf or webp."""
+    with matplotlib.rc_context(_VECTOR):
+        for path in paths:
+            kind = path.suffix.removeprefix(".")
+            with replacing(path) as temporary:
+                figure.savefig(temporary, dpi=dpi, format=kind, metadata=_METADATA.get(kind))
+            figure.set_layout_engine("none")  # the layout of the first file is that of all
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:
-    lens, view, figures = panel.lens, panel.view, panel.figures
-    grid = part.add_gridspec(3, 10)
-    _cross_section(part.add_subplot(grid[:, :4]), lens, view)
-    rays = trace_fields(lens, view, sobol_disc(1024, 0))
-    spots = 1e3 * spot_diagram(rays, centroid(rays))[:, 1]
-    fans = ray_fans(lens, view, 41)
-    half = view.kernel_size * view.pixel_pitch / 2
-    for k, (field, name) in enumerate(_SHOWN.items()):
-        column = 4 + 2 * k
-        axes = part.add_subplot(grid[0, column : column + 2])
-        axes.scatter(spots[field, :, 0], spots[field, :, 1], s=0.3, color=_COLOURS[k])
-        axes.add_patch(Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.8))
-        axes.set(xlim=(-half, half), ylim=(half, -half), aspect="equal", xlabel="um")
-        axes.set_title(f"{name}: RMS {figures['rms_centroid_um'][field]:.1f} um", fontsize=9, color=_COLOURS[k])
-        axes = part.add_subplot(grid[1, column : column + 2])
-        shown = panel.psf[field].permute(1, 2, 0)
-        axes.imshow((shown / shown.max()).sqrt().numpy())  # square root, to make the tail visible
-        axes.set_title(f"inside {figures['energy_in_window'][field]:.2f}", fontsize=9)
-        axes.set(xticks=[], yticks=[])
-        for i, (errors, label) in enumerate(((fans.tangential[..., 1], "py"), (fans.sagittal[..., 0], "px"))):
-            axes = part.add_subplot(grid[2, column + i])
-            for w, colour in enumerate(_BY_WAVELENGTH):
-                axes.plot(fans.pupil, 1e3 * errors[field, w], color=colour, lw=0.8)
-            axes.set(xlim=(-1, 1), ylim=(-half, half), xlabel=label)
-            axes.set_title(f"e{label[1]} [um]", fontsize=9)
-            axes.grid(lw=0.3)
-    part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}")
+    top, middle, bottom = part.subfigures(3, 1, height_ratios=(4, 2.5, 2.5))
+    left, right = top.subfigures(1, 2, width_ratios=(1.1, 1))
+    draw_section(left, panel)
+    draw_spots(right, panel)
+    draw_psfs(middle, panel)
+    fans, charts = bottom.subfigures(1, 2, width_ratios=(1.1, 1))
+    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, SHOWN)
+    draw_curves(charts, panel)
+    figures = panel.figures
+    part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}", weight="bold")
 
 
-def _cross_section(axes: Axes, lens: Lens, view: View) -> None:
-    """Draw a lens in the plane of the diagonal, with a fan of rays for axis, middle and corner."""
-    vertices = lens.vertices
-    edges = []
-    for i in range(len(lens.media)):
-        height = torch.linspace(-1, 1, 101, dtype=lens.dtype) * lens.semi_diameter[i]
-        z = vertices[i] + sag(height**2, lens.curvature[i], lens.conic[i], lens.alpha[i])[0]
-        edges.append((z, height))
-        if i == lens.stop:
-            for sign in (1, -1):
-                rim = sign * float(lens.semi_diameter[i])
-                axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2)
-        if i in lens.refracting_surfaces:
-            axes.plot(z, height, color="black", lw=1)
-    for i, medium in enumerate(lens.media[:-1]):
-        if medium != AIR:
-            for end in (0, -1):
-                (z0, h0), (z1, h1) = edges[i], edges[i + 1]
-                flange = max(h0[end], h1[end], key=abs)  # beyond its clear aperture a surface is a flat flange
-                axes.plot([z0[end], z0[end], z1[end], z1[end]], [h0[end], flange, flange, h1[end]], color="black", lw=1)
-    radius = view.fields.norm(dim=-1)[list(_SHOWN)]
-    along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, view.wavelengths[1:2], 1.0, 1)
-    fan = torch.stack([torch.zeros(9), torch.linspace(-0.98, 0.98, 9)], -1).double()
-    image, behind = trace_fields_full(lens, along_y, fan)
-    image_z = float(vertices[-1] + lens.thickness[-1])
-    # Rays are drawn from the foremost plane straight to the first refracting surface, since a stop may be behind it.
-    z_each = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
-    y_each = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
-    front = torch.full_like(z_each[0], float(vertices.min()))
-    before = y_each[0] - along_y.tangents[:, 1, None] * (z_each[0] - front)
-    z = torch.stack([front, *z_each, torch.full_like(front, image_z)])
-    y = torch.stack([before, *y_each, image.y[:, 0]])
-    for k, colour in enumerate(_COLOURS):
-        alive = image.valid[k, 0]
-        axes.plot(z[:, k, alive].numpy(), y[:, k, alive].numpy(), color=colour, lw=0.6)
-    half = float(view.fields.norm(dim=-1).max())
-    axes.plot([image_z] * 2, [-half, half], color="black", lw=2)
-    axes.set(aspect="equal", xlabel="z [mm]", ylabel="y [mm]")
+def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw the cross-section with rays."""
+    cross_section(part.subplots(), panel.lens, panel.view, SHOWN, COLOURS)
+
+
+def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw the spot diagrams of axis, middle and corner, with the circles of core and 80 %."""
+    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, SHOWN)
+
+
+def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw the PSFs of all fields, by square root and by logarithm."""
+    spot_panels.psf_strip(part, panel.psf, panel.view, panel.figures)
+
+
+def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw MTF and encircled energy of axis, middle and corner."""
+    mtf, energy = part.subplots(1, 2)
+    curves.mtf(mtf, panel.rays, panel.view, panel.figures, SHOWN, COLOURS)
+    curves.encircled(energy, panel.rays, panel.centre, panel.view, SHOWN, COLOURS)
+
+
+def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Path) -> None:
+    """Write the parts of the figure of a lens as pictures of their own, for a page."""
+    parts = (
+        (draw_section, section, (5.2, 3.4)),
+        (draw_spots, spots, (9, 3.6)),
+        (draw_psfs, psfs, (13, 3.2)),
+        (draw_curves, charts, (9, 3.8)),
+    )
+    for function, path, size in parts:
+        with matplotlib.rc_context(_NIGHT if function is draw_psfs else {}):
+            figure = Figure(figsize=size, layout="constrained")
+            function(figure, panel)
+            save(figure, [path])

@@ -6,6 +6,33 @@ def plan(name, *wildcards):
     return STAGES[name].plan_from(study, dict(wildcards))
 
 
+# What `snakemake --report` shows: outputs and category of a stage, with the caption workflow/report/<stage>.rst.
+REPORTED = {
+    "report": (["report"], "Page"),
+    "table": (["csv"], "Tables"),
+    "verdicts": (["csv"], "Tables"),
+    "psf_tail": (["csv"], "Tables"),
+    "effort": (["csv"], "Tables"),
+    "regimes": (["csv"], "Tables"),
+    "ablation": (["csv"], "Tables"),
+    "merit_function": (["csv", "figure"], "Merit function"),
+    "comparison": (["figure"], "Comparisons"),
+    "certificate": (["figure"], "Lenses"),
+}
+
+
+def reported(stage):
+    """Return the outputs of a stage, those that a report shows with caption, category and labels."""
+    names, category = REPORTED.get(stage.name, ([], ""))
+    labels = {"result": stage.name} | {name: f"{{{name}}}" for name in stage.wildcards}
+    caption = f"../report/{stage.name}.rst"
+    return stage.outputs(study) | {
+        name: report(path, caption=caption, category=category, labels=labels | {"file": path.suffix})
+        for name, path in stage.outputs(study).items()
+        if name in names
+    }
+
+
 for stage in STAGES.values():  # functions of wildcards are called later: each keeps its own stage
     if callable(stage.patterns) and not stage.outputs(study):
         continue
@@ -16,7 +43,7 @@ for stage in STAGES.values():  # functions of wildcards are called later: each k
         input:
             unpack(lambda w, stage=stage: {"files": [*map(str, flatten(plan(stage.name, *w.items()).inputs))]}),
         output:
-            **stage.outputs(study),
+            **reported(stage),
         log:
             f"{results(study)}/logs/{stage.label}.log",
         benchmark:

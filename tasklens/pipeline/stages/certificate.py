@@ -1,16 +1,22 @@
-"""The certificate of a lens: figures, aberrations, limits and manufacturability, and its drawing."""
+"""The certificate of a lens: figures, aberrations, limits and manufacturability; its drawings, and its Zemax file."""
+
+from dataclasses import replace
+
+import torch
 
 from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
 from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.analysis.tolerances import displacements
-from tasklens.optics.io import prescription
+from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.view import View
 from tasklens.report import certificate, figures, manufacturability
 from tasklens.runtime.files import Files, write_text
 from tasklens.study.settings import Slice
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Write the page, and draw the lens."""
+    """Write the page and the Zemax file, and draw the lens: as one figure, and in parts."""
     found, content = prescription.read(inputs.lens)
     lens = found.lens
     view = view_of(lens, content, str(inputs.lens))
@@ -19,4 +25,20 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
     errors_um = displacements(lens, view, content["figures"]["rays"])
     section = manufacturability.markdown(content["margins"], shapes(lens), errors_um, view.pixel_pitch)
     write_text(outputs.page, f"{page}\n{section}")
-    figures.draw(outputs.figure, [figures.panel(settings.lens, inputs.lens, inputs.psf)])
+    zemax.write(outputs.zemax, _with_view(found, view, settings.lens))
+    panel = figures.panel(settings.lens, inputs.lens, inputs.psf)
+    figures.draw([outputs.figure, outputs.figure_svg, outputs.figure_pdf], [panel])
+    figures.draw_parts(panel, outputs.section, outputs.spots, outputs.psfs, outputs.curves)
+
+
+def _with_view(found: Prescription, view: View, title: str) -> Prescription:
+    """Return the prescription with the fields and wavelengths of a view; the radius of its stop is its aperture."""
+    angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
+    return replace(
+        found,
+        title=title,
+        aperture=None,
+        fields=("angle_deg", tuple((x, y) for x, y in angles)),
+        wavelengths_um=view.wavelengths,
+        primary=len(view.wavelengths) // 2,
+    )

@@ -10,4 +10,5 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
     """Draw the lens of each claim, and their strongest baseline."""
     strongest = Measurements({}, inputs.metrics).strongest_baseline(settings.claims[0], settings.seed)
     lenses = [*(claim.lens for claim in settings.claims), strongest]
-    figures.draw(outputs.figure, [figures.panel(lens, inputs.lenses[lens], inputs.psfs[lens]) for lens in lenses])
+    panels = [figures.panel(lens, inputs.lenses[lens], inputs.psfs[lens]) for lens in lenses]
+    figures.draw([outputs.figure, outputs.figure_svg, outputs.figure_pdf], panels)

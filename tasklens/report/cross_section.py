@@ -1,0 +1,75 @@
+"""Cross-section of a lens in the plane of the diagonal, with rays of several fields."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from matplotlib.axes import Axes
+
+from tasklens.materials.material import AIR
+from tasklens.optics.analysis.spots import trace_fields_full
+from tasklens.optics.aspheres import sag
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.report.scale_bar import scale_bar
+
+_RAYS = 9  # of a field
+_PUPIL = 0.98  # of its radius, where the outermost rays are
+_ELEMENT = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
+
+
+def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:
+    """Draw elements, stop, sensor, and a fan of rays for each of the fields `shown`, by index."""
+    vertices = lens.vertices
+    edges = []
+    for i in range(len(lens.media)):
+        height = torch.linspace(-1, 1, 101, dtype=lens.dtype) * lens.semi_diameter[i]
+        z = vertices[i] + sag(height**2, lens.curvature[i], lens.conic[i], lens.alpha[i])[0]
+        edges.append((z, height))
+        if i == lens.stop:
+            for sign in (1, -1):
+                rim = sign * float(lens.semi_diameter[i])
+                label = "stop" if sign == 1 else None
+                axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2.5, label=label)
+    for i, medium in enumerate(lens.media[:-1]):
+        if medium != AIR:
+            (z0, h0), (z1, h1) = edges[i], edges[i + 1]
+            # Beyond its clear aperture a surface is a flat flange.
+            flange = float(max(h0[-1], h1[-1]))
+            z = torch.cat([z0[:1], z0, z0[-1:], z1[-1:], z1.flip(0), z1[:1]])
+            end = torch.tensor([flange], dtype=lens.dtype)
+            axes.fill(z, torch.cat([-end, h0, end, end, h1.flip(0), -end]), **_ELEMENT)
+            middle = float(vertices[i] + lens.thickness[i] / 2)
+            axes.text(middle, -flange, f" {medium.name} ", ha="center", va="top", fontsize=8)
+    _rays(axes, lens, view, shown, colours)
+    image_z = float(vertices[-1] + lens.thickness[-1])
+    half = float(view.radii.max())
+    axes.plot([image_z] * 2, [-half, half], color="black", lw=2.5)
+    axes.text(image_z, -half, "sensor", ha="right", va="top", fontsize=8)
+    axes.set(aspect="equal")
+    axes.margins(0.03, 0.08)
+    axes.set_axis_off()
+    axes.legend(loc="upper left", fontsize=8, frameon=False)
+    scale_bar(axes, 1.0, "1 mm", place="lower left")
+
+
+def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:
+    """Draw a fan of rays for each field, turned into the plane of the drawing."""
+    vertices = lens.vertices
+    radius = view.radii[list(shown)]
+    along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, (view.reference,), 1.0, 1)
+    fan = torch.stack([torch.zeros(_RAYS), torch.linspace(-_PUPIL, _PUPIL, _RAYS)], -1).double()
+    image, behind = trace_fields_full(lens, along_y, fan)
+    # Rays are drawn from the foremost plane straight to the first refracting surface, since a stop may be behind it.
+    z_each = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
+    y_each = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
+    front = torch.full_like(z_each[0], float(vertices.min()))
+    before = y_each[0] - along_y.tangents[:, 1, None] * (z_each[0] - front)
+    z = torch.stack([front, *z_each, torch.full_like(front, float(vertices[-1] + lens.thickness[-1]))])
+    y = torch.stack([before, *y_each, image.y[:, 0]])
+    angles = torch.rad2deg(torch.atan(radius / view.efl)).tolist()
+    for k, (name, colour) in enumerate(zip(shown.values(), colours, strict=True)):
+        valid = image.valid[k, 0]
+        lost = int((~valid).sum())
+        label = f"{name}, {angles[k]:.0f}°" + (f" ({lost} of {len(valid)} rays lost)" if lost else "")
+        axes.plot(z[:, k, valid].numpy(), y[:, k, valid].numpy(), color=colour, lw=0.7)
+        axes.plot([], [], color=colour, label=label)

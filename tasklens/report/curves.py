@@ -1,0 +1,85 @@
+"""Curves of a lens: ray fans, MTF and encircled energy."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from torch import Tensor
+
+from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.spots import RayFans
+from tasklens.optics.analysis.tail import encircled_energy
+from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
+
+# As in a specification: red, green, blue.
+BY_WAVELENGTH = (
+    {"color": "#CC3311", "ls": "-"},
+    {"color": "#228833", "ls": "--"},
+    {"color": "#4477AA", "ls": ":"},
+)
+_MARKERS = ("o", "s", "^")  # of the fields shown
+_FREQUENCIES = 41
+_RADII_UM = (0.5, 500.0)
+
+
+def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, shown: Mapping[int, str]) -> None:
+    """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian."""
+    half = view.kernel_size * view.pixel_pitch / 2
+    all_axes = part.subplots(1, 2 * len(shown), sharey=True)
+    for k, (field, name) in enumerate(shown.items()):
+        for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
+            axes = all_axes[2 * k + i]
+            for w, (wavelength, style) in enumerate(zip(view.wavelengths, BY_WAVELENGTH, strict=False)):
+                axes.plot(fans.pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
+            axes.set(xlim=(-1, 1), ylim=(-half, half), xticks=(-1, 0, 1))
+            axes.set_title(f"{name} {label}", fontsize=9)
+            axes.tick_params(labelsize=8)
+            axes.grid(lw=0.3)
+    all_axes[0].set_ylabel("ray error [um]", fontsize=8)
+    part.supxlabel("pupil; T along the field, S across it", fontsize=8)
+    part.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=8, frameon=False)
+
+
+def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, shown: Mapping[int, str], colours: Sequence[str]) -> None:
+    """Draw the geometric MTF up to the Nyquist frequency of the pixels: solid T, dashed S; grey: a perfect lens."""
+    nyquist, cutoff = figures["nyquist_per_mm"], figures["diffraction_cutoff_per_mm"]
+    frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
+    tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
+    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=True)):
+        marker = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
+        axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
+        axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
+    share = (frequencies / cutoff).clamp(max=1)
+    perfect = 2 / torch.pi * (torch.acos(share) - share * torch.sqrt(1 - share**2))
+    axes.plot(frequencies, perfect, color="grey", lw=1, ls=":", label="diffraction limit")
+    axes.set(xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="geometric MTF")
+    _finish(axes)
+
+
+def encircled(
+    axes: Axes, rays: Rays, centre: Tensor, view: View, shown: Mapping[int, str], colours: Sequence[str]
+) -> None:
+    """Draw the share of the light within a radius of the chief ray's image point."""
+    low, high = (torch.tensor(radius).log10().item() for radius in _RADII_UM)
+    radii = torch.logspace(low, high, 81, dtype=torch.float64)
+    energy = encircled_energy(rays, centre, radii / 1e3)
+    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=True)):
+        axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
+    axes.axhline(0.5, color="grey", lw=0.6)
+    axes.axvline(view.pixel_pitch, color="grey", lw=1, ls=":", label="a pixel")
+    half = view.kernel_size * view.pixel_pitch / 2
+    axes.axvline(half, color="grey", lw=1, ls="--", label="PSF window")
+    axes.set(xscale="log", xlim=_RADII_UM, ylim=(0, 1.02))
+    axes.set(xlabel="radius about the chief ray [um]", title="encircled energy")
+    axes.xaxis.set_major_formatter("{x:g}")
+    _finish(axes)
+
+
+def _finish(axes: Axes) -> None:
+    axes.title.set_fontsize(9)
+    axes.xaxis.label.set_fontsize(8)
+    axes.tick_params(labelsize=8)
+    axes.grid(lw=0.3)
+    axes.legend(fontsize=7)

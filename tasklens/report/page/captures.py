@@ -1,0 +1,86 @@
+"""The same test images through every lens, with the answers of the networks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy
+import pandas
+from safetensors.numpy import load_file
+
+from tasklens.report.page import pictures
+from tasklens.study.names import SHARP, restored
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer of a network: its name, the class, its probability [%], and whether it is right."""
+
+    classifier: str
+    answer: str
+    probability: float
+    right: bool
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A capture at a field: data link, text alternative, field, answers."""
+
+    link: str
+    alternative: str
+    field: str
+    answers: list[Answer]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A test image: its number and label; the sharp one, and its captures by (lens, whether restored)."""
+
+    image: int
+    label: str
+    sharp: Tile
+    captures: dict[tuple[str, bool], list[Tile]]
+
+
+def shown(files: Mapping[str, Path], supervisor: str) -> list[Shown]:
+    """Read captures and answers; none where they have not been made. The answers of the supervisor come first."""
+    if not {"images", "answers"} <= files.keys():
+        return []
+    arrays = load_file(files["images"])
+    answers = pandas.read_csv(files["answers"], keep_default_na=False)
+    answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
+    images = answers[["image", "label"]].drop_duplicates()
+    images = images.set_index("image").loc[list(dict.fromkeys(_in_order(files["answers"])))]
+    found = []
+    for position, (image, label) in enumerate(images["label"].items()):
+        own = answers[answers["image"] == image]
+        captures = {}
+        for lens, again in dict.fromkeys(zip(own["lens"], _truth(own["restored"]), strict=True)):
+            rows = own[(own["lens"] == lens) & (_truth(own["restored"]) == again)]
+            array = arrays[restored(lens) if again else lens][position]
+            captures[lens, again] = [
+                _tile(array[k], lens, field, str(label), rows[rows["field"] == field])
+                for k, field in enumerate(dict.fromkeys(rows["field"]))
+            ]
+        sharp = captures.pop((SHARP, False), None)
+        tile = sharp[0] if sharp else _tile(arrays[SHARP][position, 0], SHARP, "", str(label), own[:0])
+        found.append(Shown(int(str(image)), str(label), tile, captures))
+    return found
+
+
+def _in_order(path: Path) -> list[int]:
+    return pandas.read_csv(path, usecols=["image"])["image"].tolist()
+
+
+def _truth(column: pandas.Series) -> pandas.Series:
+    return column.astype(str) == "True"
+
+
+def _tile(array: numpy.ndarray, lens: str, field: str, label: str, rows: pandas.DataFrame) -> Tile:
+    answers = [
+        Answer(row["classifier"], row["answer"], float(row["probability"]), row["answer"] == label)
+        for row in rows.to_dict("records")
+    ]
+    said = "; ".join(f"{each.classifier} answers {each.answer}" for each in answers)
+    place = f"{label} through {lens}, {field}" if field else f"{label}, sharp"
+    return Tile(pictures.of_array(array), f"{place}. {said}", field, answers)

@@ -1,0 +1,150 @@
+"""Charts of the page, as descriptions for plotly: colours by elements, symbols by design.
+
+Colours are those of Okabe and Ito; a chart says nothing by colour alone. What is black on white here, the page's
+script gives the colours of the reader's theme.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas
+import plotly.graph_objects as go
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D31", "#777777")
+SYMBOLS = (
+    *("circle", "square", "diamond", "cross", "x", "triangle-up", "triangle-down", "star", "pentagon"),
+    *("hexagram", "bowtie", "hourglass", "triangle-left", "triangle-right", "circle-open", "square-open"),
+    *("diamond-open", "star-open", "asterisk-open", "hash-open"),
+)
+_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+_POINTS = 160  # of a curve
+_TICKS = [m * 10**e for e in range(-1, 4) for m in (1, 2, 5)]  # of logarithmic axes
+_LEGEND = {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"}
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart: name, title, what it shows in words for those who cannot see it, and its description in JSON."""
+
+    key: str
+    title: str
+    words: str
+    json: str
+
+
+def _chart(key: str, title: str, words: str, figure: go.Figure, height: int, **layout: Any) -> Chart:
+    figure.update_layout(template="none", height=height, margin={"l": 60, "r": 10, "t": 10, "b": 50}, **layout)
+    text = figure.to_json()
+    assert text is not None
+    return Chart(key, title, words, text.replace("<", "\\u003c"))  # it stands inside a script element
+
+
+def colour_of(names: Sequence[str], name: str) -> str:
+    """Return the colour of a name among all names."""
+    return COLOURS[list(names).index(name) % len(COLOURS)]
+
+
+def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
+    """Chart the accuracy of every lens of table 1 over its RMS spot; None without lenses."""
+    lenses = table[table["elements"].fillna("") != ""].dropna(subset=["accuracy", "rms_spot_um"])
+    if lenses.empty:
+        return None
+    elements, designs = list(dict.fromkeys(lenses["elements"])), list(dict.fromkeys(lenses["design"]))
+    figure = go.Figure()
+    for row in lenses.to_dict("records"):
+        figure.add_scatter(
+            x=[row["rms_spot_um"]],
+            y=[row["accuracy"]],
+            error_y={"array": [row["accuracy_std"]], "thickness": 1} if "accuracy_std" in row else None,
+            mode="markers",
+            name=f"{row['elements']} {row['design']}",
+            legendgroup=row["design"],
+            showlegend=False,
+            marker={
+                "size": 11,
+                "color": colour_of(elements, row["elements"]),
+                "symbol": SYMBOLS[designs.index(row["design"]) % len(SYMBOLS)],
+            },
+            hovertemplate="%{fullData.name}<br>%{y:.1f} % at %{x:.2f} um RMS<extra></extra>",
+        )
+    for name in elements:
+        marker = {"size": 11, "color": colour_of(elements, name), "symbol": "circle"}
+        figure.add_scatter(x=[None], y=[None], mode="markers", name=name, marker=marker, hoverinfo="skip")
+    for k, name in enumerate(designs):
+        marker = {"size": 10, "color": "#888888", "symbol": SYMBOLS[k % len(SYMBOLS)]}
+        figure.add_scatter(x=[None], y=[None], mode="markers", name=name, legendgroup=name, marker=marker)
+    sharp = table[table["design"] == "reference"]["accuracy"]
+    if len(sharp):
+        figure.add_hline(y=float(sharp.iloc[0]), line={"dash": "dash", "width": 1, "color": "#888888"})
+    best = lenses.loc[lenses["accuracy"].idxmax()]
+    words = (
+        f"Accuracy [%] over the RMS spot radius [um] of {len(lenses)} lenses. Most accurate: {best['elements']} "
+        f"{best['design']}, {best['accuracy']:.1f} % at {best['rms_spot_um']:.1f} um. Colour: elements; symbol: "
+        "design; dashed line: sharp images. Touch a design in the legend to hide its lenses."
+    )
+    axes = {
+        "xaxis": {"type": "log", "title": {"text": "RMS spot radius [um]"}, "tickvals": _TICKS},
+        "yaxis": {"title": {"text": "accuracy [%]"}},
+    }
+    return _chart("accuracy", "Accuracy and sharpness", words, figure, 600, legend=_LEGEND, hovermode="closest", **axes)
+
+
+def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[str]) -> Chart | None:
+    """Chart differences with their intervals, one below the other: right of zero the first of each pair is better."""
+    known = table.assign(label=list(labels)).dropna(subset=["difference"])
+    if known.empty:
+        return None
+    figure = go.Figure()
+    figure.add_scatter(
+        x=known["difference"],
+        y=known["label"],
+        mode="markers",
+        marker={"size": 10, "color": COLOURS[0], "symbol": "diamond"},
+        error_x={
+            "symmetric": False,
+            "array": known["high"] - known["difference"],
+            "arrayminus": known["difference"] - known["low"],
+            "thickness": 1.5,
+            "color": COLOURS[0],
+        },
+        hovertemplate="%{y}<br>%{x:+.1f} points<extra></extra>",
+        showlegend=False,
+    )
+    figure.add_vline(x=0, line={"width": 1, "color": "#888888"})
+    values = (f"{row['label']} {row['difference']:+.1f}" for row in known.to_dict("records"))
+    words = f"Differences in points of accuracy with their 95 % intervals: {'; '.join(values)}."
+    axes = {
+        "xaxis": {"title": {"text": "difference [points of accuracy]"}, "zeroline": False},
+        "yaxis": {"autorange": "reversed", "automargin": True},
+    }
+    return _chart(key, title, words, figure, 110 + 34 * len(known), **axes)
+
+
+def histories(
+    key: str, title: str, column: str, unit: str, runs: Mapping[str, pandas.DataFrame], words: str, log: bool
+) -> Chart | None:
+    """Chart a column of the histories of several runs over the share of the run; None where no run has it."""
+    figure = go.Figure()
+    for k, (name, history) in enumerate(runs.items()):
+        if column not in history:
+            continue
+        values = pandas.to_numeric(history[column], errors="coerce")
+        kept = values.dropna()
+        if kept.empty:
+            continue
+        thin = kept.iloc[:: max(1, len(kept) // _POINTS)]
+        figure.add_scatter(
+            x=(thin.index.to_numpy() + 1) / len(history),
+            y=thin.round(5),
+            mode="lines",
+            name=name,
+            line={"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]},
+        )
+    if not figure.data:
+        return None
+    axes = {
+        "xaxis": {"title": {"text": "share of the last part"}, "tickformat": ".0%", "range": [0, 1]},
+        "yaxis": {"title": {"text": unit}} | ({"type": "log", "tickvals": _TICKS} if log else {}),
+    }
+    return _chart(key, title, words, figure, 520, legend=_LEGEND, showlegend=True, **axes)

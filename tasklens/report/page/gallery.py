@@ -1,0 +1,107 @@
+"""Entries of the gallery: of each lens its drawings, numbers, limits and files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import pandas
+import yaml
+
+from tasklens.report.measurements import lens_values
+from tasklens.report.page import pictures
+from tasklens.runtime.files import Files
+from tasklens.study.settings import Slice
+
+_HEADING = "## Manufacturability\n\n"
+_PICTURES = {
+    "section": "Cross-section of {name} with rays to axis, middle and corner of the sensor.",
+    "spots": "Spot diagrams of {name}: {spots}.",
+    "psfs": "Point spread functions of {name} from axis to corner; above their square root, below four decades.",
+    "curves": "MTF and encircled energy of {name}: {mtf}.",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry of the gallery; pictures and files are data links by name, absent where they have not been made.
+
+    Attributes:
+        lens: name of the lens.
+        elements: name of its elements.
+        by_task: whether a classifier designed it.
+        facts: short facts (name, value), the most telling first.
+        pictures: (data link, text alternative) by name.
+        files: (file name, data link) of downloads.
+        margins: (limit, margin, whether it is violated).
+        manufacturability: paragraphs of the certificate; empty without one.
+        certificate: text of the whole certificate.
+    """
+
+    lens: str
+    elements: str
+    by_task: bool
+    facts: list[tuple[str, str]]
+    pictures: dict[str, tuple[str, str]]
+    files: list[tuple[str, str]]
+    margins: list[tuple[str, str, bool]]
+    manufacturability: list[str]
+    certificate: str
+
+
+def entries(settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> list[Entry]:
+    """Return an entry for each lens that has a file."""
+    return [_entry(lens, settings, inputs, table1) for lens in settings.elements if lens in inputs.lenses]
+
+
+def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> Entry:
+    text = inputs.lenses[lens].read_text(encoding="utf-8")
+    content = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    figures, margins = content["figures"], content["margins"]
+    groups = vars(inputs)
+    page = groups["page"][lens].read_text(encoding="utf-8") if lens in groups["page"] else ""
+    words = _words(figures) | {"name": lens}
+    return Entry(
+        lens=lens,
+        elements=settings.elements[lens],
+        by_task=lens in settings.by_task,
+        facts=_facts(lens, content, table1),
+        pictures={
+            name: (pictures.link(groups[name][lens]), alternative.format(**words))
+            for name, alternative in _PICTURES.items()
+            if lens in groups[name]
+        },
+        files=[
+            (f"{lens}{path.suffix}", pictures.link(path))
+            for path in (inputs.lenses[lens], groups["zemax"].get(lens))
+            if path is not None
+        ],
+        margins=[(name.replace("_", " "), f"{value:+.4f}", not value >= 0) for name, value in margins.items()],
+        manufacturability=page.partition(_HEADING)[2].split("\n\n")[:2] if _HEADING in page else [],
+        certificate=page,
+    )
+
+
+def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | None) -> list[tuple[str, str]]:
+    figures, values = content["figures"], lens_values(content)
+    elements, _, design = lens.partition("-")
+    facts = []
+    if table1 is not None:
+        rows = table1[(table1["elements"] == elements) & (table1["design"] == design)]
+        facts += [("accuracy", f"{value:.1f} %") for value in rows["accuracy"]]
+    return [
+        *facts,
+        ("RMS spot", f"{values['rms_spot_um']:.1f} um"),
+        ("light in window", f"{values['energy_in_window']:.1%}"),
+        ("focal length", f"{figures['efl_mm']:.3f} mm"),
+        ("F-number", f"{figures['f_number']:.2f}"),
+        ("track", f"{figures['track_mm']:.2f} mm"),
+    ]
+
+
+def _words(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Return what the pictures show in words: RMS spots, and MTF at a quarter of the Nyquist frequency."""
+    shown = {0: "axis", len(figures["angle_deg"]) // 2: "middle", len(figures["angle_deg"]) - 1: "corner"}
+    spots = (f"{name} RMS {figures['rms_centroid_um'][field]:.1f} um" for field, name in shown.items())
+    tangential, sagittal = (figures[f"mtf_{kind}_quarter_nyquist"] for kind in ("tangential", "sagittal"))
+    mtf = (f"{name} T {tangential[field]:.2f}, S {sagittal[field]:.2f}" for field, name in shown.items())
+    return {"spots": ", ".join(spots), "mtf": f"MTF at a quarter of Nyquist, {'; '.join(mtf)}"}

@@ -1,0 +1,48 @@
+"""Where and how long a study ran: time and memory by kind of job, machine, commit, versions."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas
+
+
+def durations(folder: Path) -> pandas.DataFrame:
+    """Return a row per kind of job from Snakemake's benchmark files: jobs, time [min], longest job, memory [MB]."""
+    rows = []
+    for path in sorted(folder.rglob("*.tsv")):
+        last = pandas.read_csv(path, sep="\t").iloc[-1:]
+        kind = path.relative_to(folder).parts[0].removesuffix(".tsv").replace("_", " ")
+        memory = pandas.to_numeric(last["max_rss"], errors="coerce")
+        rows.append({"job": kind, "minutes": float(last["s"].iloc[0]) / 60, "memory_mb": float(memory.iloc[0])})
+    if not rows:
+        return pandas.DataFrame()
+    jobs = pandas.DataFrame(rows).groupby("job")
+    found = pandas.DataFrame(
+        {
+            "jobs": jobs.size(),
+            "total_min": jobs["minutes"].sum(),
+            "mean_min": jobs["minutes"].mean(),
+            "longest_min": jobs["minutes"].max(),
+            "memory_mb": jobs["memory_mb"].max(),
+        }
+    )
+    return found.sort_values("total_min", ascending=False).reset_index()
+
+
+def facts(provenance: Mapping[str, Path]) -> list[tuple[str, str]]:
+    """Return the machine that makes the page, and the commits and versions that made the tables."""
+    found = [
+        ("machine", f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"),
+        ("Python", platform.python_version()),
+    ]
+    contents = {name: json.loads(path.read_text()) for name, path in provenance.items()}
+    commits = dict.fromkeys(content["commit"] for content in contents.values())
+    versions: dict[str, dict[str, None]] = {}
+    for content in contents.values():
+        for package, version in content["versions"].items():
+            versions.setdefault(package, {})[version] = None
+    found += [("commit of the tables", ", ".join(commits))] if commits else []
+    return found + [(package, ", ".join(known)) for package, known in versions.items()]

@@ -1,0 +1,38 @@
+"""Pictures and files inside the page, as data links."""
+
+import base64
+import io
+from pathlib import Path
+
+import numpy
+from PIL import Image
+
+_TYPES = {
+    ".svg": "image/svg+xml",
+    ".webp": "image/webp",
+    ".png": "image/png",
+    ".yaml": "application/yaml",
+    ".zmx": "application/octet-stream",
+}
+_QUALITY = 82  # of WebP
+
+
+def link(path: Path) -> str:
+    """Return a file as a data link."""
+    return _data(_TYPES[path.suffix], path.read_bytes())
+
+
+def of_array(image: numpy.ndarray) -> str:
+    """Return an image (3, H, W) of uint8 as a data link."""
+    buffer = io.BytesIO()
+    Image.fromarray(numpy.ascontiguousarray(image.transpose(1, 2, 0))).save(buffer, "webp", quality=_QUALITY)
+    return _data("image/webp", buffer.getvalue())
+
+
+def _data(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def of_text(text: str) -> str:
+    """Return a YAML text as a data link."""
+    return _data("application/yaml", text.encode())

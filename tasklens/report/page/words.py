@@ -1,0 +1,139 @@
+"""The answer of a study in sentences, by rule from its verdicts."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import pandas
+
+from tasklens.report.optimality import Gap
+from tasklens.report.verdicts import FAILS, HOLDS, LEAST_SEEDS
+
+SHOWN, SUGGESTED, UNDECIDED = "shown", "suggested", "undecided"
+FOR, AGAINST = "for", "against"
+_SUGGESTS = "suggests"
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence, and the direction of what it says: FOR or AGAINST the task-driven lens, UNDECIDED, or "" of none."""
+
+    text: str
+    direction: str = ""
+
+
+def judged(row: Mapping[str, Any], margin: float) -> tuple[str, str]:
+    """Return the direction of a verdict and its certainty: for or against, shown or suggested; or undecided twice.
+
+    Args:
+        row: row of the table of verdicts.
+        margin: points by which the lens may be less accurate, as claimed beforehand.
+    """
+    if row["verdict"] == HOLDS:
+        return FOR, SHOWN
+    if row["verdict"] == FAILS:
+        return AGAINST, SHOWN
+    if str(row["verdict"]).startswith(_SUGGESTS):
+        return (FOR if row["low"] > -margin else AGAINST), SUGGESTED
+    return UNDECIDED, UNDECIDED
+
+
+def summary(verdicts: pandas.DataFrame, margins: Mapping[str, float], seeds: int) -> list[Sentence]:
+    """Say how many claims hold, and how sure that is."""
+    if verdicts.empty:
+        return [Sentence("The paper's claims are about no lenses of this study.")]
+    counts = Counter(judged(row, margins.get(row["claim"], 0.0)) for row in verdicts.to_dict("records"))
+    words = {
+        (FOR, SHOWN): "hold",
+        (AGAINST, SHOWN): "do not hold",
+        (FOR, SUGGESTED): "are suggested to hold",
+        (AGAINST, SUGGESTED): "are suggested not to hold",
+        (UNDECIDED, UNDECIDED): "are undecided",
+    }
+    parts = [f"{counts[key]} {text}" for key, text in words.items() if counts[key]]
+    claims = "1 claim" if len(verdicts) == 1 else f"{len(verdicts)} claims"
+    found = [Sentence(f"Of {claims} of the paper tested here, {_listed(parts)}.")]
+    if seeds < LEAST_SEEDS:
+        number = "one seed" if seeds == 1 else f"{seeds} seeds"
+        found.append(
+            Sentence(
+                f"There is only {number} of design, fine-tuning and order of the data: differences are suggested, "
+                f"not shown. Their intervals are over test images; {LEAST_SEEDS} seeds are needed to show one."
+            )
+        )
+    else:
+        found.append(
+            Sentence(f"Intervals of 95 % are over test images and {seeds} seeds; errors by Holm's correction.")
+        )
+    return found
+
+
+def answers(
+    verdicts: pandas.DataFrame, elements: Iterable[str], questions: Iterable[str], margins: Mapping[str, float]
+) -> dict[str, list[Sentence]]:
+    """Say for each name of elements whether its task-driven lenses are better than others, in table 1.
+
+    Args:
+        questions: texts of claims; all of them are answered, in this order.
+    """
+    found = {}
+    for name in elements:
+        of_table = verdicts[(verdicts["table"] == "table1") & (verdicts["lens"].str.partition("-")[0] == name)]
+        rows = [row for text in questions for row in of_table[of_table["claim"] == text].to_dict("records")]
+        if rows:
+            found[name] = [comparison(row, margins.get(row["claim"], 0.0)) for row in rows]
+    return found
+
+
+def comparison(row: Mapping[str, Any], margin: float) -> Sentence:
+    """Say what a verdict found about a lens and its baseline."""
+    direction, certainty = judged(row, margin)
+    lens, baseline = row["lens"].partition("-")[2], row["baseline"]
+    same = f"{row['lens'].partition('-')[0]}-"
+    baseline = ", ".join(part.strip().removeprefix(same) for part in str(baseline).split(","))
+    kind = row["claim"].removeprefix("more accurate than ")
+    other = baseline if baseline == kind else f"{baseline}, {kind}"
+    interval = f"{row['low']:+z.1f} to {row['high']:+z.1f}".replace("-", "−")
+    if direction == UNDECIDED:
+        return Sentence(f"Undecided: {lens} is {row['reason']} ({interval}) of {other}.", direction)
+    points = abs(row["difference"])
+    unit = "point" if f"{points:.1f}" == "1.0" else "points"
+    more = "more" if row["difference"] > 0 else "less"
+    said = {SHOWN: "Shown", SUGGESTED: "Suggested"}[certainty]
+    return Sentence(f"{said}: {lens} is {points:.1f} {unit} {more} accurate ({interval}) than {other}.", direction)
+
+
+def best_lenses(table1: pandas.DataFrame, task_driven: Iterable[str]) -> dict[str, Sentence]:
+    """Say for each name of elements which task-driven lens is the most accurate, and which other one, in table 1."""
+    lenses = table1[table1["elements"].fillna("") != ""].dropna(subset=["accuracy"])
+    ours = (lenses["elements"] + "-" + lenses["design"]).isin(list(task_driven))
+    found = {}
+    for name in dict.fromkeys(lenses["elements"]):
+        own = lenses["elements"] == name
+        parts = []
+        for words, kind in (("designed by the task", own & ours), ("of the others", own & ~ours)):
+            if kind.any():
+                best = lenses.loc[lenses[kind]["accuracy"].idxmax()]
+                parts.append(f"{best['accuracy']:.1f} % through {best['design']}, the best {words}")
+        found[name] = Sentence(f"{'; '.join(parts)}.")
+    return found
+
+
+def convergence(gaps: Mapping[str, Gap]) -> list[Sentence]:
+    """Say of which task-driven lenses the descent has converged, from their optimality gaps."""
+    ended = [lens for lens, gap in gaps.items() if gap.converged]
+    found = []
+    if ended:
+        found.append(
+            Sentence(f"Converged, with the least loss of all lenses of the same elements: {_listed(ended)}.", FOR)
+        )
+    for lens, gap in gaps.items():
+        if not gap.converged:
+            text = f"Not converged: {lens} ends {gap.difference:.3f} above the loss of {gap.nearest}"
+            found.append(Sentence(f"{text}; it shows nothing about the task.", AGAINST))
+    return found
+
+
+def _listed(parts: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
