@@ -67,14 +67,14 @@ def lenses(workplace):
 
 
 def test_check_says_what_a_study_holds(workplace, capsys):
-    assert main(["study", "check", "study.yaml"]) == 0
+    assert main(["study", "check", "--no-weights", "study.yaml"]) == 0
     assert "tiny: 6 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
 
 
 def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     """Though it frees nothing: what it writes to a pipe is complete."""
     program = [sys.executable, "-m", "tasklens.cli"]
-    done = subprocess.run([*program, "study", "check", "study.yaml"], capture_output=True, text=True)
+    done = subprocess.run([*program, "study", "check", "--no-weights", "study.yaml"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "tiny: 6 lenses, 2 classifiers, seeds [0]\n")
     done = subprocess.run([*program, "study", "check", "absent.yaml"], capture_output=True, text=True)
     assert done.returncode == 2 and "absent.yaml" in done.stderr
@@ -168,7 +168,7 @@ def test_every_stage_can_be_typed(capsys, monkeypatch):
         usage = capsys.readouterr().out
         for wildcard in stage.wildcards:
             assert ("--seed" if wildcard == "seed" else f" {wildcard} ") in usage
-        assert ("--partial" in usage) == (name == "table")
+        assert ("--partial" in usage) == (name in ("table", "report"))
 
 
 def test_an_imported_lens_goes_the_same_way(lenses, capsys):
@@ -184,9 +184,9 @@ def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
     assert of_lens(report_jobs.certificate, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert main(["study", "check", "imported.yaml"]) == 0
+    assert main(["study", "check", "--no-weights", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
-    assert main(["study", "check", "imported.yaml"]) == 2
+    assert main(["study", "check", "--no-weights", "imported.yaml"]) == 2
     assert "theirs.yaml: does not cover the field" in capsys.readouterr().err
 
 

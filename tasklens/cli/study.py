@@ -183,7 +183,7 @@ def diff(
 ) -> None:
     """Say what differs between two studies in configuration, and what that did to their tables."""
     folders = [_folder(place) for place in (old, new)]
-    changed = changes.changes(*map(_configuration, (old, new)))
+    changed = changes.changes(_configuration(old), _configuration(new))
     found = [each for each in differences(*folders) if every or as_json or each.column.startswith("accuracy")]
     if as_json:
         print(json.dumps({"changes": [asdict(c) for c in changed], "tables": [asdict(d) for d in found]}, indent=1))

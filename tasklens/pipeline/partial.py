@@ -1,6 +1,7 @@
 """The report of a study that is not finished: what it needs is made of what is there."""
 
 import sys
+from typing import Any
 
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.jobs import lens_file, psf_file
@@ -15,7 +16,8 @@ def prepare(study: Study) -> None:
 
     What cannot be made yet is said on standard error; the report lists it as missing.
     """
-    settings, seed = report_jobs.report.plan(study).settings, study.seeds[0]
+    settings: Any = report_jobs.report.plan(study).settings
+    seed = study.seeds[0]
     for name in settings.tables:
         _make(report_jobs.table, "csv", study, table=name)
     for lens in settings.elements:

@@ -178,7 +178,7 @@ _LENS_PARTS = ("page", "zemax", "section", "spots", "psfs", "curves")  # of the 
 def report(study: Study) -> Plan:
     """Make the page that tells the results of a study, from its tables, drawings, captures and benchmarks."""
     contents, seed = paper_tables.verification(study), study.seeds[0]
-    lenses = {lens: {"lens": lens, "seed": seed} for lens in contents.lenses}
+    lenses: dict[str, dict[str, Any]] = {lens: {"lens": lens, "seed": seed} for lens in contents.lenses}
     shown = [each.name for each in contents.tables]
     restored = [lens for lens, name in contents.measured if names.split(name)[1]]
     folder = Path(results(study))

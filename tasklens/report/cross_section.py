@@ -1,6 +1,7 @@
 """Cross-section of a lens in the plane of the diagonal, with rays of several fields."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from matplotlib.axes import Axes
@@ -14,7 +15,7 @@ from tasklens.report.scale_bar import scale_bar
 
 _RAYS = 9  # of a field
 _PUPIL = 0.98  # of its radius, where the outermost rays are
-_ELEMENT = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
+_ELEMENT: Any = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
 
 
 def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:

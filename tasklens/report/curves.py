@@ -1,6 +1,7 @@
 """Curves of a lens: ray fans, MTF and encircled energy."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from matplotlib.axes import Axes
@@ -48,7 +49,7 @@ def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, shown: Mapping[int
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
     tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
     for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=True)):
-        marker = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
+        marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
     share = (frequencies / cutoff).clamp(max=1)

@@ -8,6 +8,7 @@ their dashes as well.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure, SubFigure
@@ -30,8 +31,10 @@ _RAYS = 4096  # per field and wavelength
 _FANS = 41
 _DPI = 110
 # Text stays text, and the names of parts are the same in every run.
-_VECTOR = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
-_NIGHT = {"figure.facecolor": "black"} | dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor"), "white")
+_VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
+_NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
+    ("text.color", "axes.labelcolor", "axes.edgecolor"), "white"
+)
 _METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
@@ -90,7 +93,7 @@ def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:
-    top, middle, bottom = part.subfigures(3, 1, height_ratios=(4, 2.5, 2.5))
+    top, middle, bottom = part.subfigures(3, 1, squeeze=False, height_ratios=(4, 2.5, 2.5))[:, 0]
     left, right = top.subfigures(1, 2, width_ratios=(1.1, 1))
     draw_section(left, panel)
     draw_spots(right, panel)

@@ -77,7 +77,7 @@ def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
     sharp = table[table["design"] == "reference"]["accuracy"]
     if len(sharp):
         figure.add_hline(y=float(sharp.iloc[0]), line={"dash": "dash", "width": 1, "color": "#888888"})
-    best = lenses.loc[lenses["accuracy"].idxmax()]
+    best = lenses.iloc[int(lenses["accuracy"].argmax())]
     words = (
         f"Accuracy [%] over the RMS spot radius [um] of {len(lenses)} lenses. Most accurate: {best['elements']} "
         f"{best['design']}, {best['accuracy']:.1f} % at {best['rms_spot_um']:.1f} um. Colour: elements; symbol: "

@@ -23,7 +23,7 @@ class Sentence:
     direction: str = ""
 
 
-def judged(row: Mapping[str, Any], margin: float) -> tuple[str, str]:
+def judged(row: Mapping[Any, Any], margin: float) -> tuple[str, str]:
     """Return the direction of a verdict and its certainty: for or against, shown or suggested; or undecided twice.
 
     Args:
@@ -86,7 +86,7 @@ def answers(
     return found
 
 
-def comparison(row: Mapping[str, Any], margin: float) -> Sentence:
+def comparison(row: Mapping[Any, Any], margin: float) -> Sentence:
     """Say what a verdict found about a lens and its baseline."""
     direction, certainty = judged(row, margin)
     lens, baseline = row["lens"].partition("-")[2], row["baseline"]
