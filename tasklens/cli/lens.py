@@ -102,7 +102,7 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
-    found = {str(path): read(path) for path in files}
+    found = {name: read(path) for name, path in _named(files, whole=json).items()}
     rows = [glance.row(name, each.content, figures(each.lens, each.view, rays)) for name, each in found.items()]
     if json:
         print_json(rows)
@@ -137,7 +137,7 @@ def draw(
     from tasklens.report import drawing
 
     new_file(output, force, ".png", ".svg", ".pdf")
-    drawing.draw(output, {path.stem: read(path) for path in files}, rays)
+    drawing.draw(output, {name: read(path) for name, path in _named(files).items()}, rays)
     say(f"wrote {output}")
 
 
@@ -215,6 +215,15 @@ def export(
         found = lens_files.with_use(found, _reader(field_of_view, catalogue=catalogue)(file).view)
     lens_files.write(output, found, content)
     say(f"wrote {output}")
+
+
+def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
+    """Return files by names as short as tells them apart: stem, file name, or `whole` path."""
+    for name in () if whole else (lambda path: path.stem, lambda path: path.name):
+        found = {name(path): path for path in files}
+        if len(found) == len(set(files)):
+            return found
+    return {str(path): path for path in files}
 
 
 def _field(view: "View", name: str) -> tuple[float, float]:
