@@ -1,6 +1,7 @@
 """`tasklens lens ...`: lenses in a lens.yaml of ours, or in Zemax's .zmx."""
 
 import inspect
+import math
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -227,7 +228,7 @@ def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
 
 
 def _field(view: "View", name: str) -> tuple[float, float]:
-    """Return the point [mm] of a field by its name, or from X,Y; raises InputError."""
+    """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
     order = view.radii.argsort().tolist()
     named = {"axis": order[0], "middle": order[len(order) // 2], "corner": order[-1]}
     if name in named:
@@ -239,4 +240,6 @@ def _field(view: "View", name: str) -> tuple[float, float]:
         raise InputError(
             f"--field {name}: expected axis, middle, corner, or X,Y in millimetres such as 0.9,0.5"
         ) from None
+    if not math.hypot(x, y) <= (largest := float(view.radii.max())) * (1 + 1e-3):
+        raise InputError(f"--field {name}: outside the field, which ends {largest:.3f} mm from the axis")
     return x, y
