@@ -67,9 +67,12 @@ def _supervisors(study: Study, folder: Path) -> tuple[ImageDataset | None, nn.Mo
         return None, None
     from tasklens.recognition import classifiers, dataset
 
+    settings = study.classifier(study.supervisor)
+    if any(entry.classified for entry in entries):
+        classifiers.check(study.supervisor, settings, study.images.size)
     device = claim()
     images = dataset.training_images(study.images, folder / "images.npy", device=device)
     if not any(entry.classified for entry in entries):
         return images, None
     torch.manual_seed(0)
-    return images, classifiers.build(study.classifier(study.supervisor), images.classes).to(device)
+    return images, classifiers.build(settings, images.classes).to(device)
