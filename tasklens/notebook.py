@@ -61,6 +61,7 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
     """Write a lens as a lens.yaml, or by the suffix .zmx for Zemax; a file of that name is replaced.
 
     Args:
+        path: the file.
         notes: what `design` says of the lens; by default its specification and figures.
 
     Example:

@@ -25,6 +25,9 @@ def design(
         list[str] | None,
         typer.Option("--set", help="A setting of the method, as in a study: evaluations=2000, finish.steps=200."),
     ] = None,
+    limits: Annotated[
+        list[str] | None, typer.Option("--limit", help="A limit, of `constraints` of a study: max_track=6.")
+    ] = None,
     materials: Annotated[list[Path] | None, typer.Option(help="File of further plastics (.yaml, .agf).")] = None,
     f_number: Annotated[float | None, typer.Option(help="2.8", rich_help_panel=_SPEC)] = None,
     field_of_view: Annotated[float | None, typer.Option(help="68.8 degrees, full", rich_help_panel=_SPEC)] = None,
@@ -78,7 +81,7 @@ def design(
             raise InputError(f"--classifier {classifier}: expected its --weights FILE, or --pretrained")
         if weights is not None and not weights.is_file():
             raise InputError(f"{weights}: no such file of weights")
-    changed = _nested(settings or (), "--set")
+    changed, limited = _nested(settings or (), "--set"), _nested(limits or (), "--limit")
     from tasklens import notebook
     from tasklens.design.single import design as designed
     from tasklens.report import glance
@@ -89,6 +92,7 @@ def design(
             elements.split(","),
             seed=seed,
             settings=changed,
+            constraints=limited,
             materials=materials or (),
             images=images,
             size=size,

@@ -1,6 +1,7 @@
 """`tasklens lens ...`: lenses in a lens.yaml of ours, or in Zemax's .zmx."""
 
 import inspect
+import math
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -102,7 +103,7 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
-    found = {str(path): read(path) for path in files}
+    found = {name: read(path) for name, path in _named(files, whole=json).items()}
     rows = [glance.row(name, each.content, figures(each.lens, each.view, rays)) for name, each in found.items()]
     if json:
         print_json(rows)
@@ -137,7 +138,7 @@ def draw(
     from tasklens.report import drawing
 
     new_file(output, force, ".png", ".svg", ".pdf")
-    drawing.draw(output, {path.stem: read(path) for path in files}, rays)
+    drawing.draw(output, {name: read(path) for name, path in _named(files).items()}, rays)
     say(f"wrote {output}")
 
 
@@ -217,8 +218,17 @@ def export(
     say(f"wrote {output}")
 
 
+def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
+    """Return files by names as short as tells them apart: stem, file name, or `whole` path."""
+    for name in () if whole else (lambda path: path.stem, lambda path: path.name):
+        found = {name(path): path for path in files}
+        if len(found) == len(set(files)):
+            return found
+    return {str(path): path for path in files}
+
+
 def _field(view: "View", name: str) -> tuple[float, float]:
-    """Return the point [mm] of a field by its name, or from X,Y; raises InputError."""
+    """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
     order = view.radii.argsort().tolist()
     named = {"axis": order[0], "middle": order[len(order) // 2], "corner": order[-1]}
     if name in named:
@@ -230,4 +240,6 @@ def _field(view: "View", name: str) -> tuple[float, float]:
         raise InputError(
             f"--field {name}: expected axis, middle, corner, or X,Y in millimetres such as 0.9,0.5"
         ) from None
+    if not math.hypot(x, y) <= (largest := float(view.radii.max())) * (1 + 1e-3):
+        raise InputError(f"--field {name}: outside the field, which ends {largest:.3f} mm from the axis")
     return x, y

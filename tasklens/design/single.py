@@ -27,6 +27,7 @@ def design(
     *,
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
+    constraints: Mapping[str, Any] | None = None,
     materials: Sequence[str | Path] = (),
     images: str | Path | None = None,
     size: int = 224,
@@ -39,7 +40,8 @@ def design(
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
     section = None if images is None else {"folder": str(images), "size": size, "train": _IMAGES, "minival": 2}
-    found = single.study(method, elements, spec, settings or {}, [str(path) for path in materials], section, classifier)
+    files = [str(path) for path in materials]
+    found = single.study(method, elements, spec, settings or {}, constraints or {}, files, section, classifier)
     view = view_of_spec(found.spec)
     made: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
@@ -67,9 +69,12 @@ def _supervisors(study: Study, folder: Path) -> tuple[ImageDataset | None, nn.Mo
         return None, None
     from tasklens.recognition import classifiers, dataset
 
+    settings = study.classifier(study.supervisor)
+    if any(entry.classified for entry in entries):
+        classifiers.check(study.supervisor, settings, study.images.size)
     device = claim()
     images = dataset.training_images(study.images, folder / "images.npy", device=device)
     if not any(entry.classified for entry in entries):
         return images, None
     torch.manual_seed(0)
-    return images, classifiers.build(study.classifier(study.supervisor), images.classes).to(device)
+    return images, classifiers.build(settings, images.classes).to(device)

@@ -8,7 +8,7 @@ import yaml
 
 from tasklens.materials.material import FORMULAS, Material, from_definitions
 from tasklens.materials.zemax_text import BLANK, Line, decimal, read_lines
-from tasklens.runtime.files import FileError, replacing
+from tasklens.runtime.files import FileError, invalid_yaml, replacing
 
 PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in plastics
 _FORMULAS = [name for name in FORMULAS if name != "model"]  # in the order of Zemax's numbers, from 1
@@ -27,7 +27,7 @@ def read(path: Path) -> dict[str, Material]:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FileError(f"{path}: not valid YAML: {error}") from None
+        raise FileError(invalid_yaml(path, error)) from None
     return from_definitions(content, str(path))
 
 

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Literal
 
 import timm
@@ -17,6 +18,8 @@ from tasklens.runtime.devices import half_precision
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study.settings import ClassifierSettings
+
+_LONGEST = 300  # characters of an error of a reader of weights, some of which are a page
 
 
 class Classifier(nn.Module):
@@ -80,7 +83,8 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         try:
             load_checkpoint(network, str(path), weights_only=True)
         except Exception as error:  # of torch, safetensors, pickle or numpy, depending on the format
-            raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {error}") from error
+            why = shorten(str(error), _LONGEST, placeholder=" ...")
+            raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {why}") from error
         if path.suffix == ".npz" and torch.equal(head, before):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
     if outputs is not None and settings.outputs == "all_imagenet":
@@ -134,7 +138,8 @@ def check(name: str, settings: ClassifierSettings, size: int) -> None:
             network = timm.create_model(settings.model, num_classes=10, **settings.arguments).eval()
             network(torch.zeros(1, 3, size, size))
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
-        raise InputError(f"classifiers.{name}: {settings.model} with {settings.arguments}: {error}") from error
+        arguments = f" with {settings.arguments}" if settings.arguments else ""
+        raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from error
 
 
 def parameters_m(classifier: Classifier) -> float:

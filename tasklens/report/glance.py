@@ -7,11 +7,12 @@ import pandas
 
 from tasklens.materials.material import AIR
 from tasklens.optics.lens import Lens
-from tasklens.report.publish import right_aligned, rounded
+from tasklens.report.publish import rounded
 
 _FIELDS = {  # key in the figures of a lens: what a person reads, number of decimals
     "angle_deg": ("field [degrees]", 1),
     "rms_centroid_um": ("RMS spot radius [um]", 2),
+    "core_radius_um": ("radius of 50 % of the light [um]", 2),
     "radius_80_um": ("radius of 80 % of the light [um]", 2),
     "mtf_tangential_half_nyquist": ("MTF at half Nyquist, tangential", 2),
     "mtf_sagittal_half_nyquist": ("MTF at half Nyquist, sagittal", 2),
@@ -19,8 +20,26 @@ _FIELDS = {  # key in the figures of a lens: what a person reads, number of deci
     "distortion_percent": ("distortion [%]", 2),
     "relative_illumination": ("relative illumination", 2),
 }
-_DIGITS = {"EFL": ".3f", "F/": ".2f", "track": ".2f", "RMS": ".2f", "80": ".2f", "MTF": ".2f", "distortion": ".2f"}
-_DIGITS |= {"light": ".3f", "illumination": ".2f", "margin": ".4f"}
+_COLUMNS = {  # key of a row: its heading, format
+    "lens": ("lens", ""),
+    "efl_mm": ("EFL", ".3f"),
+    "f_number": ("F/", ".2f"),
+    "track_mm": ("track", ".2f"),
+    "field_of_view_deg": ("field", ".1f"),
+    "rms_mean_um": ("RMS", ".2f"),
+    "rms_worst_um": ("worst", ".2f"),
+    "core_radius_mean_um": ("core", ".2f"),
+    "radius_80_mean_um": ("80 %", ".2f"),
+    "mtf_half_nyquist_mean": ("MTF", ".2f"),
+    "energy_in_window_mean": ("light", ".3f"),
+    "distortion_worst_percent": ("distort.", ".2f"),
+    "relative_illumination_worst": ("illum.", ".2f"),
+    "worst_margin": ("margin", ".4f"),
+}
+_NOTE = """\
+Lengths in mm, field of view in degrees, spots in um, distortion in %. Worst RMS, distortion and illumination: of the
+worst field. Means over the fields: RMS, radii of 50 % (core) and 80 % of the light about the chief ray, MTF at half
+Nyquist, light in the PSF window."""
 
 
 def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
@@ -68,26 +87,23 @@ def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
 
     return {
         "lens": name,
-        "EFL [mm]": figures["efl_mm"],
-        "F/": figures["f_number"],
-        "track [mm]": figures["track_mm"],
-        "field [deg]": round(2 * max(figures["angle_deg"]), 1),
-        "RMS mean [um]": mean("rms_centroid_um"),
-        "RMS worst [um]": max(figures["rms_centroid_um"]),
-        "80 % mean [um]": mean("radius_80_um"),
-        "MTF 1/2": mean("mtf_tangential_half_nyquist", "mtf_sagittal_half_nyquist"),
-        "light in window": mean("energy_in_window"),
-        "distortion [%]": max(figures["distortion_percent"], key=abs),
-        "illumination": min(figures["relative_illumination"]),
-        "margin": content["worst_margin"]["value"] if "worst_margin" in content else None,
+        **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm")},
+        "field_of_view_deg": 2 * max(figures["angle_deg"]),
+        "rms_mean_um": mean("rms_centroid_um"),
+        "rms_worst_um": max(figures["rms_centroid_um"]),
+        "core_radius_mean_um": mean("core_radius_um"),
+        "radius_80_mean_um": mean("radius_80_um"),
+        "mtf_half_nyquist_mean": mean("mtf_tangential_half_nyquist", "mtf_sagittal_half_nyquist"),
+        "energy_in_window_mean": mean("energy_in_window"),
+        "distortion_worst_percent": max(figures["distortion_percent"], key=abs),
+        "relative_illumination_worst": min(figures["relative_illumination"]),
+        "worst_margin": content["worst_margin"]["value"] if "worst_margin" in content else None,
     }
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows as a Markdown table, with what its columns are."""
-    found = pandas.DataFrame(rows).astype({"margin": "float64"})
-    note = (
-        "RMS, 80 % (radius of that part of the light), MTF (at half Nyquist) and light in the PSF window: means over "
-    )
-    note += "the fields; distortion and illumination: of the worst field."
-    return f"{right_aligned(rounded(found, _DIGITS))}\n\n{note}"
+    """Return rows as a table for a terminal, with what its columns are."""
+    found = pandas.DataFrame(rows).astype({"worst_margin": "float64"})
+    found = found.rename(columns={key: heading for key, (heading, _) in _COLUMNS.items()})
+    shown = rounded(found, {heading: form for heading, form in _COLUMNS.values() if form})
+    return f"{shown.to_string(index=False)}\n\n{_NOTE}"

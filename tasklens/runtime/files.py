@@ -52,6 +52,15 @@ def positive(value: object, where: str) -> float:
     return found
 
 
+def invalid_yaml(path: str | Path, error: Exception) -> str:
+    """Say in one line that a file is no YAML, from the error of its parser or of its decoding."""
+    mark = getattr(error, "problem_mark", None)
+    where = f"{path}, line {mark.line + 1}" if mark else str(path)
+    if isinstance(error, UnicodeDecodeError):
+        return f"{where}: not valid YAML: no text"
+    return f"{where}: not valid YAML: {getattr(error, 'problem', None) or error}"
+
+
 def temporary_of(path: Path) -> Path:
     """Return the temporary path of `path` while it is written."""
     return path.with_name(f".{path.name}.part")

@@ -38,7 +38,7 @@ class Progress:
         now = time.monotonic()
         if self.first is None:
             self.first = step
-        if self.first < step < self.total and now - self.written < self.interval:
+        if self.first < step != self.total and now - self.written < self.interval:
             return
         self.written = now
         remaining = (now - self.start) / (step - self.first + 1) * max(0, self.total - step)

@@ -8,6 +8,7 @@ from pathlib import Path
 import yaml
 from pydantic import ValidationError
 
+from tasklens.runtime.files import invalid_yaml
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
@@ -55,9 +56,7 @@ def read(path: str | Path) -> Mapping:
         with open(path, encoding="utf-8") as file:
             content = yaml.safe_load(file)
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{path}, line {mark.line + 1}" if mark else str(path)
-        raise StudyError(f"{where}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
+        raise StudyError(invalid_yaml(path, error)) from None
     except UnicodeDecodeError:
         raise StudyError(f"{path}: no text; expected a study file (YAML)") from None
     if not isinstance(content, Mapping):

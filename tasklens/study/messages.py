@@ -27,13 +27,18 @@ _KINDS = {  # what is expected, by pydantic's types of errors
     "model_attributes_type": "keys and values",
     "dataclass_type": "keys and values",
     "string_pattern_mismatch": "a name of lower-case letters, digits and _",
+    "invalid_key": "a key that is text",
     "path_not_file": "a file, and there is none",
 }
 
 
 def problems(error: ValidationError, settings: Any) -> list[str]:
     """Return a line for each mistake in `settings`, a class or a union: key, value, and what was expected."""
-    return [_line(item, settings) for item in error.errors()]
+    found = error.errors()
+    places = [item["loc"] for item in found]
+    return [
+        _line(item, settings) for item in found if not (item["type"] == "too_short" and _inner(item["loc"], places))
+    ]
 
 
 def in_words(where: str, error: ValidationError, settings: Any) -> str:
@@ -44,6 +49,11 @@ def in_words(where: str, error: ValidationError, settings: Any) -> str:
 def missing_keys(error: ValidationError) -> list[str]:
     """Return the keys at the top that are missing."""
     return [str(item["loc"][0]) for item in error.errors() if item["type"] == "missing" and len(item["loc"]) == 1]
+
+
+def _inner(place: tuple, places: Iterable[tuple]) -> bool:
+    """Return whether an entry of `place` is wrong: pydantic does not count such entries."""
+    return any(len(other) > len(place) and other[: len(place)] == place for other in places)
 
 
 def _line(item: ErrorDetails, settings: Any) -> str:
@@ -75,6 +85,8 @@ def _expected(item: ErrorDetails) -> str:
         return f"expected {_KINDS[item['type']]}"
     if item["type"] == "too_short":
         return f"expected at least {item['ctx']['min_length']}, found {item['ctx']['actual_length']}"
+    if item["type"] == "too_long":
+        return f"expected at most {item['ctx']['max_length']}, found {item['ctx']['actual_length']}"
     message = item["msg"].removeprefix("Value error, ")
     return re.sub("^Input should be (a valid )?", "expected ", message)
 

@@ -28,6 +28,7 @@ def study(
     elements: Sequence[str],
     spec: Mapping[str, Any],
     settings: Mapping[str, Any],
+    constraints: Mapping[str, Any],
     materials: Sequence[str],
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
@@ -37,7 +38,7 @@ def study(
     Args:
         method: one of `methods`.
         elements: plastics from front to back.
-        spec, settings: keys that differ of `spec`, and of the design.
+        spec, settings, constraints: keys that differ of `spec`, of the design, and of `constraints`.
         materials: files of further plastics.
         images, classifier: sections of a study file; None: rendered textures, no network.
 
@@ -55,6 +56,7 @@ def study(
             "name": "one",
             "images": images or {"size": side, "train": 500, "minival": 10, "test": 10},
             "spec": dict(spec),
+            "constraints": dict(constraints),
             "elements": {ELEMENTS: list(elements)},
             "materials": list(materials),
             "designs": designs,

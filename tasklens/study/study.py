@@ -104,7 +104,7 @@ class Study(Frozen):
     def _not_empty(cls, elements: dict) -> dict:
         for name, plastics in elements.items():
             if not plastics:
-                raise ValueError(f"{name}: expected at least one plastic")
+                raise ValueError(f"elements.{name}: expected at least one plastic")
         return elements
 
     @field_validator("materials", mode="before")

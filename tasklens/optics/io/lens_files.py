@@ -67,6 +67,8 @@ def read(path: Path, catalogues: Sequence[Path] = (), **wanted: Any) -> LensFile
     if "spec" in content and not wanted:
         return LensFile(found, found.lens, view_of(found.lens, content, str(path)), content)
     try:
+        chosen = Spec.model_validate(wanted)
+        wanted = {key: getattr(chosen, key) for key in wanted}
         check_stop(found.lens)
         if "spec" in content:
             view_of(found.lens, content, str(path))  # raises for a spec that is broken

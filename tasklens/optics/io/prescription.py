@@ -11,7 +11,7 @@ import yaml
 
 from tasklens.materials.material import AIR, Material, from_definitions
 from tasklens.optics.lens import Lens
-from tasklens.runtime.files import FileError, number, positive, write_text
+from tasklens.runtime.files import FileError, invalid_yaml, number, positive, write_text
 
 FORMAT = 2
 APERTURES = ("entrance_pupil_diameter_mm", "f_number")
@@ -100,8 +100,8 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
         FileError: another format, a missing or unknown key, or an invalid value; the message begins with `name` and the
             surface.
     """
-    if not isinstance(content, Mapping):
-        raise FileError(f"{name}: expected a lens of format {FORMAT}, found {type(content).__name__}")
+    if not isinstance(content, Mapping) or not {"units", "surfaces"} & set(content):
+        raise FileError(f"{name}: no lens: expected a lens file with format, units, surfaces, stop, materials")
     if content.get("format") != FORMAT:
         raise FileError(f"{name}: format {content.get('format')!r}, expected {FORMAT}")
     if content.get("units") != "mm":
@@ -215,5 +215,5 @@ def read(path: Path) -> tuple[Prescription, dict]:
         with open(path, encoding="utf-8") as file:
             content = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FileError(f"{path}: not valid YAML: {error}") from None
+        raise FileError(invalid_yaml(path, error)) from None
     return from_dict(content, str(path)), content

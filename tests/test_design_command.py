@@ -1,0 +1,127 @@
+"""`tasklens design`: one lens without a study, its file, and what is refused."""
+
+import json
+
+import numpy
+import pytest
+import timm
+import torch
+import yaml
+from PIL import Image
+from safetensors.torch import save_file
+
+from tasklens.cli.app import main
+from tasklens.optics.io import lens_files
+
+QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def photographs(folder):
+    """Four images of each of three classes, and weights of a network for three."""
+    generator = numpy.random.default_rng(0)
+    for name in ("cat", "dog", "owl"):
+        (folder / "photographs" / name).mkdir(parents=True)
+        for k in range(4):
+            values = generator.integers(0, 256, (40, 50, 3), dtype=numpy.uint8)
+            Image.fromarray(values).save(folder / "photographs" / name / f"{k}.png")
+    torch.manual_seed(0)
+    save_file(timm.create_model("test_resnet", num_classes=3).state_dict(), folder / "mine.safetensors")
+    return folder
+
+
+def design(*arguments) -> int:
+    return main(["design", *map(str, arguments)])
+
+
+def test_a_lens_by_least_squares(folder, capsys):
+    """At the F-number and field that are asked for, and within its limits, one of which is asked for too."""
+    given = (*QUICK, "--f-number", "4", "--field-of-view", "40", "--limit", "max_track=8")
+    assert design(*given, "-o", "lens.yaml", "--json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["file"] == "lens.yaml" and shown["materials"] == ["COC"]
+    assert shown["f_number"] == pytest.approx(4, rel=0.03)
+    assert 4.4 < shown["track_mm"] <= 8
+    assert shown["fields"]["angle_deg"][-1] == pytest.approx(20, abs=1e-9)
+    assert max(shown["fields"]["rms_centroid_um"]) < 20 and shown["worst_margin"]["value"] > 0
+    content = yaml.safe_load((folder / "lens.yaml").read_text())
+    assert content["origin"]["method"] == "least_squares" and content["figures"]["efl_mm"] == shown["efl_mm"]
+    assert main(["lens", "show", "lens.yaml", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["lens.yaml"]["fields"] == shown["fields"]
+
+    assert design(*given, "-o", "lens.zmx") == 0
+    ours, theirs = (lens_files.read(folder / f"lens.{suffix}") for suffix in ("yaml", "zmx"))
+    assert torch.equal(ours.lens.curvature, theirs.lens.curvature)
+    assert torch.equal(ours.lens.thickness, theirs.lens.thickness)
+    assert theirs.view.radii.max() / theirs.view.efl == pytest.approx(numpy.tan(numpy.radians(20)), rel=1e-6)
+
+
+def test_a_lens_for_ones_own_network(photographs, capsys):
+    """By its loss on one's own images, from flat plates: it begins with no other lens."""
+    network = ("--classifier", "test_resnet", "--weights", "mine.safetensors", "--images", "photographs")
+    short = ("rays=16", "batch_size=2", "candidates=[]", "finish=null")
+    descents = ("restart={steps: 2, pixels: [20, 5]}", "refinement={steps: 2, pixels: [5, 1]}")
+    options = [word for each in (*short, *descents) for word in ("--set", each)]
+    given = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
+    assert design(*given, "-o", "mine.yaml") == 0
+    output = capsys.readouterr()
+    assert "refinement  step 2/2  loss" in output.err and "design: task by task, seed 0" in output.out
+    assert design(*given, "-o", "again.yaml") == 0
+    assert design(*given, "-o", "other.yaml", "--seed", "1") == 0
+    first, again, other = (
+        lens_files.read(photographs / f"{name}.yaml").lens.curvature for name in ("mine", "again", "other")
+    )
+    assert torch.equal(first, again) and not torch.equal(first, other) and first.any()
+
+
+TASK = ("--method", "task", "--classifier", "test_resnet")
+MISTAKES = [
+    (("--elements", "COC,GLASS"), "elements.lens: unknown plastic 'GLASS'; known ones nearest to it: PS, PMMA"),
+    (
+        ("--method", "magic"),
+        "method 'magic': expected one of least_squares, spot, image_quality, task, joint_ray_space",
+    ),
+    (("--method", "task"), "method task: needs a network: --classifier NAME --weights FILE, in Python `classifier`"),
+    (("--method", "end_to_end"), "method end_to_end: needs a network: --classifier NAME --weights FILE"),
+    (TASK, "--classifier test_resnet: expected its --weights FILE, or --pretrained"),
+    ((*TASK, "--weights", "absent.pth"), "absent.pth: no such file of weights"),
+    (
+        (*TASK, "--weights", "words.pth", "--images", "absent"),
+        "absent: no such folder of images",
+    ),
+    (
+        (*TASK, "--weights", "words.pth", "--images", "photographs", "--size", "32", "--kernel-size", "11"),
+        "words.pth: no weights for test_resnet with 3 outputs",
+    ),
+    (
+        ("--method", "task", "--classifier", "resnt", "--weights", "words.pth"),
+        "classifiers.network: resnt: Unknown model",
+    ),
+    (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),
+    (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
+    (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as finish.steps=200"),
+    (("--limit", "max_trak=6"), "constraints.max_trak = 6: unknown key; did you mean max_track?"),
+    (("--field-of-view", "40"), "has room for its focus within constraints.max_track = 4.4 mm"),
+    (("--f-number", "-1"), "spec.f_number = -1.0: expected greater than 0"),
+    (("--kernel-size", "50"), "spec.kernel_size = 50: expected an odd number, so that the PSF has a central pixel"),
+    (("--wavelengths", "2.4,0.6,0.5"), "2.4 um of lens is outside the 0.334 to 2.325 um"),
+    (("--materials", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
+    (("-o", "lens.txt"), "lens.txt: expected a name that ends in .yaml or .yml or .zmx"),
+    (("-o", "words.yaml"), "words.yaml: exists; --force overwrites it"),
+]
+
+
+@pytest.mark.parametrize("arguments, words", MISTAKES, ids=[" ".join(a[-2:]) for a, _ in MISTAKES])
+def test_a_mistake_is_one_line_before_the_first_step(photographs, capsys, arguments, words):
+    for name in ("words.pth", "words.yaml"):
+        (photographs / name).write_text("mine")
+    assert design("-o", "new.yaml", *arguments) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("reading photographs")]
+    assert line.startswith("tasklens: ") and words in line and len(line) < 500
+    assert not (photographs / "new.yaml").exists() and (photographs / "words.yaml").read_text() == "mine"

@@ -1,0 +1,280 @@
+"""`tasklens lens ...` as a person types it, on lenses of ours and of Zemax; what it writes, and how it complains."""
+
+import json
+from pathlib import Path
+
+import numpy
+import pytest
+import torch
+import yaml
+from PIL import Image
+
+from tasklens.cli.app import main
+from tasklens.optics.io import prescription
+from tasklens.runtime.files import read_tensors
+
+REPOSITORY = Path(__file__).parents[1]
+PUBLISHED = REPOSITORY / "docs" / "results" / "headline" / "lenses"
+DOUBLET, SAME = PUBLISHED / "doublet-imaging2.yaml", PUBLISHED / "doublet-imaging2.zmx"
+PHONE = REPOSITORY / "tests" / "data" / "lenses" / "cellphone" / "source" / "US-9897779-B2-e1.zmx"
+FEW = ("--rays", "64")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty working folder with an image of random colours."""
+    monkeypatch.chdir(tmp_path)
+    values = numpy.random.default_rng(0).integers(0, 256, (60, 80, 3), dtype=numpy.uint8)
+    Image.fromarray(values).save("image.png")
+    return tmp_path
+
+
+def run(*arguments) -> int:
+    return main(["lens", *map(str, arguments)])
+
+
+def printed(capsys, *arguments) -> str:
+    """What a command that succeeds prints on standard output."""
+    assert run(*arguments) == 0
+    return capsys.readouterr().out
+
+
+def computed(capsys, *arguments) -> dict:
+    """The JSON that a command prints; NaN and Infinity, which JSON does not have, are refused."""
+    return json.loads(printed(capsys, *arguments, "--json"), parse_constant=lambda name: pytest.fail(name))
+
+
+# ---- figures
+
+
+def test_show_says_what_a_lens_file_says_of_itself(capsys):
+    figures = yaml.safe_load(DOUBLET.read_text())["figures"]
+    shown = computed(capsys, "show", DOUBLET, "--rays", figures["rays"])[str(DOUBLET)]
+    order = sorted(range(9), key=lambda field: figures["angle_deg"][field])
+    for key, values in shown["fields"].items():
+        expected = [figures[key][order[k]] for k in (0, 4, 8)]
+        assert values == pytest.approx(expected, rel=1e-9, abs=1e-9), key
+    assert "core_radius_um" in shown["fields"] and shown["materials"] == ["COC", "OKP4"]
+    text = printed(capsys, "show", DOUBLET, "--rays", figures["rays"])
+    assert text.startswith(f"{DOUBLET}: 2 elements, COC, OKP4\n") and f"{figures['efl_mm']:.3f} mm" in text
+    core, eighty = (line for line in text.splitlines() if "% of the light" in line)
+    assert f"{figures['core_radius_um'][order[8]]:.2f}" in core
+    assert f"{figures['radius_80_um'][order[8]]:.2f}" in eighty
+
+
+def test_a_zemax_file_of_our_lens_has_its_figures(capsys):
+    """Its fields are angles, its pixels those of a study, as was said."""
+    assert run("show", DOUBLET, SAME, *FEW, "--json") == 0
+    output = capsys.readouterr()
+    ours, theirs = json.loads(output.out).values()
+    assert f"{SAME}: pixels of 1.8 um and windows of 51 pixels" in output.err
+    for key in ("efl_mm", "f_number", "track_mm"):
+        assert theirs[key] == pytest.approx(ours[key], rel=1e-6)
+    for key in ("angle_deg", "rms_centroid_um", "core_radius_um", "mtf_sagittal_half_nyquist"):
+        assert theirs["fields"][key] == pytest.approx(ours["fields"][key], rel=1e-3, abs=1e-3), key
+
+
+def test_options_are_in_place_of_the_files_specification(capsys):
+    """A stop of half the diameter: twice the F-number, an Airy disc of twice the radius, a smaller spot on the axis."""
+    (open_,) = computed(capsys, "show", DOUBLET, *FEW).values()
+    (closed,) = computed(capsys, "show", DOUBLET, *FEW, "--f-number", 2 * open_["f_number"]).values()
+    assert closed["f_number"] == pytest.approx(2 * open_["f_number"], rel=1e-6)
+    assert closed["airy_radius_um"] == pytest.approx(2 * open_["airy_radius_um"], rel=1e-6)
+    assert closed["fields"]["rms_centroid_um"][0] < open_["fields"]["rms_centroid_um"][0]
+    (narrow,) = computed(capsys, "show", PHONE, *FEW, "--field-of-view", "20").values()
+    assert narrow["fields"]["angle_deg"][-1] == pytest.approx(10, abs=1e-9)
+
+
+def test_compare_fits_a_terminal(capsys):
+    """All lenses of a study in 120 columns, by names without folders."""
+    files = [PUBLISHED / f"{name}.yaml" for name in ("quadruplet-image_contrast", "doublet-tasklens_joint")]
+    rows = computed(capsys, "compare", *files, *FEW)
+    text = printed(capsys, "compare", *files, *FEW)
+    assert max(map(len, text.splitlines())) <= 120
+    for path, row, line in zip(files, rows, text.splitlines()[1:3], strict=True):
+        assert row["lens"] == str(path)
+        wanted = [path.stem, f"{row['rms_mean_um']:.2f}", f"{row['core_radius_mean_um']:.2f}"]
+        assert set(wanted) <= set(line.split())
+        assert row["core_radius_mean_um"] < row["radius_80_mean_um"]
+        assert row["worst_margin"] == yaml.safe_load(path.read_text())["worst_margin"]["value"]
+
+
+def test_lenses_of_one_name_are_told_apart(folder, capsys):
+    text = printed(capsys, "compare", DOUBLET, SAME, *FEW)
+    assert [line.split()[0] for line in text.splitlines()[1:3]] == ["doublet-imaging2.yaml", "doublet-imaging2.zmx"]
+    (folder / DOUBLET.name).write_bytes(DOUBLET.read_bytes())
+    text = printed(capsys, "compare", DOUBLET, DOUBLET.name, *FEW)
+    assert [line.split()[0] for line in text.splitlines()[1:3]] == [str(DOUBLET), DOUBLET.name]
+    assert run("draw", DOUBLET, SAME, "-o", "both.png", *FEW) == 0
+    assert run("draw", DOUBLET, "-o", "one.png", *FEW) == 0
+    with Image.open("both.png") as both, Image.open("one.png") as one:
+        assert both.height > 1.5 * one.height
+
+
+def test_analyse_has_the_seidel_sums_by_surface(capsys):
+    found = computed(capsys, "analyse", PHONE, *FEW)
+    for name, total in found["seidel_um"].items():
+        assert sum(found["seidel_by_surface_um"][name]) == pytest.approx(total, rel=1e-9, abs=1e-9)
+    text = printed(capsys, "analyse", PHONE, *FEW)
+    assert text.startswith(f"# {PHONE}") and f"{found['efl_mm']:.4f}" in text and "core [um]" in text
+
+
+# ---- files
+
+
+def test_a_drawing_in_vectors(folder, capsys):
+    assert run("draw", PHONE, "-o", "phone.svg", *FEW) == 0
+    drawn = (folder / "phone.svg").read_text()
+    assert "<svg" in drawn and "<path" in drawn and "tasklens: wrote phone.svg" in capsys.readouterr().err
+
+
+def test_psfs_in_three_formats_are_one(folder):
+    for name in ("psf.npz", "psf.safetensors", "psf.png"):
+        assert run("psf", DOUBLET, "-o", name, "--kernel-size", 31, *FEW) == 0
+    arrays = numpy.load("psf.npz")
+    assert arrays["psf"].shape == (9, 3, 31, 31) and arrays["illumination"].shape == (9,)
+    assert arrays["psf"].sum((-2, -1)) == pytest.approx(numpy.ones((9, 3)), abs=0.02)
+    assert arrays["wavelengths_um"].tolist() == [0.6563, 0.5893, 0.4861] and arrays["pixel_pitch_um"] == 1.8
+    tensors, _ = read_tensors(folder / "psf.safetensors")
+    torch.testing.assert_close(tensors["psf"], torch.from_numpy(arrays["psf"]).float(), rtol=1e-6, atol=1e-9)
+    with Image.open("psf.png") as shown:  # the brightest pixel of each PSF is white in one colour
+        assert shown.mode == "RGB" and numpy.asarray(shown).max() == 255
+
+
+def test_one_field_and_all_nine(folder):
+    """Each field blurs random colours in its own way; a grey image stays grey; a grid has nine."""
+    spread = {}
+    for field in ("axis", "middle", "corner"):
+        assert run("simulate", DOUBLET, "image.png", "-o", f"{field}.png", "--field", field, *FEW) == 0
+        with Image.open(f"{field}.png") as capture:
+            assert capture.size == (80, 60)
+            spread[field] = float(numpy.asarray(capture).std())
+    with Image.open("image.png") as image:
+        assert max(spread.values()) < 0.5 * float(numpy.asarray(image).std())
+    assert len({round(value, 3) for value in spread.values()}) == 3
+    assert run("simulate", DOUBLET, "image.png", "-o", "point.png", "--field", "0,0", *FEW) == 0
+    assert (folder / "point.png").read_bytes() == (folder / "axis.png").read_bytes()
+    assert run("simulate", DOUBLET, "image.png", "-o", "grid.jpg", "--grid", "--noise", *FEW) == 0
+    with Image.open("grid.jpg") as grid:
+        assert grid.size == (3 * 80 + 2 * 4, 3 * 60 + 2 * 4) and grid.format == "JPEG"
+    Image.new("RGB", (80, 60), (120, 120, 120)).save("grey.png")
+    assert run("simulate", DOUBLET, "grey.png", "-o", "even.png", *FEW) == 0
+    with Image.open("even.png") as even:
+        assert numpy.abs(numpy.asarray(even).astype(int) - 120).max() <= 1
+
+
+def test_to_zemax_and_back(folder):
+    """Every surface as it was, to the last bit of its numbers; the second time also its media."""
+    assert run("export", DOUBLET, "-o", "lens.zmx") == 0
+    assert run("export", "lens.zmx", "-o", "lens.yaml") == 0
+    before, after = prescription.read(DOUBLET)[0].lens, prescription.read(folder / "lens.yaml")[0].lens
+    for name in ("curvature", "conic", "thickness"):
+        assert torch.equal(getattr(after, name), getattr(before, name)), name
+    orders = after.alpha.shape[1]
+    assert torch.equal(after.alpha, before.alpha[:, :orders]) and not before.alpha[:, orders:].any()
+    for colour in (0.65, 0.55, 0.47):
+        indices = [lens.refractive_indices((colour,)) for lens in (after, before)]
+        torch.testing.assert_close(*indices, rtol=0, atol=1e-6)
+    assert run("export", "lens.yaml", "-o", "again.zmx") == 0
+    assert run("export", "again.zmx", "-o", "again.yaml") == 0
+    again = prescription.read(folder / "again.yaml")[0].lens
+    assert torch.equal(again.curvature, after.curvature)
+    assert [medium.coefficients for medium in again.media] == [medium.coefficients for medium in after.media]
+
+
+def test_nothing_is_overwritten_without_consent(folder, capsys):
+    for arguments in (
+        ("draw", DOUBLET, "-o", "there.png"),
+        ("psf", DOUBLET, "-o", "there.npz"),
+        ("simulate", DOUBLET, "image.png", "-o", "there.jpg"),
+        ("export", DOUBLET, "-o", "there.zmx"),
+    ):
+        there = folder / arguments[-1]
+        there.write_text("mine")
+        assert run(*arguments) == 2
+        assert capsys.readouterr().err == f"tasklens: {there.name}: exists; --force overwrites it\n"
+        assert there.read_text() == "mine"
+    assert run("export", DOUBLET, "-o", "there.zmx", "--force") == 0
+    assert (folder / "there.zmx").read_text().startswith("VERS")
+
+
+# ---- mistakes
+
+
+def bad_lenses(folder: Path) -> None:
+    content = yaml.safe_load(DOUBLET.read_text())
+    (folder / "bare.yaml").write_text(yaml.safe_dump({key: content[key] for key in content if key != "spec"}))
+    (folder / "broken.yaml").write_text("format: 2\nsurfaces: [1, {")
+    (folder / "bytes.yaml").write_bytes(bytes(range(256)))
+    (folder / "other.yaml").write_text("name: me\n")
+    (folder / "list.yaml").write_text("- 1\n")
+    (folder / "glass.zmx").write_text(SAME.read_text().replace("GLAS OKP4", "GLAS NOSUCH"))
+    (folder / "text.zmx").write_text("hello\n")
+    (folder / "folder.yaml").mkdir()
+    (folder / "words.png").write_text("no image")
+    Image.new("RGB", (30, 20)).save(folder / "small.png")
+
+
+SIMULATE = ("-o", "capture.png", *FEW)
+MISTAKES = [
+    (("show", "absent.yaml"), "absent.yaml: no such file or directory"),
+    (("show", "absent.zmx"), "absent.zmx: no such file or directory"),
+    (("show", "folder.yaml"), "folder.yaml: is a directory"),
+    (("show", "broken.yaml"), "broken.yaml, line 3: not valid YAML: did not find expected node content"),
+    (("analyse", "bytes.yaml"), "bytes.yaml: not valid YAML: no text"),
+    (("show", "other.yaml"), "other.yaml: no lens: expected a lens file with format, units, surfaces, stop, materials"),
+    (("show", "list.yaml"), "list.yaml: no lens: expected a lens file with format, units, surfaces, stop, materials"),
+    (("show", "image.png"), "image.png: expected a lens file, .yaml or .zmx"),
+    (
+        ("compare", DOUBLET, "bare.yaml"),
+        "bare.yaml: has neither a spec nor fields; give the full field of view in degrees: --field-of-view, in Python "
+        "field_of_view_deg",
+    ),
+    (
+        ("show", "glass.zmx"),
+        "glass.zmx, line 77: GLAS: unknown glass 'NOSUCH'; searched in the built-in plastics. Give its catalogue, or "
+        "define it in YAML",
+    ),
+    (("show", SAME, "--catalogue", "absent.agf"), "absent.agf: no such file or directory"),
+    (("show", "text.zmx"), "text.zmx, line 1: hello: unknown keyword (with ''), which may change rays; delete"),
+    (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
+    (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than 0"),
+    (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),
+    (("show", PHONE, "--wavelengths", "0.5"), "wavelengths_um: entry 2 is missing"),
+    (("draw", DOUBLET, "-o", "lens.gif"), "lens.gif: expected a name that ends in .png or .svg or .pdf"),
+    (("psf", DOUBLET, "-o", "psf"), "psf: expected a name that ends in .npz or .safetensors or .png"),
+    (("export", DOUBLET, "-o", "lens.seq"), "lens.seq: expected a name that ends in .zmx or .yaml or .yml"),
+    (
+        ("simulate", DOUBLET, "small.png", *SIMULATE),
+        "an image of 30 x 20 pixels is too small for PSFs of 51 pixels: take a larger one, or a smaller kernel_size",
+    ),
+    (("simulate", DOUBLET, "absent.png", *SIMULATE), "absent.png: no such image"),
+    (("simulate", DOUBLET, "words.png", *SIMULATE), "words.png: cannot be read as an image"),
+    (
+        ("simulate", DOUBLET, "image.png", *SIMULATE, "--field", "9,9"),
+        "--field 9,9: outside the field, which ends 2.000 mm from the axis",
+    ),
+    (
+        ("simulate", DOUBLET, "image.png", *SIMULATE, "--field", "rim"),
+        "--field rim: expected axis, middle, corner, or X,Y in millimetres such as 0.9,0.5",
+    ),
+]
+
+
+@pytest.mark.parametrize("arguments, words", MISTAKES, ids=[" ".join(map(str, a[:2])) + w[:12] for a, w in MISTAKES])
+def test_a_mistake_is_one_line_and_exit_status_2(folder, capsys, arguments, words):
+    """Which says what is wrong, where, and what to do; nothing is printed or written besides."""
+    bad_lenses(folder)
+    before = sorted(folder.iterdir())
+    assert run(*arguments) == 2
+    output = capsys.readouterr()
+    (line,) = [line for line in output.err.splitlines() if "pixels, as in a study" not in line]
+    assert line.startswith("tasklens: ") and words in line
+    assert output.out == "" and sorted(folder.iterdir()) == before
+
+
+def test_a_wrong_option_or_command(capsys):
+    """Exit status 2, and what was meant."""
+    assert run("shaw", DOUBLET) == 2 and "'show'" in capsys.readouterr().err
+    assert run("show", DOUBLET, "--f-nunber", "3") == 2 and "--f-number" in capsys.readouterr().err
+    assert run("draw", DOUBLET) == 2 and "--output" in capsys.readouterr().err
