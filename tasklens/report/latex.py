@@ -1,6 +1,7 @@
 """Tables in LaTeX that can be pasted into a paper."""
 
 import re
+from typing import Any
 
 import pandas
 
@@ -76,5 +77,5 @@ def _number(name: str, row: dict, best: bool) -> str:
     return rf"{value} $\pm$ {spread}" if spread else value
 
 
-def _text(value: object) -> str:
+def _text(value: Any) -> str:
     return "--" if pandas.isna(value) or value == "" else escaped(str(value))
