@@ -1,6 +1,7 @@
 """A headless Chromium for tests of pages, and what a page did in it."""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,8 +12,9 @@ from selenium.webdriver.chrome.service import Service
 
 ABSENT = [name for name in ("chromium", "chromedriver") if shutil.which(name) is None]
 OPTIONS = [
-    *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run"),
-    *("disable-background-networking", "disable-component-update", "disable-sync", "hide-scrollbars"),
+    *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "hide-scrollbars"),
+    *("disable-background-networking", "disable-component-update", "disable-sync"),
+    "force-prefers-reduced-motion",  # else a click may miss what is being scrolled to
 ]
 
 
@@ -42,9 +44,9 @@ def colour_scheme(opened: Chrome, scheme: str) -> None:
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
 
-def requests(opened: Chrome) -> set[str]:
-    """The kinds of addresses that were asked for, and whole addresses of those that are not data, such as `data:`."""
+def requests(opened: Chrome, page: str) -> set[str]:
+    """The addresses that a page asked for; of those that hold their data only the kind, `data:` or `blob:`."""
     events = (json.loads(entry["message"])["message"] for entry in opened.get_log("performance"))
     sent = (event["params"] for event in events if event["method"] == "Network.requestWillBeSent")
-    addresses = {params["request"]["url"] for params in sent}
-    return {"data:" if address.startswith("data:") else address for address in addresses}
+    addresses = {params["request"]["url"] for params in sent if params["documentURL"] == page}
+    return {re.sub("^(data:|blob:).*", r"\1", address, flags=re.DOTALL) for address in addresses}

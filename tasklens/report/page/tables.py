@@ -1,6 +1,5 @@
 """Tables of the page: columns with headings and units, cells with numbers to sort by, and the best values marked."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ from tasklens.report.publish import GAP
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell: its text, the number or text to sort by, and whether it is the best of its group, or a violation."""
+    """A cell: its text, what to sort by ("" of a gap), and whether it is the best of its group, or a violation."""
 
     text: str
     sort: float | str
@@ -71,7 +70,7 @@ def build(key: str, caption: str, frame: pandas.DataFrame, note: str = "") -> Ta
 def _cell(name: str, row: Mapping[Any, Any], number: bool, best: bool) -> Cell:
     value = row[name]
     if pandas.isna(value) or value == "":
-        return Cell(GAP, "" if not number else -math.inf)
+        return Cell(GAP, "")
     if not number:
         return Cell(str(value), str(value))
     text = " ± ".join(filter(None, headings.number(name, row)))
