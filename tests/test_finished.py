@@ -1,14 +1,21 @@
-"""A finished study, verified: what comes out again, and what is said where it does not."""
+"""A finished study, verified: what comes out again, and what is said where it does not; and its page in a browser."""
 
+import contextlib
 import json
+import re
 from pathlib import Path
 
+import browser
 import pytest
 import yaml
 from examples import read_rows, tiny_study
+from selenium.common.exceptions import TimeoutException
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
 
 from tasklens.cli.app import main
 from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline.run import run
 from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.study.loading import parse
 from tasklens.study.names import split
@@ -127,3 +134,116 @@ def test_tails_of_all_lenses(finished):
     curves = read_rows(report_jobs.psf_tail.output(STUDY, "encircled_energy"))
     assert {row["lens"] for row in curves} == {row["lens"] for row in found}
     assert all(0 <= float(row["fraction"]) <= 1 for row in curves)
+
+
+@pytest.fixture(scope="module")
+def page(finished):
+    """The page of the study, of which one lens has been drawn."""
+    assert verified("certificate", "singlet-tasklens") == verified("captures") == 0
+    run(report_jobs.report, STUDY, {}, partial=True)
+    return finished / "results/verified/report-partial.html"
+
+
+def test_the_page_has_every_part(page):
+    """Only the effort, whose benchmark has not been run, and the drawings of other lenses are missing."""
+    text = page.read_text()
+    missing = re.findall("<li>(.*?)</li>", text.partition('class="missing"')[2].partition("</ul>")[0])
+    assert [line.partition(":")[0] for line in missing] == [
+        "the table of efforts has not been made",
+        "5 of 6 lenses are without certificate and drawings",
+    ]
+    assert [name for name in (*TABLES, "verdicts", "psf_tail") if f'<table id="{name}">' not in text] == []
+    assert 'download="singlet-tasklens.yaml"' in text and 'download="singlet-tasklens.zmx"' in text
+    assert len(page.read_bytes()) < 15e6
+
+
+@pytest.fixture(scope="module")
+def opened(page, tmp_path_factory):
+    """The page in Chromium, all of it seen once, so that every chart is drawn."""
+    if browser.ABSENT:
+        pytest.skip(f"no {' or '.join(browser.ABSENT)}: apt-get install chromium chromium-driver")
+    with browser.browser(tmp_path_factory.mktemp("profile")) as found:
+        browser.window(found, 1280, 900)
+        found.get(page.as_uri())
+        charts = found.find_elements(By.CLASS_NAME, "chart")
+        for chart in charts:
+            found.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", chart)
+            WebDriverWait(found, 10).until(lambda _, own=chart: own.find_elements(By.CSS_SELECTOR, "svg.main-svg"))
+        assert len(charts) >= 5
+        yield found
+
+
+def test_the_page_loads_nothing_and_complains_of_nothing(opened, page):
+    assert opened.get_log("browser") == []
+    assert browser.requests(opened, page.as_uri()) == {page.as_uri(), "data:"}
+    assert not re.search(r"(src|href)=[\"'](?!data:|#)", page.read_text().partition("<script>")[0])
+
+
+def test_every_picture_has_loaded_and_says_what_it_shows(opened):
+    script = "return [...document.images].map(i => [i.complete && i.naturalWidth > 0, i.alt.trim()])"
+    found = opened.execute_script(script)
+    captures = read_rows(report_jobs.captures.output(STUDY, "answers"))  # of one network: a row per picture
+    assert len(found) == len(captures) + len(("section", "spots", "psfs", "curves")) >= 30
+    assert all(loaded and len(words) > 10 for loaded, words in found)
+    charts = opened.find_elements(By.CLASS_NAME, "chart")
+    assert all(len(chart.get_attribute("aria-label")) > 40 for chart in charts)
+
+
+def test_a_table_is_sorted_by_a_click(opened):
+    headings = opened.find_elements(By.CSS_SELECTOR, "#table1 th")
+    column = next(k for k, each in enumerate(headings) if each.text.startswith("RMS spot"))
+    script = f"return [...document.querySelectorAll('#table1 tbody tr')].map(row => row.cells[{column}].textContent)"
+
+    def values() -> list[float | None]:
+        """Numbers of the column; None of a gap."""
+        texts = [text.replace("★", "").strip() for text in opened.execute_script(script)]
+        return [None if text == "–" else float(text) for text in texts]
+
+    heading, gaps = headings[column], [value for value in values() if value is None]
+    known = sorted(value for value in values() if value is not None)
+    assert heading.get_attribute("aria-sort") == "none" and gaps and len(set(known)) > 2
+    opened.execute_script("arguments[0].scrollIntoView({block: 'center'})", heading)
+    for order in ("descending", "ascending", "descending"):
+        heading.find_element(By.TAG_NAME, "button").click()
+        assert heading.get_attribute("aria-sort") == order
+        assert values() == (known if order == "ascending" else known[::-1]) + gaps
+    others = opened.find_elements(By.CSS_SELECTOR, "#table1 th:not([aria-sort='none'])")
+    assert others == [heading]
+
+
+def test_a_filter_hides_other_lenses(opened):
+    field = opened.find_element(By.CSS_SELECTOR, "#lenses input")
+    shown = "return [...document.querySelectorAll('#lenses .lens')].filter(e => !e.hidden).map(e => e.dataset.name)"
+    assert len(opened.execute_script(shown)) == 6
+    opened.execute_script(
+        "arguments[0].value = 'singlet imaging'; arguments[0].dispatchEvent(new Event('input'))", field
+    )
+    assert opened.execute_script(shown) == ["singlet-imaging1", "singlet-imaging2", "singlet-end_to_end_from_imaging"]
+    opened.execute_script("arguments[0].value = ''; arguments[0].dispatchEvent(new Event('input'))", field)
+
+
+def test_dark_mode_changes_page_and_charts(opened):
+    colours = (
+        "return [getComputedStyle(document.body).backgroundColor,"
+        " getComputedStyle(document.querySelector('.chart text')).fill]"
+    )
+    found = {}
+    for scheme in ("light", "dark"):
+        browser.colour_scheme(opened, scheme)
+        found[scheme] = opened.execute_async_script(
+            f"const done = arguments[0]; setTimeout(() => done((() => {{ {colours} }})()), 500)"
+        )
+    brightness = {scheme: [sum(map(int, re.findall(r"\d+", c)[:3])) for c in own] for scheme, own in found.items()}
+    assert brightness["light"][0] > 600 > 200 > brightness["dark"][0]  # of 765
+    assert brightness["light"][1] < 200 < 600 < brightness["dark"][1]
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_is_wider_than_the_screen(opened, width):
+    """With all parts open; wide tables scroll in their own frames. A phone would zoom out where something is wider."""
+    browser.window(opened, width, 844)
+    opened.execute_script("for (const part of document.querySelectorAll('details')) part.open = true")
+    widths = "return [innerWidth, document.documentElement.scrollWidth]"
+    with contextlib.suppress(TimeoutException):  # charts follow the width after a moment
+        WebDriverWait(opened, 5).until(lambda _: opened.execute_script(widths) == [width, width])
+    assert opened.execute_script(widths) == [width, width]

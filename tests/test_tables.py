@@ -14,6 +14,7 @@ from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.report_jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
 from tasklens.report.failure import failed
+from tasklens.report.latex import escaped
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError, Files
 from tasklens.study.loading import dump, parse
@@ -219,8 +220,10 @@ def test_files_of_a_table_agree(study, name):
     each = pandas.read_csv(outputs.seeds_csv, keep_default_na=False)
     assert len(each) == 2 * len(rows) and each["seed"].tolist() == [0] * len(rows) + [1] * len(rows)
     assert each["accuracy"].astype(float).mean() == pytest.approx(rows["accuracy"].mean())
-    latex = outputs.tex.read_text()
-    assert latex.count(r"\\") == len(rows) + 1 and "nan" not in latex.lower()
+    alignment, body = latex_body(outputs.tex)
+    assert [line.split(" & ")[1] for line in body] == [design.replace("_", r"\_") for design in rows["design"]]
+    assert {line.count(" & ") + 1 for line in body} == {len(alignment)}
+    assert "nan" not in outputs.tex.read_text().lower()
     notes = json.loads(outputs.json.read_text())
     assert notes["study"] == "tiny" and notes["seeds"] == [0, 1] and set(notes["versions"]) == set(tables.PACKAGES)
 
@@ -231,6 +234,40 @@ def test_latex_escapes_underscores_everywhere(study):
     tables.make(contents, inputs_of(report_jobs.table, study, table="table1"), outputs)
     latex = outputs.tex.read_text()
     assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)
+
+
+def latex_body(path: Path) -> tuple[str, list[str]]:
+    """Alignment of the columns of a LaTeX table, and its rows without the heading."""
+    found = re.search(r"begin{tabular}{([lr]+)}.*\\midrule\n(.*) \\\\\n\\bottomrule", path.read_text(), re.DOTALL)
+    assert found is not None
+    return found[1], found[2].split(" \\\\\n")
+
+
+def test_latex_can_be_pasted(study):
+    """Words and units as headings, mean and spread in one cell, the best value bold, the paper's columns named so."""
+    outputs = finish(report_jobs.table, study, table="table3")
+    latex, (alignment, body) = outputs.tex.read_text(), latex_body(outputs.tex)
+    assert latex.startswith(r"% Needs \usepackage{booktabs}.") and r"\label{tab:tiny-table3}" in latex
+    assert alignment == "ll" + "r" * (len(alignment) - 2) and latex.count("{") == latex.count("}")
+    header = next(line for line in latex.splitlines() if line.startswith("elements"))
+    assert header.startswith(r"elements & design & \shortstack[r]{accuracy\\{}[\%]} & ")
+    assert header.endswith(r" & \shortstack[r]{accuracy\\(paper)\\{}[\%]} & \shortstack[r]{failed\\(paper)\\{}[\%]} \\")
+    assert body[0].startswith(r"doublet & tasklens & \textbf{71.0} $\pm$ 1.4 & ")
+    assert body[2].startswith(r"doublet & end\_to\_end\_from\_flat & 41.0 $\pm$ 1.4 & ") and r"$-$0.020" in body[2]
+    assert "Mean $\\pm$ standard deviation over seeds. Bold: the best of the same elements." in latex
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("a_b & 5 %", r"a\_b \& 5 \%"),
+        ("{#$}", r"\{\#\$\}"),
+        ("\\", r"\textbackslash{}"),
+        ("1 ± 2 – 3", r"1 $\pm$ 2 -- 3"),
+    ],
+)
+def test_plain_text_in_latex(text, expected):
+    assert escaped(text) == expected
 
 
 def test_the_papers_values_are_those_of_its_tables():

@@ -50,7 +50,7 @@ def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], 
     axes.margins(0.03, 0.08)
     axes.set_axis_off()
     axes.legend(loc="upper left", fontsize=8, frameon=False)
-    scale_bar(axes, 1.0, "1 mm", place="lower left")
+    scale_bar(axes, "mm", place="lower left")
 
 
 def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.transforms import Bbox
 from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
@@ -30,6 +31,7 @@ COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
 _DPI = 110
+_PLACES = 6  # decimals of a place in a figure
 # Text stays text, and the names of parts are the same in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
@@ -84,12 +86,26 @@ def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
 
 def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
     """Write a figure in the format of each path's suffix: png, svg, pdf or webp."""
+    figure.set_dpi(dpi)
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+        _round(figure)
     with matplotlib.rc_context(_VECTOR):
         for path in paths:
             kind = path.suffix.removeprefix(".")
             with replacing(path) as temporary:
                 figure.savefig(temporary, dpi=dpi, format=kind, metadata=_METADATA.get(kind))
-            figure.set_layout_engine("none")  # the layout of the first file is that of all
+
+
+def _round(part: Figure | SubFigure) -> None:
+    """Round the places of all parts, whose last digits differ from run to run, so that files do not."""
+    for inner in part.subfigs:
+        inner.bbox_relative.set_points(inner.bbox_relative.get_points().round(_PLACES) + 0.0)  # no -0.0
+        _round(inner)
+    for axes in part.axes if not part.subfigs else ():
+        axes.set_position(Bbox(axes.get_position(original=True).get_points().round(_PLACES) + 0.0))
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:

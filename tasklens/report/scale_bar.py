@@ -1,14 +1,29 @@
 """A scale bar in a corner of a plot."""
 
+import math
+
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
+_LARGEST = 0.25  # share of the width of the plot
 
-def scale_bar(axes: Axes, length: float, label: str, colour: str = "black", place: str = "lower right") -> None:
-    """Draw a bar of a length in units of the x axis, with its label above."""
+
+def scale_bar(axes: Axes, unit: str, colour: str = "black", place: str = "lower right") -> None:
+    """Draw a bar of a round length (1, 2 or 5 times a power of ten of the x axis' unit), with the length above."""
+    low, high = axes.get_xlim()
+    most = _LARGEST * abs(high - low)
+    power = 10.0 ** math.floor(math.log10(most))
+    length = max(factor * power for factor in (1, 2, 5) if factor * power <= most)
     font = FontProperties(size=8)
     bar = AnchoredSizeBar(
-        axes.transData, length, label, place, frameon=False, color=colour, label_top=True, fontproperties=font
+        axes.transData,
+        length,
+        f"{length:g} {unit}",
+        place,
+        frameon=False,
+        color=colour,
+        label_top=True,
+        fontproperties=font,
     )
     axes.add_artist(bar)

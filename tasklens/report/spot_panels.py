@@ -16,7 +16,6 @@ from tasklens.report.scale_bar import scale_bar
 
 _DRAWN = 700  # rays of a spot
 _DECADES = 4.0  # of the logarithmic PSFs
-_BAR_UM = 20.0
 _ROUND = (
     Line2D([], [], marker="o", mfc="none", mec="black", ms=9, lw=0, label="core: 50 % about the chief ray"),
     Line2D([], [], color="black", ls="--", lw=0.9, label="80 % about the chief ray"),
@@ -54,7 +53,7 @@ def spots(
                 axes.add_patch(circle)
         axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xticks=[], yticks=[])
-        scale_bar(axes, _BAR_UM, f"{_BAR_UM:.0f} um")
+        scale_bar(axes, "um")
         angle = figures["angle_deg"][field]
         axes.set_title(f"{name}, {angle:.0f}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
         radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"
@@ -92,4 +91,4 @@ def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mappin
     for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):
         axes.set_ylabel(label, fontsize=8)
     for axes in grid[:, -1]:
-        scale_bar(axes, _BAR_UM, f"{_BAR_UM:.0f} um", "white")
+        scale_bar(axes, "um", "white")

@@ -6,13 +6,15 @@ Columns of the paper's values end in `_paper`: they are for another data set (Im
 import importlib.metadata
 import json
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import product
 from pathlib import Path
 
 import pandas
 
+from tasklens.report import headings, latex
 from tasklens.report.failure import failed
+from tasklens.report.headings import PAPER, STD
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import GAP, publish, rounded
 from tasklens.runtime.files import FileError, Files, write_text
@@ -115,12 +117,12 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
             best = rows.dropna(subset="minival_accuracy").groupby(keys, sort=False)["minival_accuracy"].idxmax()
             table.insert(2, "accuracy_best", rows.loc[best].set_index(keys)["accuracy"])
         spread = groups[[c for c in columns if c not in ("failed", "worst_margin")]].std(ddof=1)
-        table = table.join(spread.add_suffix("_std"))
+        table = table.join(spread.add_suffix(STD))
     table = table.reset_index()
     wanted = paper[paper["table"] == contents.name]
     published = wanted.pivot_table(index=keys, columns="metric", values="value", sort=False)
     shared = [c for c in columns if c in published and c != "parameters_m"]
-    return table.merge(published[shared].add_suffix("_paper").reset_index(), on=keys, how="left")
+    return table.merge(published[shared].add_suffix(PAPER).reset_index(), on=keys, how="left")
 
 
 def printed(table: pandas.DataFrame) -> pandas.DataFrame:
@@ -152,13 +154,21 @@ def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
     publish(outputs, title, table, shown, note)
     each = [c for c in ("elements", "design", "classifier", "seed", *_columns(contents, rows)) if c in rows]
     write_text(outputs.seeds_csv, rows[each].to_csv(index=False))
-    write_text(outputs.tex, shown.to_latex(index=False, escape=True, caption=_latex(f"{title}. {note}")))
+    caption = _caption(contents, table, unmeasured)
+    write_text(outputs.tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
     write_text(outputs.json, json.dumps(provenance(contents), indent=1) + "\n")
 
 
-def _latex(text: str) -> str:
-    """Convert our plain text to LaTeX."""
-    return text.replace("`", "").replace("_", r"\_")
+def _caption(contents: TableContents, table: pandas.DataFrame, unmeasured: Sequence[str]) -> str:
+    """Return the caption in LaTeX, which numbers tables itself."""
+    parts = [f"{_TITLES[contents.name]}.", f"Study {contents.study}."]
+    if any(str(name).endswith(STD) for name in table):
+        parts.append("Mean ± standard deviation over seeds.")
+    if any(any(headings.best(table, name)) for name in headings.columns(table)):
+        parts.append(f"Bold: the best of the same elements{' and classifier' if 'classifier' in table else ''}.")
+    if any(str(name).endswith(PAPER) for name in table):
+        parts.append("Columns (paper): Yang et al. 2024, measured on ImageNet with other networks.")
+    return " ".join(parts + ([f"Not measured yet: {', '.join(unmeasured)}."] if unmeasured else []))
 
 
 def provenance(contents: TableContents) -> dict[str, object]:

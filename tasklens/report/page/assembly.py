@@ -9,6 +9,7 @@ import pandas
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from tasklens.report.headings import STD
 from tasklens.report.measurements import Measurements
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
 from tasklens.runtime.files import FileError, Files, write_text
@@ -124,7 +125,7 @@ def _gaps(settings: Slice, inputs: Files) -> dict[str, Any]:
 
 def _table(name: str, frame: pandas.DataFrame) -> tables.Table:
     caption = _CAPTIONS.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
-    spread = _SPREAD if any(str(column).endswith(tables.STD) for column in frame) else ""
+    spread = _SPREAD if any(str(column).endswith(STD) for column in frame) else ""
     return tables.build(name, caption, frame, spread)
 
 

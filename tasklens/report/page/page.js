@@ -10,9 +10,11 @@ function sort(button) {
   const order = heading.getAttribute("aria-sort") === first ? other : first;
   const sign = order === "ascending" ? 1 : -1;
   const key = (row) => row.cells[column].dataset.sort;
-  const compare = heading.classList.contains("number")
-    ? (a, b) => sign * (Number(key(a)) - Number(key(b)))
-    : (a, b) => sign * key(a).localeCompare(key(b));
+  const gaps = (a, b) => (key(a) === "") - (key(b) === ""); // last in either order
+  const values = heading.classList.contains("number")
+    ? (a, b) => Number(key(a)) - Number(key(b))
+    : (a, b) => key(a).localeCompare(key(b));
+  const compare = (a, b) => gaps(a, b) || sign * values(a, b);
   const body = table.tBodies[0];
   body.append(...[...body.rows].sort(compare));
   for (const each of table.querySelectorAll("th[aria-sort]")) each.setAttribute("aria-sort", "none");

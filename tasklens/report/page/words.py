@@ -45,21 +45,21 @@ def summary(verdicts: pandas.DataFrame, margins: Mapping[str, float], seeds: int
         return [Sentence("The paper's claims are about no lenses of this study.")]
     counts = Counter(judged(row, margins.get(row["claim"], 0.0)) for row in verdicts.to_dict("records"))
     words = {
-        (FOR, SHOWN): "hold",
-        (AGAINST, SHOWN): "do not hold",
-        (FOR, SUGGESTED): "are suggested to hold",
-        (AGAINST, SUGGESTED): "are suggested not to hold",
-        (UNDECIDED, UNDECIDED): "are undecided",
+        (FOR, SHOWN): ("holds", "hold"),
+        (AGAINST, SHOWN): ("does not hold", "do not hold"),
+        (FOR, SUGGESTED): ("is suggested to hold", "are suggested to hold"),
+        (AGAINST, SUGGESTED): ("is suggested not to hold", "are suggested not to hold"),
+        (UNDECIDED, UNDECIDED): ("is undecided", "are undecided"),
     }
-    parts = [f"{counts[key]} {text}" for key, text in words.items() if counts[key]]
+    parts = [f"{counts[key]} {one if counts[key] == 1 else many}" for key, (one, many) in words.items() if counts[key]]
     claims = "1 claim" if len(verdicts) == 1 else f"{len(verdicts)} claims"
     found = [Sentence(f"Of {claims} of the paper tested here, {_listed(parts)}.")]
     if seeds < LEAST_SEEDS:
-        number = "one seed" if seeds == 1 else f"{seeds} seeds"
+        number, over = ("is only one seed", "") if seeds == 1 else (f"are only {seeds} seeds", " and seeds")
         found.append(
             Sentence(
-                f"There is only {number} of design, fine-tuning and order of the data: differences are suggested, "
-                f"not shown. Their intervals are over test images; {LEAST_SEEDS} seeds are needed to show one."
+                f"There {number} of design, fine-tuning and order of the data: differences are suggested, not shown. "
+                f"Their intervals of 95 % are over test images{over}; {LEAST_SEEDS} seeds are needed to show one."
             )
         )
     else:
@@ -125,9 +125,8 @@ def convergence(gaps: Mapping[str, Gap]) -> list[Sentence]:
     ended = [lens for lens, gap in gaps.items() if gap.converged]
     found = []
     if ended:
-        found.append(
-            Sentence(f"Converged, with the least loss of all lenses of the same elements: {_listed(ended)}.", FOR)
-        )
+        text = "Converged, with the least loss of all lenses of the same elements up to two standard errors"
+        found.append(Sentence(f"{text}: {_listed(ended)}.", FOR))
     for lens, gap in gaps.items():
         if not gap.converged:
             text = f"Not converged: {lens} ends {gap.difference:.3f} above the loss of {gap.nearest}"

@@ -1,0 +1,98 @@
+"""Figures of a lens: what must be on them, and that they are the same whenever they are drawn."""
+
+import math
+
+import pytest
+from matplotlib.figure import Figure
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+from PIL import Image
+
+from tasklens.optics.analysis import datasheet
+from tasklens.optics.analysis.spots import evaluation_psf
+from tasklens.optics.view import view_of_spec
+from tasklens.report import figures
+from tasklens.report.scale_bar import scale_bar
+from tasklens.study.settings import Spec
+
+
+@pytest.fixture(scope="module")
+def panel(start):
+    """A random doublet, which is far from sharp."""
+    view = view_of_spec(Spec(kernel_size=11))
+    found = datasheet.figures(start, view, 64)
+    return figures.panel_of("random", start, view, evaluation_psf(start, view, 64), found)
+
+
+def drawn(function, panel) -> Figure:
+    figure = Figure(layout="constrained")
+    function(figure, panel)
+    return figure
+
+
+def legend_of(figure: Figure) -> list[str]:
+    """Texts of all legends of a figure and its axes."""
+    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes)]
+    return [text.get_text() for legend in legends if legend is not None for text in legend.get_texts()]
+
+
+def bars_of(figure: Figure) -> list[str]:
+    """Texts of the scale bars of a figure."""
+    bars = [artist for axes in figure.axes for artist in axes.artists if isinstance(artist, AnchoredSizeBar)]
+    return [bar.txt_label.get_text() for bar in bars]
+
+
+def test_the_spots_say_what_each_colour_and_circle_is(panel):
+    figure = drawn(figures.draw_spots, panel)
+    said = legend_of(figure)
+    assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == said[:3]
+    assert said[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
+    assert len(bars_of(figure)) == 3
+    for axes, field in zip(figure.axes, figures.SHOWN, strict=True):
+        half = panel.view.kernel_size * panel.view.pixel_pitch / 2
+        assert axes.get_xlim() == axes.get_ylim() == (-half, half)  # y upward
+        outside = 1 - panel.figures["energy_in_window"][field]
+        assert outside > 0.001 and f"{outside:.1%} of the light outside" in axes.get_xlabel()
+        radii = sorted(patch.radius for patch in axes.patches)
+        known = [panel.figures[name][field] for name in ("core_radius_um", "radius_80_um")]
+        assert radii == [radius for radius in known if radius < 1e3 * half]
+
+
+def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
+    figure = drawn(figures.draw_psfs, panel)
+    assert len(figure.axes) == 2 * len(panel.psf)
+    assert all(axes.get_ylim()[0] < axes.get_ylim()[1] for axes in figure.axes)
+    assert all(axes.get_images()[0].origin == "lower" for axes in figure.axes)
+    assert len(set(bars_of(figure))) == 1
+
+
+def test_section_and_curves_have_legends_and_a_scale_bar(panel):
+    section, curves = drawn(figures.draw_section, panel), drawn(figures.draw_curves, panel)
+    said = legend_of(section)
+    assert "stop" in said and all(any(text.startswith(name) for text in said) for name in figures.SHOWN.values())
+    assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
+    said = legend_of(curves)
+    assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(said)
+
+
+@pytest.mark.parametrize("width, said", [(20.0, "5 um"), (117.0, "20 um"), (3.9, "0.5 um"), (400.0, "100 um")])
+def test_a_scale_bar_is_round_and_at_most_a_quarter(width, said):
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set_xlim(-width / 2, width / 2)
+    scale_bar(axes, "um")
+    assert bars_of(figure) == [said]
+    assert 0.1 <= float(said.split()[0]) / width <= 0.25 + math.ulp(1)
+
+
+def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
+    """PNG, SVG and PDF, without a date; the SVG has text, the PNG a picture."""
+    for folder in ("first", "second"):
+        (tmp_path / folder).mkdir()
+        figures.draw([tmp_path / folder / f"lens.{kind}" for kind in ("png", "svg", "pdf")], [panel])
+    for kind in ("png", "svg", "pdf"):
+        first, second = ((tmp_path / folder / f"lens.{kind}").read_bytes() for folder in ("first", "second"))
+        assert first == second, kind
+    with Image.open(tmp_path / "first" / "lens.png") as picture:
+        assert picture.width > 1000 and len(picture.convert("RGB").getcolors(1 << 24)) > 100
+    assert "geometric MTF" in (tmp_path / "first" / "lens.svg").read_text()
+    assert (tmp_path / "first" / "lens.pdf").read_bytes().startswith(b"%PDF")

@@ -1,0 +1,223 @@
+"""The page of a study: what it says of verdicts, which values it marks, and what it lists as missing."""
+
+import re
+from pathlib import Path
+
+import pandas
+import pytest
+from examples import tiny_study, write
+
+from tasklens.pipeline import report_jobs
+from tasklens.pipeline.run import run
+from tasklens.report.optimality import Gap
+from tasklens.report.page import assembly, charts, tables, words
+from tasklens.report.verdicts import verdict
+from tasklens.runtime.files import FileError
+from tasklens.study.claims import FEWER_ELEMENTS, OVER_END_TO_END, OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES
+from tasklens.study.loading import parse
+
+KNOWN = 0.001  # p-value of a difference that is significant
+MARGINS = {OVER_END_TO_END: 0.5}
+
+
+def row(claim=OVER_IMAGE_QUALITY, difference=2.0, low=1.0, high=3.0, p=KNOWN, seeds=5, **changes) -> dict:
+    """A row of the table of verdicts."""
+    said, reason = verdict(difference, low, high, p, seeds, MARGINS.get(claim, 0.0))
+    keys = {"table": "table1", "claim": claim, "lens": "doublet-tasklens", "baseline": "doublet-image_error"}
+    values = {"difference": difference, "low": low, "high": high, "p_holm": p, "seeds": seeds}
+    return keys | {"classifier": "small"} | values | {"verdict": said, "reason": reason} | changes
+
+
+HOLDS, FAILS = row(), row(difference=-2.0, low=-3.0, high=-1.0)
+SUGGESTED, AGAINST = row(seeds=1), row(difference=-2.0, low=-3.0, high=-1.0, seeds=1)
+UNDECIDED = row(difference=0.3, low=-1.0, high=1.5, p=0.4)
+WITHIN = row(OVER_END_TO_END, difference=-0.2, low=-0.4, high=-0.1, seeds=1)  # of the margin of half a point
+BEYOND = row(OVER_END_TO_END, difference=-2.0, low=-3.0, high=-1.0, seeds=1)
+
+
+@pytest.mark.parametrize(
+    "found, direction, certainty",
+    [
+        (HOLDS, words.FOR, words.SHOWN),
+        (FAILS, words.AGAINST, words.SHOWN),
+        (SUGGESTED, words.FOR, words.SUGGESTED),
+        (AGAINST, words.AGAINST, words.SUGGESTED),
+        (WITHIN, words.FOR, words.SUGGESTED),
+        (BEYOND, words.AGAINST, words.SUGGESTED),
+        (UNDECIDED, words.UNDECIDED, words.UNDECIDED),
+    ],
+)
+def test_direction_and_certainty_of_a_verdict(found, direction, certainty):
+    assert words.judged(found, MARGINS.get(found["claim"], 0.0)) == (direction, certainty)
+
+
+@pytest.mark.parametrize(
+    "found, said",
+    [
+        (HOLDS, "Shown: tasklens is 2.0 points more accurate (+1.0 to +3.0) than image_error"),
+        (FAILS, "Shown: tasklens is 2.0 points less accurate (−3.0 to −1.0) than image_error"),
+        (SUGGESTED, "Suggested: tasklens is 2.0 points more accurate (+1.0 to +3.0) than image_error"),
+        (row(difference=1.04), "Shown: tasklens is 1.0 point more accurate (+1.0 to +3.0) than image_error"),
+        (UNDECIDED, "Undecided: tasklens is within 1.5 points (−1.0 to +1.5) of image_error"),
+    ],
+)
+def test_a_comparison_in_words(found, said):
+    kind = "the best design by image error or contrast"
+    assert words.comparison(found, 0.0).text == f"{said}, {kind}."
+
+
+def test_the_summary_counts_every_verdict_once():
+    rows = pandas.DataFrame([HOLDS, HOLDS, FAILS, UNDECIDED])
+    first, second = words.summary(rows, MARGINS, 5)
+    assert first.text == "Of 4 claims of the paper tested here, 2 hold, 1 does not hold and 1 is undecided."
+    assert "test images and 5 seeds" in second.text
+
+
+@pytest.mark.parametrize(
+    "seeds, said, over",
+    [
+        (1, "There is only one seed of", "over test images;"),
+        (3, "There are only 3 seeds of", "over test images and seeds;"),
+    ],
+)
+def test_few_seeds_suggest(seeds, said, over):
+    first, second = words.summary(pandas.DataFrame([SUGGESTED, AGAINST, WITHIN]), MARGINS, seeds)
+    assert first.text.endswith("2 are suggested to hold and 1 is suggested not to hold.")
+    assert second.text.startswith(said) and "suggested, not shown" in second.text and over in second.text
+
+
+def test_a_study_without_claims_says_so():
+    assert [each.text for each in words.summary(pandas.DataFrame(columns=list(HOLDS)), {}, 1)] == [
+        "The paper's claims are about no lenses of this study."
+    ]
+
+
+def test_answers_are_about_table_1_by_elements_in_the_order_of_the_questions():
+    rows = pandas.DataFrame(
+        [
+            row(OVER_LEAST_SQUARES),
+            row(),
+            row(table="table2"),
+            row(lens="triplet-tasklens", baseline="triplet-imaging2"),
+            row(OVER_END_TO_END),
+        ]
+    )
+    found = words.answers(rows, ["doublet", "triplet", "singlet"], [OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES], MARGINS)
+    assert {name: len(sentences) for name, sentences in found.items()} == {"doublet": 2, "triplet": 1}
+    assert [each.text.rpartition(", ")[2] for each in found["doublet"]] == [
+        "the best design by image error or contrast.",
+        "the best design by least squares.",
+    ]
+
+
+def test_fewer_elements_name_the_elements_of_the_other_lens():
+    found = words.comparison(row(FEWER_ELEMENTS, baseline="triplet-imaging2"), 0.0)
+    assert found.text.endswith("than triplet-imaging2, the best imaging design with more elements.")
+
+
+def test_convergence_names_what_has_not_converged():
+    first, second = words.convergence({"a": Gap("b", 0.01, 0.01), "c": Gap("d", 0.3, 0.01)})
+    assert first.text.endswith(": a.") and first.direction == words.FOR
+    assert second.text.startswith("Not converged: c ends 0.300 above the loss of d")
+
+
+TABLE = pandas.DataFrame(
+    {
+        "elements": ["", "doublet", "doublet", "doublet", "triplet"],
+        "design": ["reference", "tasklens", "imaging1", "imaging2", "imaging1"],
+        "accuracy": [90.0, 71.04, 71.0, 65.0, 60.0],
+        "accuracy_paper": [75.6, 70.1, None, None, None],
+        "rms_spot_um": [None, 12.0, 9.0, 10.0, 3.0],
+        "worst_margin": [None, 0.01, -0.02, 0.0, 0.01],
+        "failed": [None, 0.0, 0.0, 0.2, 1.0],
+        "accuracy_std": [0.5, 1.4, 0.2, None, 0.1],
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def built() -> tables.Table:
+    return tables.build("table1", "Table 1", TABLE)
+
+
+def cells(table: tables.Table, heading: str, paper: bool = False) -> list[tables.Cell]:
+    """The cells of a column."""
+    own = [(column.words, column.paper) for column in table.columns].index((heading, paper))
+    return [row[own] for row in table.rows]
+
+
+def test_the_best_of_the_same_elements_is_marked(built):
+    """Equal as shown are equal; neither the sharp images nor a lens alone is the best of anything."""
+    assert [cell.best for cell in cells(built, "accuracy")] == [False, True, True, False, False]
+    assert [cell.best for cell in cells(built, "RMS spot")] == [False, False, True, False, False]  # the least
+    assert not any(cell.best for cell in cells(built, "accuracy", paper=True))
+
+
+def test_the_spread_stands_beside_its_mean(built):
+    assert [cell.text for cell in cells(built, "accuracy")][:4] == ["90.0 ± 0.5", "71.0 ± 1.4", "71.0 ± 0.2", "65.0"]
+    assert not any("std" in column.words for column in built.columns)
+
+
+def test_the_papers_columns_are_last(built):
+    assert [column.paper for column in built.columns] == [False] * (len(built.columns) - 1) + [True]
+    assert built.paper == 1 and [cell.text for cell in cells(built, "accuracy", paper=True)][1:3] == ["70.1", "–"]
+
+
+def test_violated_limits_are_marked(built):
+    assert [cell.wrong for cell in cells(built, "worst margin")] == [False, False, True, False, False]
+    assert [cell.text for cell in cells(built, "failed")][1:] == ["0", "0", "20", "100"]  # % of the seeds
+
+
+def test_a_chart_has_a_point_per_lens_and_names_the_most_accurate():
+    chart = charts.accuracy_over_rms(TABLE)
+    assert chart is not None and "of 4 lenses. Most accurate: doublet tasklens, 71.0 % at 12.0 um" in chart.words
+    assert charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
+
+
+STUDY = parse(tiny_study())
+
+
+def partial_page(monkeypatch, folder: Path) -> str:
+    monkeypatch.chdir(folder)
+    run(report_jobs.report, STUDY, {}, partial=True)
+    return Path("results/tiny/report-partial.html").read_text()
+
+
+def listed(page: str) -> list[str]:
+    """What the page lists as missing."""
+    part = page.partition('class="missing"')[2].partition("</ul>")[0]
+    return re.findall("<li>(.*?)</li>", part)
+
+
+def test_the_page_of_a_study_without_results_lists_what_is_missing(monkeypatch, tmp_path):
+    page = partial_page(monkeypatch, tmp_path)
+    found = listed(page)
+    assert found[:4] == [f"table{k} has not been made" for k in (1, 2, 3, 4)]
+    assert "verdicts have not been made" in found and "captures have not been rendered" in found
+    designed = ", ".join(f"singlet-{name}" for name in STUDY.designs)
+    assert f"6 of 6 lenses are not designed: {designed}" in found
+    for said in ("No table has been made yet.", "Nothing has been measured yet.", "No lens has been designed yet."):
+        assert said in page
+    assert len(page.encode()) < 15e6
+
+
+def test_the_page_of_a_half_finished_study_shows_what_there_is(monkeypatch, tmp_path):
+    """A partial table and verdicts are shown, and no longer missing."""
+    own = TABLE.replace({"elements": {"doublet": "singlet"}})
+    for kind, frame in (("table1-partial", own), ("verdicts", pandas.DataFrame([row(lens="singlet-tasklens")]))):
+        write(tmp_path / f"results/tiny/tables/{kind}.csv", frame.to_csv(index=False))
+    write(tmp_path / "results/tiny/tables/table1-partial.json", '{"commit": "abc123", "versions": {"torch": "2.11"}}')
+    page = partial_page(monkeypatch, tmp_path)
+    found = listed(page)
+    assert "table1 has not been made" not in found and "table2 has not been made" in found
+    assert "verdicts have not been made" not in found
+    assert '<table id="table1">' in page and '<table id="verdicts">' in page and "abc123" in page
+    assert "71.0 % through tasklens, the best designed by the task" in page
+    assert "Shown: tasklens is 2.0 points more accurate" in page
+
+
+def test_a_page_that_is_too_large_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(assembly, "LARGEST_MB", 1.0)
+    with pytest.raises(FileError, match=r"report-partial\.html: would have .* MB, more than 1: show fewer lenses"):
+        partial_page(monkeypatch, tmp_path)
+    assert not Path("results/tiny/report-partial.html").exists()
