@@ -148,7 +148,7 @@ onstart:
         except CalledProcessError as error:  # which has said why
             sys.exit(error.returncode)
     if found.otherwise:
-        print(f"Changed code or input files: {changes.amount(found.otherwise, durations, cores)}")
+        print(f"Changed code or input files, or added classifiers: {changes.amount(found.otherwise, study, durations, cores)}")
     print(durations.forecast([job.stage for job in planned.values()], cores))
     terminal.begin({name: job.stage for name, job in planned.items()}, cores)
 
