@@ -148,7 +148,8 @@ onstart:
         except CalledProcessError as error:  # which has said why
             sys.exit(error.returncode)
     if found.otherwise:
-        print(f"Changed code or input files, or added classifiers: {changes.amount(found.otherwise, study, durations, cores)}")
+        again = changes.amount(found.otherwise, study, durations, cores)
+        print(f"Changed code or input files, or added classifiers: {again}")
     print(durations.forecast([job.stage for job in planned.values()], cores))
     terminal.begin({name: job.stage for name, job in planned.items()}, cores)
 
