@@ -102,6 +102,12 @@ if jobs.others(study):  # `tasklens run fine-tune` makes one of these by hand
     ruleorder: fine_tune_others > fine_tune
 
 
+def has_output(job):
+    """Return whether any output of a job is there, and not that of a killed job."""
+    halves = workflow.async_run(workflow.persistence.incomplete(job))
+    return any(os.path.exists(path) for path in job.output if path not in halves)
+
+
 def planned_jobs():
     """Return the jobs of this run by label."""
     label = lambda job: runs.label_of(job.log, results(study))
@@ -109,7 +115,7 @@ def planned_jobs():
         label(job): changes.PlannedJob(
             job.rule.name,
             job.wildcards_dict,
-            any(os.path.exists(path) for path in job.output),
+            has_output(job),
             tuple(label(other) for other in workflow.dag.dependencies[job] if other.rule.name in STAGES),
         )
         for job in workflow.dag.needrun_jobs(exclude_finished=False)  # a dry run counts all as finished
@@ -148,7 +154,8 @@ onstart:
         except CalledProcessError as error:  # which has said why
             sys.exit(error.returncode)
     if found.otherwise:
-        print(f"Changed code or input files: {changes.amount(found.otherwise, durations, cores)}")
+        again = changes.amount(found.otherwise, study, durations, cores)
+        print(f"Changed code or input files, or added classifiers: {again}")
     print(durations.forecast([job.stage for job in planned.values()], cores))
     terminal.begin({name: job.stage for name, job in planned.items()}, cores)
 

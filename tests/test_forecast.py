@@ -104,13 +104,13 @@ def test_a_job_is_given_half_as_much_memory_again_as_the_largest_of_its_stage(re
 def test_the_forecast_adds_up(results):
     """12 designs and 12 PSFs of 1200 + 48 s on two cores are 10.4 minutes; unknown stages are named."""
     every = 12 * ["design", "psf"]
-    assert durations(results).forecast(every, 2) == "Study mine: 24 jobs, about 10 minutes on 2 cores."
-    assert durations(results).forecast(every, 1) == "Study mine: 24 jobs, about 21 minutes on 1 cores."
+    assert durations(results).forecast(every, 2) == "Study mine: 24 jobs, about 10 min on 2 cores."
+    assert durations(results).forecast(every, 1) == "Study mine: 24 jobs, about 21 min on 1 core."
     some = durations(results).forecast([*every, "figure", "figure", "restore"], 2)
-    assert some.startswith("Study mine: 27 jobs, about 10 minutes on 2 cores; nothing is known")
+    assert some.startswith("Study mine: 27 jobs, about 10 min on 2 cores; nothing is known")
     assert some.endswith("how long figure, restore takes.")
     nothing = durations(results).forecast(["figure"], 2)
-    assert "Study mine: 1 jobs; nothing is known" in nothing and "minutes" not in nothing
+    assert "Study mine: 1 job; nothing is known" in nothing and " min " not in nothing
     assert durations(results).forecast([], 2).startswith("Study mine: 0 jobs")
 
 

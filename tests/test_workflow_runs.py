@@ -1,5 +1,6 @@
 """The study as a workflow: a true small run, what reruns after a change, and runs that fail or are killed."""
 
+import json
 import os
 import signal
 import subprocess
@@ -7,9 +8,10 @@ import time
 
 import pytest
 import yaml
-from examples import changed, tiny_study
+from examples import changed, tiny_study, write
 from test_workflow import command, forked, plan, snakemake, with_imported
 
+from tasklens.cli.app import main
 from tasklens.pipeline.forecast import Durations
 from tasklens.study.loading import load, parse
 
@@ -28,8 +30,9 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     done = snakemake(folder, one_lens(), "table1")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "**Table 1" in done.stdout + done.stderr
-    assert "Study tiny: 6 jobs" in done.stdout + done.stderr
+    assert "Study tiny: 6 jobs" in done.stdout and "results/tiny/tables/table1.md" in done.stdout
+    ends = [line.split()[0] for line in done.stderr.splitlines() if "/6  " in line]
+    assert ends == [f"{k}/6" for k in range(1, 7)], done.stderr
     return folder
 
 
@@ -59,6 +62,39 @@ def test_a_dry_run_changes_nothing(finished):
     before = (finished / "results/tiny/study.yaml").read_text()
     plan(finished, changed(one_lens(), "fine_tuning.learning_rate", 4e-3), "table1")
     assert (finished / "results/tiny/study.yaml").read_text() == before
+
+
+def test_finished_results_are_not_overwritten_without_consent(finished):
+    """A dry run says so too; a further seed asks nothing; nothing is changed, nor is the last run forgotten."""
+    faster = changed(one_lens(), "spec.f_number", 2.0)
+    kept = [path for path in (finished / "results").rglob("*") if path.is_file()]
+    before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in kept}
+    done = snakemake(finished, faster, "table1")
+    output = done.stdout + done.stderr
+    assert done.returncode != 0 and "spec.f_number: 2.8 -> 2.0: 1 lens, 1 classifier again" in output, output
+    assert "--config overwrite=true" in output and "Traceback" not in output and "goes on from here" not in output
+    assert "1 lens, 1 classifier again" in forked(finished, faster, "--dry-run", "table1")[1]
+    for study, *others in ((faster, "--config", "overwrite=true"), (one_lens() | {"seeds": [0, 1]},)):
+        status, output = forked(finished, study, "--dry-run", "table1", *others)
+        assert status == 0 and "again" not in output and "design" in output
+    assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in kept} == before
+    assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(kept)
+
+
+def test_commands_know_what_has_run(finished, monkeypatch, capsys):
+    """Nothing is left to plan; with another value, what it makes again; status and the last run's jobs."""
+    monkeypatch.chdir(finished)
+    write("study.yaml", yaml.safe_dump(one_lens()))
+    assert main(["study", "plan", "study.yaml", "--target", "table1"]) == 0
+    assert "tiny: nothing is to be done for table1." in capsys.readouterr().out
+    write("faster.yaml", yaml.safe_dump(changed(one_lens(), "spec.f_number", 2.0)))
+    assert main(["study", "plan", "faster.yaml", "--target", "table1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["changed"] == ["spec.f_number: 2.8 -> 2.0"]
+    again = {stage: len(jobs["again"]) for stage, jobs in found["jobs"].items() if jobs["again"]}
+    assert again == {"design": 1, "fine_tune": 1, "table": 1}
+    assert main(["study", "status", "results/tiny"]) == 0
+    assert "6 of 6 jobs done" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -97,6 +133,9 @@ def test_a_failing_job_leaves_no_output(tmp_path):
     done = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.npy")
     assert done.returncode != 0
     assert str(bad) in (tmp_path / "results/tiny/logs/images.log").read_text()
+    lines = (done.stdout + done.stderr).splitlines()
+    assert any(line.startswith("FAILED  images  after ") for line in lines), lines
+    assert any(line.startswith(f"FAILED  images: tasklens: {bad}") for line in lines), lines
     assert not [path for path in (tmp_path / "results/tiny/images").rglob("*") if path.is_file()]
 
 

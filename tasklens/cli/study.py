@@ -12,7 +12,6 @@ from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.forecast import Durations, duration, durations_of
 from tasklens.pipeline.stage import results
-from tasklens.recognition import class_folders
 from tasklens.report.differences import differences
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
@@ -37,7 +36,7 @@ def new(
     field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal [degrees].")] = None,
     seeds: Annotated[int | None, typer.Option(help="Number of seeds.")] = None,
     minutes: Annotated[float | None, typer.Option(help="Time to spend [minutes].")] = None,
-    cores: Annotated[int, typer.Option(help="Cores to spend it on.")] = 2,
+    cores: Annotated[int, typer.Option(min=1, help="Cores to spend it on.")] = 2,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: defaults for what is not given.")] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Study file; by default NAME.yaml.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
@@ -56,7 +55,9 @@ def new(
         name=name,
         folder=folder,
         size=size or (64 if folder is None else 224),
-        networks=_words(asked(networks, "Networks (resnet, mobilenetv3, swin, vit, or names of timm)", "resnet")),
+        networks=_words(
+            "--networks", asked(networks, "Networks (resnet, mobilenetv3, swin, vit, or names of timm)", "resnet")
+        ),
         elements=_elements(asked(elements, "Elements (singlet, doublet, triplet, quadruplet)", "doublet")),
         f_number=asked(f_number, "F-number", 2.8),
         field_of_view_deg=asked(field_of_view, "Full field of view [degrees]", 68.8),
@@ -64,23 +65,23 @@ def new(
     )
     minutes = asked(minutes, "Time to spend [minutes]", 30.0)
     cut, seconds = new_study.fit(wish, minutes, cores)
-    class_folders.check(loading.parse(new_study.content(wish, cut)).images)
+    new_study.check(wish, cut)
     write_text(path, new_study.text(wish, cut, seconds, cores, path))
     print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
     print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables --configfile {path}")
 
 
-def _words(text: str) -> tuple[str, ...]:
+def _words(option: str, text: str) -> tuple[str, ...]:
     found = tuple(word.strip() for word in text.split(",") if word.strip())
     if not found:
-        raise InputError("expected at least one name")
+        raise InputError(f"{option}: expected names, separated by commas")
     return found
 
 
 def _elements(text: str) -> dict[str, list[str]]:
     """Parse names of the default study's elements, and `name=PLASTIC+PLASTIC`."""
     found = {}
-    for word in _words(text):
+    for word in _words("--elements", text):
         name, given, plastics = word.partition("=")
         if not given and name not in new_study.ELEMENTS:
             known = ", ".join(new_study.ELEMENTS)
@@ -107,7 +108,7 @@ def check(
 def plan(
     files: Files,
     target: Annotated[str, typer.Option(help="Target of the workflow.")] = "tables",
-    cores: Annotated[int, typer.Option(help="Cores that it is to run on.")] = 2,
+    cores: Annotated[int, typer.Option(min=1, help="Cores that it is to run on.")] = 2,
     as_json: Json = False,
 ) -> None:
     """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from tasklens.pipeline.forecast import Durations, duration
+from tasklens.pipeline.jobs import fine_tune_others, others
 from tasklens.pipeline.stage import STAGES
 from tasklens.study.loading import dump, load
 from tasklens.study.study import Study, StudyError
@@ -95,7 +96,8 @@ def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> O
     """Find the finished results that the jobs of a run overwrite, where the study was stored before.
 
     A job is made again by a changed value if its settings differ from those that the stored study gives it, or if it
-    reads what such a job makes. Further seeds, lenses or classifiers change no settings of other jobs.
+    reads what such a job makes, also where that was removed. Further seeds, lenses or classifiers change no settings of
+    other jobs.
 
     Args:
         stored: the resolved study of the last run.
@@ -120,12 +122,10 @@ def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> O
 
 def _differs(job: PlannedJob, before: Study, after: Study) -> bool:
     stage = STAGES[job.stage]
-    if not job.exists:
-        return False
     try:
         old = stage.plan_from(before, job.wildcards).settings.model_dump(mode="json")
-    except StudyError:  # it was not in the study
-        return True
+    except StudyError:  # it was not in the study: new, unless there is an output of an earlier one
+        return job.exists
     new = stage.plan_from(after, job.wildcards).settings.model_dump(mode="json")
     if isinstance(old.get("classifiers"), dict):  # measured beside each other, with the numbers that each has alone
         common = old["classifiers"].keys() & new["classifiers"].keys()
@@ -145,10 +145,12 @@ def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) ->
     return found
 
 
-def amount(stages: Iterable[str], durations: Durations, cores: int) -> str:
-    """Say how many results of some stages there are, and how long they take on some cores."""
+def amount(stages: Iterable[str], study: Study, durations: Durations, cores: int) -> str:
+    """Say how many results the jobs of some stages make, and how long they take on some cores."""
     stages = list(stages)
-    counts = Counter(_COUNTED[stage] for stage in stages)
+    counts: Counter[str] = Counter()
+    for stage in stages:
+        counts[_COUNTED[stage]] += len(others(study)) if stage == fine_tune_others.name else 1
     words = [f"{count} {kind if count > 1 else _one(kind)}" for kind, count in counts.items()]
     known = [seconds for stage in stages if (seconds := durations.seconds(stage)) is not None]
     return f"{', '.join(words)} again" + (f", {duration(sum(known) / cores)}" if known else "")
@@ -162,7 +164,7 @@ def refusal(found: Overwritten, study: Study, durations: Durations, cores: int) 
     """Return what to say instead of running, where changed values would overwrite finished results; else None."""
     if not found.by_values:
         return None
-    total = amount(found.by_values, durations, cores)
+    total = amount(found.by_values, study, durations, cores)
     lines = [str(change) for change in found.changes[:_SHOWN]]
     if len(found.changes) > _SHOWN:
         lines.append(f"and {len(found.changes) - _SHOWN} more changed values")

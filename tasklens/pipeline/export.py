@@ -30,6 +30,7 @@ def export(folder: Path, output: Path, weights: bool) -> int:
     """
     if not (folder / "study.yaml").is_file():
         raise FileError(f"{folder}: no study.yaml in it; expected the results of a study, results/<name>")
+    folder = folder.resolve()  # `.` has no name
     files = list(files_of(folder, weights))
     with replacing(output) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(f"{folder.name}/README.txt", _readme(folder, weights))
@@ -42,6 +43,7 @@ def _readme(folder: Path, weights: bool) -> str:
     return f"""\
 Results of the study {folder.name}, made by TaskLens; the commit and the versions are in tables/*.json.
 
+report.html   the results on one page, if it was made; figures/ has its drawings
 study.yaml    the configuration, with every default
 tables/       tables as CSV, Markdown and LaTeX; verdicts.csv: each claim with its interval
 lenses/       prescription (lens.yaml), history of the design, PSFs (psf.safetensors) of every lens and seed

@@ -132,7 +132,7 @@ class Durations:
         seconds = {stage: self.seconds(stage) for stage in counts}
         total = sum(count * (seconds[stage] or 0.0) for stage, count in counts.items())
         unknown = [stage for stage in counts if seconds[stage] is None]
-        line = f"Study {self.study}: {counts.total()} jobs"
+        line = f"Study {self.study}: {counts.total()} job{'s' if counts.total() != 1 else ''}"
         if len(unknown) < len(counts):
             line += f", about {duration(total / cores)} on {cores} core{'s' if cores > 1 else ''}"
         if any(stage in self.guesses and stage not in self.here and stage not in self.elsewhere for stage in counts):

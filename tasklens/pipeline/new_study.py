@@ -10,6 +10,7 @@ import yaml
 from tasklens.pipeline.changes import in_one_line
 from tasklens.pipeline.digest import ROOT
 from tasklens.pipeline.forecast import Durations, duration, durations_of
+from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study import tables as paper_tables
 from tasklens.study.design_settings import LeastSquaresSettings
@@ -169,6 +170,22 @@ def fit(wish: Wish, minutes: float, cores: int) -> tuple[Cut, float]:
         f"--minutes {minutes:g}: the least study of this kind takes about {duration(found)} on {cores} cores; "
         "give it more time, or fewer elements, networks or seeds"
     )
+
+
+def check(wish: Wish, cut: Cut) -> None:
+    """Check the folder of images, and that timm has the networks that the default study has not.
+
+    Raises:
+        InputError: names what cannot be used.
+    """
+    study = parse(content(wish, cut))
+    class_folders.check(study.images)
+    known = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))["classifiers"]
+    if others := [name for name in wish.networks if name not in known]:
+        from tasklens.recognition import classifiers
+
+        for name in others:
+            classifiers.check(name, study.classifiers[name], wish.size)
 
 
 _COMMENTS = {

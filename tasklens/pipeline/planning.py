@@ -45,7 +45,7 @@ def plan(study: Study, files: Sequence[Path], target: str) -> dict[str, Planned]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("Using ")]
-        raise InputError(f"Snakemake cannot plan {target} of {study.name}:\n" + "\n".join(said))
+        raise InputError(f"Snakemake cannot plan {target} of {study.name}: {' '.join(said)}")
     found: dict[str, Planned] = {}
     for row in csv.DictReader(done.stdout.splitlines(), delimiter="\t"):
         stage = STAGES.get(row["rule"])
@@ -58,7 +58,7 @@ def plan(study: Study, files: Sequence[Path], target: str) -> dict[str, Planned]
         if label := _label(stage, study, path):
             state = "done" if row["plan"] == "no update" else "missing" if row["date"] == "-" else "again"
             getattr(planned, state).append(label)
-    return found
+    return {name: found[name] for name in STAGES if name in found}
 
 
 def _label(stage: Stage, study: Study, path: Path) -> str | None:

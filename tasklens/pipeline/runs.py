@@ -15,7 +15,7 @@ from typing import Any
 
 from tasklens.pipeline import progress_file
 from tasklens.pipeline.forecast import Durations, duration
-from tasklens.runtime.files import write_text
+from tasklens.runtime.files import FileError, write_text
 
 WAITING, RUNNING, DONE, FAILED = "waiting", "running", "done", "failed"
 _SILENT_S = 120.0  # a running job that has not written for longer is said to be silent
@@ -151,14 +151,20 @@ def status(run: Run, durations: Durations) -> list[str]:
 
 
 def read(folder: Path) -> Run | None:
-    """Read the state of the last run of a study from its results folder; None where there is none."""
+    """Read the state of the last run of a study from its results folder; None where there is none.
+
+    Raises:
+        FileError: the file was not written by this version.
+    """
+    path = folder / "run.json"
     try:
-        content = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
+        jobs = {label: Job(**job) for label, job in content["jobs"].items()}
+        return Run(**content | {"jobs": jobs, "folder": str(folder)})
     except FileNotFoundError:
         return None
-    return Run(
-        **content | {"jobs": {label: Job(**job) for label, job in content["jobs"].items()}, "folder": str(folder)}
-    )
+    except (ValueError, TypeError, KeyError):
+        raise FileError(f"{path}: not the state of a run; the next run writes it anew") from None
 
 
 def label_of(log: Iterable[str], folder: str) -> str | None:

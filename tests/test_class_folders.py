@@ -1,0 +1,100 @@
+"""Folders of photographs before the first job: what is wrong is said, and little of them is looked at."""
+
+import os
+
+import pytest
+from examples import write
+
+from tasklens.recognition import class_folders
+from tasklens.runtime.files import FileError
+from tasklens.study.settings import ImageSettings
+
+
+def images(folder, minival: int = 3) -> ImageSettings:
+    return ImageSettings(size=16, minival=minival, folder=folder)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two classes of two training and one test image each; nobody opens them here."""
+    for name in ("cat", "dog"):
+        for file in ("train/{}/0.png", "train/{}/deep/1.JPEG", "test/{}/0.webp"):
+            write(tmp_path / file.format(name), "")
+    return tmp_path
+
+
+def test_a_good_folder_is_accepted(folder):
+    """Also with `val` for the test images, and with other files between."""
+    write(folder / "train/labels.txt", "")
+    class_folders.check(images(folder))
+    (folder / "test").rename(folder / "val")
+    class_folders.check(images(folder))
+
+
+def test_rendered_images_have_no_folder():
+    class_folders.check(ImageSettings(size=16, train=500, minival=500, test=500))
+
+
+@pytest.mark.parametrize(
+    "gone, words",
+    [
+        ("", r"images\.folder = .*: no such folder"),
+        ("train", r"images\.folder = .*: expected a folder train in it"),
+        ("test", r"images\.folder = .*: expected a folder test or val in it"),
+        ("test/dog", r"train and test have different classes: dog$"),
+        ("train/cat", r"train and test have different classes: cat$"),
+        ("train/cat/0.png", r"expected fewer than the 3 training images"),
+    ],
+)
+def test_what_is_missing_is_named(folder, gone, words):
+    """In one line, with the key of the study or the folder."""
+    (folder / gone).rename(folder.parent / f"{folder.name}-gone")
+    with pytest.raises(FileError, match=words) as error:
+        class_folders.check(images(folder))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_a_class_needs_an_image(folder, split):
+    for path in (folder / split / "dog").rglob("*.*"):
+        path.rename(path.with_suffix(".txt"))
+    with pytest.raises(FileError, match=f"{split}/dog: this class has no image"):
+        class_folders.check(images(folder))
+
+
+def test_one_class_cannot_be_told_from_another(folder):
+    for split in ("train", "test"):
+        (folder / split / "dog").rename(folder / f"{split}-dog")
+    with pytest.raises(FileError, match=r"expected two classes or more, a folder each, found only cat"):
+        class_folders.check(images(folder, 1))
+
+
+def test_images_lying_in_the_split_are_in_no_class(tmp_path):
+    """A common mistake: photographs without a folder for each class."""
+    for split in ("train", "test"):
+        write(tmp_path / split / "0.png", "")
+    with pytest.raises(FileError, match=r"train: expected a folder per class in it, found none"):
+        class_folders.check(images(tmp_path))
+
+
+def test_a_large_folder_is_not_listed(folder, monkeypatch):
+    """Of 2000 files, as many are looked at as the minival needs, and one of each class; so a million costs nothing."""
+    for k in range(1000):
+        for name in ("cat", "dog"):
+            write(folder / f"train/{name}/{k}.jpg", "")
+    seen = []
+
+    class Counted:
+        def __init__(self, entries):
+            self.entries = entries
+
+        def __enter__(self):
+            return (seen.append(entry.name) or entry for entry in self.entries)
+
+        def __exit__(self, *error):
+            self.entries.close()
+
+    scandir = os.scandir
+    monkeypatch.setattr(class_folders.os, "scandir", lambda path: Counted(scandir(path)))
+    class_folders.check(images(folder, minival=20))
+    assert 21 <= len(seen) < 60

@@ -1,0 +1,308 @@
+"""What a run shows while it goes on: its state in files, the lines of the terminal, and what `status` says of it."""
+
+import json
+import logging
+import os
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from examples import tiny_study, write
+
+from tasklens.cli.app import main
+from tasklens.pipeline import progress_file, report_jobs, runs  # noqa: F401  declares the stages
+from tasklens.pipeline.forecast import Durations
+from tasklens.pipeline.terminal import Terminal
+from tasklens.runtime.progress import Progress
+from tasklens.study.loading import dump, parse
+
+STUDY = parse(tiny_study())
+FOLDER = "results/tiny"
+DESIGN, TUNE = "design/singlet-imaging1-seed0", "fine_tune/singlet-imaging1-small-seed0"
+LENS = {"lens": "singlet-imaging1", "seed": "0"}
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with the results of a study that has just begun: its file alone."""
+    monkeypatch.chdir(tmp_path)
+    write(f"{FOLDER}/study.yaml", dump(STUDY))
+    return tmp_path
+
+
+def benchmark(label: str, seconds: float) -> None:
+    write(f"{FOLDER}/benchmarks/{label}.tsv", f"s\tmax_rss\n{seconds}\t500\n")
+
+
+def durations() -> Durations:
+    return Durations("tiny", FOLDER)
+
+
+def run_of(**stages: int) -> runs.Run:
+    """A run of some jobs of each stage, of our own process."""
+    jobs = {f"{stage}/{k}": runs.Job(stage) for stage, count in stages.items() for k in range(count)}
+    return runs.Run("tiny", FOLDER, 2, jobs)
+
+
+def status(capsys, *options: str) -> str:
+    assert main(["study", "status", *options, FOLDER]) == 0
+    return capsys.readouterr().out
+
+
+# ---- state of a run
+
+
+def test_the_state_of_a_run_is_read_as_it_was_written(place):
+    run = run_of(design=2, table=1)
+    run.begin("design/0")
+    run.end("design/0", runs.DONE, 3.5, "RMS spot 2.0 um")
+    run.begin("design/1")
+    run.begin("images")  # of another run: nobody asked for it
+    found = runs.read(place / FOLDER)
+    assert found.jobs == run.jobs and found.is_alive and found.pid == os.getpid()
+    assert [found.labels(state) for state in (runs.DONE, runs.RUNNING, runs.WAITING)] == [
+        ["design/0"],
+        ["design/1"],
+        ["table/0"],
+    ]
+    run.finish()
+    assert not runs.read(place / FOLDER).is_alive
+    assert runs.read(place) is None
+
+
+def test_the_time_left_adds_up(place):
+    """Two designs of 100 s and a table of 4 s on two cores: 102 s; unknown stages are more; none known says nothing."""
+    run = run_of(design=2, table=1)
+    assert run.headline(durations()) == "0 of 3 jobs"
+    benchmark("table/a", 4)
+    assert run.headline(durations()) == "0 of 3 jobs, more than 2.0 s left"
+    benchmark("design/a", 100)
+    assert run.seconds_left(durations()) == pytest.approx(102)
+    assert run.headline(durations()) == "0 of 3 jobs, about 2 min left"
+    run.begin("design/0")
+    run.jobs["design/0"].began -= 40.0
+    assert run.seconds_left(durations()) == pytest.approx(82, abs=1)
+    run.end("design/0", runs.FAILED)
+    assert run.headline(durations()) == "0 of 3 jobs, 1 failed, about 52 s left"
+
+
+def test_the_longest_running_job_keeps_the_others_waiting(place):
+    """What remains cannot be less than what one job still takes by its own progress."""
+    run = run_of(design=1)
+    run.begin("design/0")
+    write(f"{FOLDER}/progress/design/0.json", json.dumps({"updated": time.time() - 10, "remaining_s": 310.0}))
+    assert run.seconds_left(durations()) == pytest.approx(300, abs=2)
+    assert run.headline(durations()) == "0 of 1 jobs, about 5 min left"
+
+
+# ---- progress of a job
+
+
+def test_a_running_job_says_how_far_it_is(place, monkeypatch):
+    """Phase, step, values and the time left of the phase, from a file that ends with the job."""
+    clock = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    run = run_of(design=1)
+    run.begin("design/0")
+    assert run.describe("design/0", durations()) == "design 0  starting"
+    with progress_file.progress_file(FOLDER, "design/0"):
+        progress = Progress("restart 1 of 2", 10)
+        for step in range(1, 5):
+            clock[0] += 20.0
+            progress(step, loss=0.123456)
+        assert run.describe("design/0", durations()) == "design 0  restart 1 of 2 4/10  loss 0.1235  2 min left"
+        Progress("polish", 3)(1)  # of the next phase nothing is known yet
+        clock[0] += 5.0
+        found = run.progress("design/0")
+        assert (found["pid"], found["host"]) == (os.getpid(), socket.gethostname())
+    assert run.progress("design/0") is None
+    assert not [path for path in (place / FOLDER / "progress").rglob("*") if path.is_file()]
+
+
+def test_a_job_that_fails_leaves_no_progress(place, capsys):
+    """And its log has the progress lines as ever."""
+    with pytest.raises(ZeroDivisionError), progress_file.progress_file(FOLDER, DESIGN):
+        Progress("design", 2)(1, loss=0.5)
+        raise ZeroDivisionError
+    assert progress_file.read(FOLDER, DESIGN) is None
+    assert "design  step 1/2  loss 0.5" in capsys.readouterr().err
+
+
+def test_a_silent_job_is_told(place):
+    """Nothing for ten minutes, of a job that should report: perhaps its machine has died."""
+    run = run_of(design=1)
+    run.begin("design/0")
+    state = {"updated": time.time() - 600, "phase": "polish", "step": 1, "total": 3, "values": {}}
+    write(f"{FOLDER}/progress/design/0.json", json.dumps(state))
+    assert run.describe("design/0", durations()) == "design 0  polish 1/3  silent for 10 min"
+    write(f"{FOLDER}/progress/design/0.json", "{half")
+    assert run.describe("design/0", durations()) == "design 0  starting"
+
+
+# ---- lines of the terminal
+
+
+class Snakemake:
+    """A logger such as Snakemake's, with its own handler, to which a test reports as Snakemake does."""
+
+    def __init__(self, quiet: bool = False, handler: str = "DefaultStreamHandler"):
+        self.logger = logging.Logger("snakemake.test")
+        default = logging.StreamHandler()
+        default.name = handler
+        self.logger.addHandler(default)
+        self.terminal = Terminal(STUDY, self.logger, quiet)
+
+    def begin(self) -> None:
+        self.terminal.begin({DESIGN: "design", TUNE: "fine_tune"}, 2)
+
+    def say(self, message: str, level: int = logging.INFO, **extra) -> None:
+        self.logger.log(level, message, extra=extra)
+
+    def job(self, event: str, number: int, label: str, wildcards: dict, level: int = logging.INFO) -> None:
+        log = [f"{FOLDER}/logs/{label}.log"]
+        names = {"job_info": "jobid", "job_finished": "job_id", "job_error": "jobid"}
+        self.say("a job", level, event=event, log=log, wildcards=wildcards, **{names[event]: number})
+
+
+@pytest.fixture
+def snakemake(place):
+    made = Snakemake()
+    yield made
+    made.terminal.close()
+
+
+def test_a_finished_job_has_one_line(snakemake, capsys):
+    """What, how long, and what came out; nothing else that Snakemake says of it."""
+    snakemake.begin()
+    snakemake.say("Building DAG of jobs...")
+    snakemake.job("job_info", 7, TUNE, LENS | {"measured_name": "small"})
+    snakemake.say("Shell command: tasklens run ...", event="shellcmd")
+    rows = "metric,value\naccuracy,40\naccuracy,50\nchance,10\n"
+    write(f"{FOLDER}/metrics/singlet-imaging1/seed0/small.csv", rows)
+    benchmark(TUNE, 75)
+    snakemake.job("job_finished", 7, TUNE, {})
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split() for line in lines] == [
+        ["1/2", "fine_tune", "singlet-imaging1-small-seed0", *["1", "min", "accuracy", "45.0", "%"]]
+    ]
+    job = runs.read(Path(FOLDER)).jobs[TUNE]
+    assert (job.state, job.seconds, job.result) == (runs.DONE, 75.0, "accuracy 45.0 %")
+
+
+def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
+    """The last lines, where the rest is, and that it is tried again; `status` has the last line too."""
+    snakemake.begin()
+    log = [f"line {k}" for k in range(40)] + ["", "tasklens: lens.yaml: no such file"]
+    write(f"{FOLDER}/logs/{DESIGN}.log", "\n".join(log) + "\n")
+    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
+    snakemake.say("Trying to restart job 3.", logging.INFO)
+    lines = capsys.readouterr().err.splitlines()
+    assert (
+        lines[0].startswith("FAILED  design singlet-imaging1-seed0  after ")
+        and f"{FOLDER}/logs/{DESIGN}.log" in lines[0]
+    )
+    assert lines[1:-1] == [f"    line {k}" for k in range(29, 40)] + ["    tasklens: lens.yaml: no such file"]
+    assert lines[-1].strip() == "it is tried again"
+    out = status(capsys)
+    assert "0 of 2 jobs, 1 failed" in out
+    assert "FAILED  design singlet-imaging1-seed0: tasklens: lens.yaml: no such file" in out
+    snakemake.job("job_info", 3, DESIGN, LENS)
+    assert "FAILED" not in status(capsys)
+
+
+def test_a_job_without_a_log_says_why(snakemake, capsys):
+    snakemake.begin()
+    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
+    assert "the job was killed, or did not start" in capsys.readouterr().err
+
+
+def test_warnings_are_shown_and_chatter_is_not(snakemake, capsys):
+    snakemake.say("Using shell: /bin/bash", logging.INFO)
+    snakemake.say("Exiting because a job execution failed. Look below", logging.ERROR)
+    snakemake.say("the disk is full", logging.ERROR)
+    snakemake.say("Will exit after finishing currently running jobs.", logging.INFO)
+    assert capsys.readouterr().err.splitlines() == [
+        "the disk is full",
+        "Will exit after finishing currently running jobs.",
+    ]
+
+
+def test_a_finished_study_says_where_its_results_are(snakemake, capsys):
+    snakemake.say("Nothing to be done (all requested files are present and up to date).")
+    said = capsys.readouterr().err
+    assert said.startswith("Nothing to be done.") and f"Results: {FOLDER}/" in said
+
+
+@pytest.mark.parametrize("options", [{"quiet": True}, {"handler": "SomeOtherHandler"}])
+def test_who_wants_other_words_gets_no_lines_of_ours(place, capsys, options):
+    """With `--quiet` or another logger; the state is kept all the same."""
+    snakemake = Snakemake(**options)
+    snakemake.begin()
+    snakemake.terminal.console.print("not shown")
+    snakemake.job("job_info", 3, DESIGN, LENS)
+    assert len(snakemake.logger.handlers) == 2  # that of Snakemake has stayed
+    assert runs.read(place / FOLDER).labels(runs.RUNNING) == [DESIGN]
+    snakemake.terminal.close()
+    assert runs.read(place / FOLDER).ended is not None
+
+
+def test_what_cannot_be_shown_does_not_end_the_run(snakemake, monkeypatch, capsys):
+    """A finished job whose files are broken is finished all the same."""
+    monkeypatch.setattr(logging, "raiseExceptions", False)
+    snakemake.begin()
+    snakemake.job("job_info", 3, DESIGN, LENS)
+    write(f"{FOLDER}/lenses/singlet-imaging1/seed0/lens.yaml", "[")
+    snakemake.job("job_finished", 3, DESIGN, {})
+    assert runs.read(Path(FOLDER)).jobs[DESIGN].state == runs.DONE
+
+
+# ---- what another terminal says
+
+
+def test_status_says_what_runs(place, capsys):
+    run = run_of(design=2)
+    run.begin("design/1")
+    out = status(capsys)
+    assert out.splitlines() == ["tiny: 0 of 2 jobs", "  design 1  starting"]
+    found = json.loads(status(capsys, "--json"))
+    assert found["alive"] is True and found["jobs"]["design/1"]["state"] == "running"
+    assert found["progress"] == {"design/1": None}
+
+
+def test_status_of_an_ended_run(place, capsys):
+    run = run_of(design=2)
+    run.end("design/0", runs.DONE, 1.0)
+    run.started -= 300
+    run.finish()
+    assert status(capsys) == "tiny: the last run ended after 5 min, 1 of 2 jobs done\n"
+
+
+def test_status_of_a_killed_run_says_how_to_go_on(place, capsys):
+    """Its process is no more; a run of another machine may go on, as far as can be known here."""
+    run = run_of(design=2)
+    process = subprocess.Popen(["true"])
+    process.wait()
+    run.pid = process.pid
+    run.save()
+    out = status(capsys)
+    assert "the last run was killed, 0 of 2 jobs done" in out and "snakemake --unlock" in out
+    run.host = "another"
+    run.save()
+    assert status(capsys) == "tiny: 0 of 2 jobs\n"
+
+
+@pytest.mark.parametrize("content", ["{half", "[]", '{"study": "tiny"}', '{"jobs": {"a": {"colour": 1}}}'])
+def test_a_broken_state_is_told_in_one_line(place, capsys, content):
+    write(f"{FOLDER}/run.json", content)
+    assert main(["study", "status", FOLDER]) == 2
+    error = capsys.readouterr().err
+    assert "run.json" in error and error.count("\n") == 1
+
+
+def test_status_without_a_run_is_an_error(place, capsys):
+    assert main(["study", "status", FOLDER]) == 2
+    assert "no run of this study is known" in capsys.readouterr().err

@@ -1,0 +1,262 @@
+"""`tasklens study ...` as a person types it: what each command says and writes, and how it complains in one line."""
+
+import json
+import zipfile
+
+import pytest
+from examples import changed, tiny_study, write
+from typer.testing import CliRunner
+
+from tasklens.cli.app import app, main
+from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages
+from tasklens.study.loading import dump, load, parse
+
+TABLE = "elements,design,accuracy,rms_spot_um,accuracy_paper\n,reference,80,,75\nsinglet,imaging1,{},{},60\n"
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def results(place):
+    """What two runs have left: `tiny`, and `tiny_2` with a faster lens, which is worse."""
+    for name, f_number, numbers in (("tiny", 2.8, (60, 4)), ("tiny_2", 2.0, (55.5, 9))):
+        folder = f"results/{name}"
+        study = changed(tiny_study() | {"name": name}, "spec.f_number", f_number)
+        write(f"{folder}/study.yaml", dump(parse(study)))
+        write(f"{folder}/tables/table1.csv", TABLE.format(*numbers))
+        for path in ("lenses/a/seed0/lens.yaml", "metrics/a.csv", "logs/images.log", "benchmarks/images.tsv"):
+            write(f"{folder}/{path}", path)
+        for path in ("images/train.npy", "checkpoints/design-a.pt", "progress/design/a.json", "lenses/.half.part"):
+            write(f"{folder}/{path}", path)
+        write(f"{folder}/classifiers/reference/small.safetensors", "weights")
+        write(f"{folder}/restoration/a/nafnet.safetensors", "weights")
+    return place / "results"
+
+
+def study(*words: str) -> int:
+    return main(["study", *words])
+
+
+def complaint(capsys, *words: str) -> str:
+    """The one line that a command complains with, and nothing else."""
+    assert study(*words) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("tasklens: ") and said.err.count("\n") == 1
+    return said.err
+
+
+# ---- new
+
+
+def test_a_new_study_has_what_was_wished(place, capsys):
+    """Of options alone; it can be read, and it says how to go on."""
+    options = "--networks vit,resnet --elements singlet,mine=COC+OKP4 --f-number 2.2 --field-of-view 50 --seeds 2"
+    assert study("new", "wide", *options.split(), "--minutes", "600", "--yes") == 0
+    found = load("wide.yaml")
+    assert (found.name, found.supervisor, list(found.classifiers)) == ("wide", "vit", ["vit", "resnet"])
+    assert found.elements == {"singlet": ("COC",), "mine": ("COC", "OKP4")}
+    assert (found.spec.f_number, found.spec.field_of_view_deg, found.seeds) == (2.2, 50.0, (0, 1))
+    out = capsys.readouterr().out
+    assert out.startswith("wide.yaml: all four tables, about ")
+    assert "snakemake -j2 tables --configfile wide.yaml" in out
+    text = (place / "wide.yaml").read_text()
+    assert out.splitlines()[0].partition("about ")[2] in text and text.count("\n# ") > 8
+
+
+def test_a_new_study_asks_for_what_was_not_given(place):
+    """Return takes the default; options are not asked about."""
+    answers = ["", "", "triplet", "3.5", "", "1", "45"]
+    done = CliRunner().invoke(app, ["study", "new", "asked"], input="\n".join(answers) + "\n")
+    assert done.exit_code == 0, done.output
+    found = load("asked.yaml")
+    assert list(found.elements) == ["triplet"] and found.spec.f_number == 3.5 and list(found.classifiers) == ["resnet"]
+    assert found.images.folder is None and found.seeds == (0,)
+    done = CliRunner().invoke(app, ["study", "new", "b", "--seeds", "1", "--f-number", "4"], input=6 * "\n")
+    assert done.exit_code == 0 and "Seeds" not in done.output and "F-number" not in done.output
+
+
+def test_less_time_gives_a_smaller_study(place):
+    """Each with fewer jobs or images than the one before, down to none."""
+    sizes = []
+    for minutes in ("600", "10", "4", "1.5"):
+        assert study("new", "a", "--yes", "--force", "--minutes", minutes) == 0
+        found = load("a.yaml")
+        sizes.append((len(found.tables), len(found.designs), found.images.train))
+    assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) >= 3
+
+
+def test_a_new_study_of_photographs(place):
+    """Of a network that starts from published weights, with images of its size."""
+    for path in (f"photos/{s}/{c}/{k}.jpg" for s in ("train", "test") for c in ("cat", "dog") for k in range(400)):
+        write(path, "")
+    assert study("new", "mine", "--yes", "--images", "photos", "--networks", "resnet18", "--minutes", "9999") == 0
+    found = load("mine.yaml")
+    assert str(found.images.folder) == "photos" and found.images.size == 224
+    assert found.classifiers["resnet18"].model == "resnet18"
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ("--images nowhere", "images.folder = nowhere: no such folder"),
+        ("--size 4", "images.size = 4"),
+        ("--seeds 0", "seeds"),
+        ("--f-number 0", "spec.f_number = 0.0"),
+        ("--field-of-view 200", "spec.field_of_view_deg = 200.0"),
+        ("--elements foo", "--elements: unknown 'foo'; expected one of singlet, doublet"),
+        ("--elements mine=COC+WOOD", "elements.mine: unknown plastic 'WOOD'"),
+        ("--networks ,", "--networks: expected names"),
+        ("--networks resnet19", "classifiers.resnet19"),
+        ("--minutes 0.01", "--minutes 0.01: the least study of this kind takes about"),
+    ],
+)
+def test_a_wish_that_cannot_be_is_told(place, capsys, options, words):
+    assert words in complaint(capsys, "new", "wrong", "--yes", *options.split())
+    assert list(place.iterdir()) == []
+
+
+def test_a_name_is_a_name(capsys):
+    assert "name = 'My study'" in complaint(capsys, "new", "My study", "--yes")
+
+
+@pytest.mark.parametrize("command", [["new", "a", "--yes"], ["plan", "a.yaml"]])
+def test_there_is_a_core(capsys, command):
+    assert study(*command, "--cores", "0") == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_new_study_overwrites_nothing(place, capsys):
+    """Unless it is told to."""
+    write("a.yaml", "mine")
+    assert "--force" in complaint(capsys, "new", "a", "--yes")
+    assert (place / "a.yaml").read_text() == "mine"
+    assert study("new", "a", "--yes", "--output", "b.yaml") == 0 and load("b.yaml").name == "a"
+    assert study("new", "a", "--yes", "--force") == 0 and load("a.yaml").name == "a"
+
+
+# ---- check, plan
+
+
+def test_check_finds_a_wrong_folder_and_missing_weights(place, capsys):
+    write("study.yaml", dump(parse(tiny_study())))
+    assert "classifiers.other.weights = /nowhere: no such file" in complaint(capsys, "check", "study.yaml")
+    images = {"size": 16, "minival": 2, "folder": str(place / "photos")}
+    write("study.yaml", dump(parse(changed(tiny_study(), "images", images))))
+    assert "photos: no such folder" in complaint(capsys, "check", "--no-weights", "study.yaml")
+
+
+def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
+    """Of a study of which nothing is done: 1 singlet of the tiny study in table 1, and nothing is written."""
+    designs = {"imaging1": tiny_study()["designs"]["imaging1"]}
+    write("study.yaml", dump(parse(tiny_study() | {"designs": designs})))
+    assert study("plan", "study.yaml", "--target", "table1", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    counts = {stage: len(jobs["missing"]) for stage, jobs in found["jobs"].items()}
+    assert counts == {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
+    assert found["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
+    assert found["seconds"] > 0 and found["memory_mb"] >= 1000 and found["changed"] == []
+    assert found["disk_mb"] == pytest.approx(70 * 3 * 16**2 / 1e6)
+    assert not (place / "results").exists()
+
+
+def test_an_unknown_target_is_told(capsys):
+    write("study.yaml", dump(parse(tiny_study())))
+    assert "cannot plan nothing of tiny" in complaint(capsys, "plan", "study.yaml", "--target", "nothing")
+
+
+# ---- diff
+
+
+def test_diff_tells_values_and_what_they_did(results, capsys):
+    """Configuration first; of the tables, accuracies, or all columns, but not the paper's."""
+    assert study("diff", "results/tiny", "results/tiny_2") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["name: tiny -> tiny_2", "spec.f_number: 2.8 -> 2.0"]
+    assert lines[-2:] == ["table1", "  singlet-imaging1  accuracy 60 -> 55.5 (-4.5)"]
+    assert study("diff", "--all", "results/tiny", "results/tiny_2") == 0
+    assert "  singlet-imaging1  rms_spot_um 4 -> 9 (+5)" in capsys.readouterr().out.splitlines()
+    assert study("diff", "--json", "results/tiny", "results/tiny_2") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"key": "spec.f_number", "old": 2.8, "new": 2.0} in found["changes"]
+    assert {each["column"]: each["new"] for each in found["tables"]} == {"accuracy": 55.5, "rms_spot_um": 9.0}
+
+
+def test_diff_of_equal_studies_and_of_one_without_tables(results, capsys):
+    """Also by their files; a row that only one of them has is told."""
+    assert study("diff", "results/tiny", "results/tiny") == 0
+    out = capsys.readouterr().out
+    assert "The configurations are equal." in out and "The tables have the same numbers." in out
+    write("new.yaml", dump(parse(tiny_study() | {"name": "fresh"})))
+    assert study("diff", "results/tiny", "new.yaml") == 0
+    assert capsys.readouterr().out.splitlines() == ["name: tiny -> fresh", "", "No tables yet in results/fresh."]
+    with open("results/tiny/tables/table1.csv", "a") as file:
+        file.write("singlet,imaging2,70,,\n")
+    assert study("diff", "results/tiny", "results/tiny_2") == 0
+    assert "singlet-imaging2  accuracy 70 -> none" in capsys.readouterr().out
+
+
+# ---- export
+
+
+def test_an_export_has_what_a_colleague_needs(results, capsys):
+    """All but images, checkpoints, weights, and what a running job has half written."""
+    assert study("export", "results/tiny") == 0
+    assert "tiny.zip: 6 files" in capsys.readouterr().out
+    kept = ("study.yaml", "tables/table1.csv", "lenses/a/seed0/lens.yaml", "metrics/a.csv", "logs/images.log")
+    with zipfile.ZipFile("tiny.zip") as archive:
+        names = set(archive.namelist())
+        assert archive.testzip() is None
+        assert names == {f"tiny/{name}" for name in (*kept, "benchmarks/images.tsv", "README.txt")}
+        write("study.yaml", archive.read("tiny/study.yaml").decode())
+    assert load("study.yaml").name == "tiny"
+    assert study("export", "results/tiny", "--weights", "--output", "all.zip") == 0
+    with zipfile.ZipFile("all.zip") as archive:
+        more = {"tiny/classifiers/reference/small.safetensors", "tiny/restoration/a/nafnet.safetensors"}
+        assert set(archive.namelist()) == names | more
+
+
+def test_export_overwrites_nothing(results, capsys):
+    write("tiny.zip", "mine")
+    assert "--force" in complaint(capsys, "export", "results/tiny")
+    assert study("export", "results/tiny", "--force") == 0 and zipfile.is_zipfile("tiny.zip")
+
+
+def test_export_of_the_present_folder_has_its_name(results, monkeypatch):
+    monkeypatch.chdir(results / "tiny")
+    assert study("export", ".", "--output", "../../out.zip") == 0
+    with zipfile.ZipFile("../../out.zip") as archive:
+        assert {name.split("/")[0] for name in archive.namelist()} == {"tiny"}
+
+
+# ---- bad places
+
+
+@pytest.mark.parametrize("command", ["status", "export", "diff", "check", "plan"])
+@pytest.mark.parametrize(
+    "bad, words",
+    [
+        ("absent", "absent: no such file"),
+        ("folder", "folder: "),
+        ("broken.yaml", "broken.yaml, line 1: not valid YAML"),
+        ("binary.yaml", "binary.yaml: no text"),
+        ("list.yaml", "list.yaml: expected keys and values"),
+        ("part.yaml", "part.yaml: lay it over the study"),
+    ],
+)
+def test_what_is_no_study_is_told(place, capsys, command, bad, words):
+    (place / "folder").mkdir()
+    write("broken.yaml", "a: [")
+    (place / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    write("list.yaml", "- 1\n")
+    write("part.yaml", "seeds: [1]\n")
+    assert words in complaint(capsys, command, bad, *([bad] if command == "diff" else []))
+
+
+def test_a_study_without_results_is_told(place, capsys):
+    write("study.yaml", dump(parse(tiny_study())))
+    assert "results/tiny: no study.yaml in it" in complaint(capsys, "export", "study.yaml")
+    assert "no run of this study is known" in complaint(capsys, "status", "study.yaml")
