@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import pandas
+
 from tasklens.pipeline import report_jobs, runs
 from tasklens.pipeline.forecast import duration
 from tasklens.pipeline.stage import STAGES, results
-from tasklens.report import answer
+from tasklens.report.page import words
 from tasklens.study.study import Study
 
 _ENOUGH_SEEDS = 5  # of which verdicts are more than suggestions
@@ -18,7 +20,7 @@ def success(study: Study, run: runs.Run | None) -> str:
     if run is not None and run.ended is not None:
         lines.append(f"\nStudy {study.name}: {len(run.jobs)} jobs in {duration(run.ended - run.started)}.")
     if verdicts.exists() and (run is None or report_jobs.verdicts.name in run.jobs):
-        lines += answer.sentences(verdicts)
+        lines += _answer(study, verdicts)
     lines.append(f"Results: {results(study)}/")
     page = Path(results(study), "report.html")
     made = [job.result for job in run.jobs.values() if job.result.endswith(".md")] if run else []
@@ -26,6 +28,16 @@ def success(study: Study, run: runs.Run | None) -> str:
     lines.append("Next:")
     lines += [f"  {command:<72} {meaning}" for command, meaning in _next(study, verdicts)]
     return "\n".join(lines)
+
+
+def _answer(study: Study, verdicts: Path) -> list[str]:
+    """Return how many claims hold, and below it, by elements, the answers to the main questions."""
+    frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
+    settings = report_jobs.report.plan(study).settings
+    lines = [words.summary(frame, settings.margins, len(study.seeds))[0].text]
+    for name, found in words.answers(frame, study.elements, settings.questions, settings.margins).items():
+        lines += [f"{name}:", *(f"  {sentence.text}" for sentence in found)]
+    return lines
 
 
 def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
