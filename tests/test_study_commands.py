@@ -96,6 +96,7 @@ def test_a_new_study_of_photographs(place):
     assert study("new", "mine", "--yes", "--images", "photos", "--networks", "resnet18", "--minutes", "9999") == 0
     found = load("mine.yaml")
     assert str(found.images.folder) == "photos" and found.images.size == 224
+    assert found.images.minival == 160  # a fifth of 800
     assert found.classifiers["resnet18"].model == "resnet18"
 
 

@@ -1,6 +1,7 @@
 """The last words of a run: the answer of the study, where its results are, and what to type next."""
 
 from pathlib import Path
+from typing import Any
 
 import pandas
 
@@ -33,7 +34,7 @@ def success(study: Study, run: runs.Run | None) -> str:
 def _answer(study: Study, verdicts: Path) -> list[str]:
     """Return how many claims hold, and below it, by elements, the answers to the main questions."""
     frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
-    settings = report_jobs.report.plan(study).settings
+    settings: Any = report_jobs.report.plan(study).settings
     lines = [words.summary(frame, settings.margins, len(study.seeds))[0].text]
     for name, found in words.answers(frame, study.elements, settings.questions, settings.margins).items():
         lines += [f"{name}:", *(f"  {sentence.text}" for sentence in found)]

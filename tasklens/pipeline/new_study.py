@@ -75,6 +75,8 @@ def content(wish: Wish, cut: Cut) -> dict[str, Any]:
         images |= {key: max(500, round(base["images"][key] * cut.fraction)) for key in ("train", "test")}
     else:
         images["folder"] = str(wish.folder)
+        split = class_folders.split_folder(wish.folder, class_folders.TRAIN)
+        images["minival"] = max(2, class_folders.count(split, 5 * images["minival"]) // 5)  # of a small folder, a fifth
     found = {
         "format": base["format"],
         "name": wish.name,

@@ -122,7 +122,7 @@ def merit_function(study: Study) -> Plan:
     f"{STAGES}.certificate.run",
     {
         "page": f"{LENS_FOLDER}/certificate.md",
-        "zemax": f"{LENS_FOLDER}/lens.zmx",
+        "zemax": f"{LENS_FOLDER}/{{lens}}.zmx",  # the catalogue beside it has its name
         "section": f"{LENS_FOLDER}/section.svg",
         **{name: f"{LENS_FOLDER}/{name}.webp" for name in ("spots", "psfs", "curves")},
         **_drawn("{lens}-seed{seed}"),

@@ -69,9 +69,13 @@ def check(images: ImageSettings) -> None:
             if next(photographs(split / name), None) is None:
                 raise no_image(split / name)
     needed = images.minival + 1
-    found = sum(1 for _ in islice((file for name in train for file in photographs(splits[0] / name)), needed))
-    if found < needed:
+    if (found := count(splits[0], needed)) < needed:
         raise too_few(images, found)
+
+
+def count(split: Path, most: int) -> int:
+    """Count the photographs in the folder of a split, up to `most`."""
+    return sum(1 for _ in islice((file for name in classes(split) for file in photographs(split / name)), most))
 
 
 def too_few(images: ImageSettings, found: int) -> FileError:

@@ -96,6 +96,7 @@ def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: M
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
         save_file(contiguous, temporary, {"json": json.dumps(metadata)})
+        temporary.chmod(path.parent.stat().st_mode & 0o666)  # safetensors shuts out everybody but the owner
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pandas
@@ -70,15 +71,19 @@ def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame |
             for name, alternative in _PICTURES.items()
             if lens in groups[name]
         },
-        files=[
-            (f"{lens}{path.suffix}", pictures.link(path))
-            for path in (inputs.lenses[lens], groups["zemax"].get(lens))
-            if path is not None
-        ],
+        files=[(f"{lens}{path.suffix}", pictures.link(path)) for path in _files(inputs, lens)],
         margins=[(name.replace("_", " "), f"{value:+.4f}", not value >= 0) for name, value in margins.items()],
         manufacturability=page.partition(_HEADING)[2].split("\n\n")[:2] if _HEADING in page else [],
         certificate=page,
     )
+
+
+def _files(inputs: Files, lens: str) -> list[Path]:
+    """Return the files of a lens: YAML, and where they are made Zemax and the catalogue beside it."""
+    found = [inputs.lenses[lens]]
+    if lens in inputs.zemax:
+        found += [inputs.zemax[lens], inputs.zemax[lens].with_suffix(".agf")]
+    return [path for path in found if path.exists()]
 
 
 def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | None) -> list[tuple[str, str]]:

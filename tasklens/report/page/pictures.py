@@ -13,6 +13,7 @@ _TYPES = {
     ".png": "image/png",
     ".yaml": "application/yaml",
     ".zmx": "application/octet-stream",
+    ".agf": "application/octet-stream",
 }
 _QUALITY = 82  # of WebP
 
