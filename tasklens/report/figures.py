@@ -147,7 +147,7 @@ def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Pat
     """Write the parts of the figure of a lens as pictures of their own, for a page."""
     parts = (
         (draw_section, section, (5.2, 3.4)),
-        (draw_spots, spots, (9, 3.6)),
+        (draw_spots, spots, (9, 4.2)),  # lower, its titles would be cut off
         (draw_psfs, psfs, (13, 3.2)),
         (draw_curves, charts, (9, 3.8)),
     )
