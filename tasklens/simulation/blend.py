@@ -147,18 +147,16 @@ def _convolve(image: Tensor, quadrant: Tensor, psfs: FieldPsfs, step: int) -> Te
     for hat in _hats(psfs.y, psfs.shape[0], height, step):
         kernels = quadrant[abs(hat.node - centre)]
         rows = image[:, hat.first : hat.first + len(hat.weights)] * hat.weights[:, None]
-        strip = checkpoint(
-            _strip, rows, columns, kernels.flip(-2) if hat.node < centre else kernels, use_reentrant=False
-        )
+        kernels = kernels.flip(-2) if hat.node < centre else kernels
+        if torch.is_grad_enabled() and (rows.requires_grad or kernels.requires_grad):
+            strip = checkpoint(_strip, rows, columns, kernels, use_reentrant=False)  # its import takes a second
+        else:
+            strip = _strip(rows, columns, kernels)
         canvas[:, hat.first : hat.first + strip.shape[1]] += strip
     return canvas[..., : width + reach]
 
 
-def _strip(
-    rows: Tensor,
-    columns: list[_Hat],
-    quadrant: Tensor,
-) -> Tensor:
+def _strip(rows: Tensor, columns: list[_Hat], quadrant: Tensor) -> Tensor:
     """Spread the light of weighted rows (3, t, w) by the PSFs (X, 3, K, K) of a row of nodes, tile by tile."""
     reach = quadrant.shape[-1] - 1
     kernels = torch.cat([quadrant[1:].flip(0, -1), quadrant])

@@ -3,8 +3,8 @@
 The lens is rotationally symmetric, and so are its PSFs: one quadrant of the sensor is traced, the others are its mirror
 images. The nodes are as dense as the PSF changes: from one to the next, half of the light moves by at most
 `_MOTION` pixels relative to the chief ray, as rays along a radius say. Towards the corner that may take a node
-every ten pixels, where about the axis one in thirty is enough. The nodes are a grid, so that a column has its largest density
-of all rows.
+every ten pixels, where about the axis one in thirty is enough. The nodes are a grid, so that a column has its largest
+density of all rows.
 """
 
 import math
@@ -24,10 +24,11 @@ from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.simulation.blend import FieldPsfs
 
-_MOTION = 0.4  # of the light between nodes [pixels]
+_MOTION = 0.33  # of the light between nodes [pixels]
 _NEAREST, _FARTHEST = 8.0, 32.0  # nodes [pixels]
 _CORE = 75  # width of the window of the core [pixels]
 _HALO, _HALO_PIXEL = 101, 8  # width of the window of the halo [its pixels], and of these [pixels]
+_AT_ONCE = 4  # fields that are traced at once, in the cache
 _RADII = 129  # at which a lens is traced to learn how it changes over the field
 _NEGLIGIBLE = 1e-6  # part of the light
 _NOMINAL = 0.02  # by which the diagonal of a sensor is larger than that of its pixels: 1080 x 1920 of 1.8 um on 4 mm
@@ -118,10 +119,12 @@ def trace_field_psfs(
     for row in y:
         points = torch.stack([x, row.expand_as(x)], -1) * (pixel_pitch / 1e3)
         at = replace(view, fields=points * mapped.scale(points.norm(dim=-1))[:, None])
-        each = _core_and_halo(lens, at, pupil, pixel_pitch, halo_size)
-        core.append(each[0])
-        halo.append(each[1])
+        parts = [replace(at, fields=fields) for fields in at.fields.split(_AT_ONCE)]
+        each = [_core_and_halo(lens, part, pupil, pixel_pitch, halo_size) for part in parts]
+        core.append(torch.cat([found[0] for found in each]))
+        halo.append(torch.cat([found[1] for found in each]))
     beside = torch.stack(halo)
+    halo.clear()  # a third of the memory
     negligible = bool(beside.detach().sum((-2, -1)).amax() < _NEGLIGIBLE)
     source = bright = None
     if distortion or illumination:
