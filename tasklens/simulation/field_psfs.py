@@ -3,7 +3,7 @@
 The lens is rotationally symmetric, and so are its PSFs: one quadrant of the sensor is traced, the others are its mirror
 images. The nodes are as dense as the PSF changes: from one to the next, half of the light moves by at most
 `_MOTION` pixels relative to the chief ray, as rays along a radius say. Towards the corner that may take a node
-every ten pixels, where about the axis one in thirty is enough. The nodes are a grid, so that a column has its largest
+every ten pixels, where one in twenty is enough about the axis. The nodes are a grid, so that a column has its largest
 density of all rows.
 """
 
@@ -24,8 +24,8 @@ from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.simulation.blend import FieldPsfs
 
-_MOTION = 0.33  # of the light between nodes [pixels]
-_NEAREST, _FARTHEST = 8.0, 32.0  # nodes [pixels]
+_MOTION = 0.4  # of the light between nodes [pixels]
+_NEAREST, _FARTHEST = 8.0, 22.0  # nodes [pixels]
 _CORE = 75  # width of the window of the core [pixels]
 _HALO, _HALO_PIXEL = 101, 8  # width of the window of the halo [its pixels], and of these [pixels]
 _AT_ONCE = 4  # fields that are traced at once, in the cache
