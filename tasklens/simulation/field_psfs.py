@@ -27,7 +27,7 @@ from tasklens.simulation.blend import FieldPsfs
 _MOTION = 0.4  # of the light between nodes [pixels]
 _NEAREST, _FARTHEST = 8.0, 22.0  # nodes [pixels]
 _CORE = 75  # width of the window of the core [pixels]
-_HALO, _HALO_PIXEL = 101, 8  # width of the window of the halo [its pixels], and of these [pixels]
+_HALO, _HALO_PIXEL = 101, 4  # width of the window of the halo [its pixels], and of these [pixels]
 _AT_ONCE = 4  # fields that are traced at once, in the cache
 _RADII = 129  # at which a lens is traced to learn how it changes over the field
 _NEGLIGIBLE = 1e-6  # part of the light
