@@ -3,7 +3,7 @@
 The lens is rotationally symmetric, and so are its PSFs: one quadrant of the sensor is traced, the others are its mirror
 images. The nodes are as dense as the PSF changes: from one to the next, half of the light moves by at most
 `_MOTION` pixels relative to the chief ray, as rays along a radius say. Towards the corner that may take a node
-every ten pixels, where one in twenty is enough about the axis. The nodes are a grid, so that a column has its largest
+every ten pixels, where about the axis one in twenty is enough. The nodes are a grid, so that a column has its largest
 density of all rows.
 """
 
@@ -25,7 +25,8 @@ from tasklens.runtime.errors import InputError
 from tasklens.simulation.blend import FieldPsfs
 
 _MOTION = 0.4  # of the light between nodes [pixels]
-_NEAREST, _FARTHEST = 8.0, 22.0  # nodes [pixels]
+_NEAREST = 8.0  # nodes [pixels]
+_FARTHEST = 0.02  # nodes, in distances from centre to corner: so far vignetting changes little
 _CORE = 75  # width of the window of the core [pixels]
 _HALO, _HALO_PIXEL = 101, 4  # width of the window of the halo [its pixels], and of these [pixels]
 _AT_ONCE = 4  # fields that are traced at once, in the cache
@@ -166,7 +167,8 @@ def _nodes(lens: Lens, view: View, half: list[float], pitch: float, mapped: _Map
     turned = offset[1:].norm(dim=-1) / radius[1:, None, None]  # across it the PSF is turned about the axis
     valid = rays.valid[1:] & rays.valid[:-1]
     rate = torch.maximum(*(torch.where(valid, v, torch.nan).flatten(1).nanmedian(-1).values for v in (moved, turned)))
-    density = (rate.nan_to_num() / _MOTION).clamp(1 / _FARTHEST, 1 / _NEAREST)
+    farthest = max(_NEAREST, _FARTHEST * math.hypot(*half))
+    density = (rate.nan_to_num() / _MOTION).clamp(1 / farthest, 1 / _NEAREST)
     found = []
     for own, other in (half, half[::-1]):
         position = torch.linspace(0, own, 8 * _RADII, dtype=torch.float64)
