@@ -89,3 +89,134 @@ def test_a_capture_is_that_of_psfs_traced_from_every_pixel(traced, lit):
     expected = traced_from_every_pixel(lens, view, image, pitch_on_sensor(view, SHAPE), lit)
     error = (blend(image, traced) - expected).square().mean().sqrt()
     assert error < 0.01 * (expected - image).square().mean().sqrt()
+
+
+def test_a_star_shows_the_psf_of_its_field_and_keeps_its_light(traced):
+    """Between nodes too: within 2 % of the PSF's norm, which has the noise of rays."""
+    lens, view = blurred()
+    pitch = pitch_on_sensor(view, SHAPE)
+    for row, column in ((48, 64), (70, 90), (52, 124), (93, 125)):
+        star = torch.zeros(3, *SHAPE)
+        star[:, row, column] = 1
+        capture = blend(star, traced)
+        expected = traced_from_every_pixel(lens, view, star, pitch, (slice(row, row + 1), slice(column, column + 1)))
+        assert (capture - expected).norm() < 0.02 * expected.norm()
+        torch.testing.assert_close(capture.sum((-2, -1)), torch.ones(3), rtol=1e-5, atol=0)
+
+
+def test_an_even_image_has_no_seams(traced):
+    """Light that spreads differently from one field to the next leaves grey grey: at most a level of 255."""
+    assert (blend(torch.full((3, *SHAPE), 0.5), traced) - 0.5).abs().max() < 1 / 255
+
+
+@pytest.mark.parametrize("shape", [(32, 48), (33, 47), (47, 32), (40, 41)])
+def test_the_four_quadrants_are_mirror_images(shape):
+    """Of even and odd sizes, upright and lying: the capture of a mirrored image is the mirrored capture."""
+    lens, view = blurred()
+    psfs = trace_field_psfs(lens, view, shape, pitch_on_sensor(view, shape), 64)
+    psfs = replace(psfs, core=psfs.core[..., 30:45, 30:45])
+    image = noise(shape, seed=2)
+    capture = blend(image, psfs)
+    assert capture.shape == image.shape
+    for axes in ((1,), (2,), (1, 2)):
+        torch.testing.assert_close(blend(image.flip(axes), psfs), capture.flip(axes), rtol=0, atol=2e-6)
+    torch.testing.assert_close(capture.sum((1, 2)), image.sum((1, 2)), rtol=1e-5, atol=0)
+
+
+def with_halo(seed: int) -> FieldPsfs:
+    """Random PSFs on a small sensor, with a halo on pixels of four."""
+    core = torch.rand(2, 3, 3, 5, 5, generator=torch.Generator().manual_seed(seed))
+    halo = torch.rand(2, 3, 3, 5, 5, generator=torch.Generator().manual_seed(seed + 1))
+    total = core.sum((-2, -1), keepdim=True) + halo.sum((-2, -1), keepdim=True)
+    return FieldPsfs((21, 30), f64([0, 10]), f64([0, 6, 14.5]), core / total, halo / total, halo_pixel=4)
+
+
+def test_gradients_are_the_adjoint_in_image_and_psfs():
+    """<A x, y> = <x, A' y> for the image; the same in core and halo, in which a capture is linear but for the veil."""
+    psfs, image, other = with_halo(3), noise((21, 30), seed=5).requires_grad_(), noise((21, 30), seed=6)
+    value = (blend(image, psfs) * other).sum()
+    (gradient,) = torch.autograd.grad(value, image)
+    assert float((gradient * image).sum()) == pytest.approx(float(value), rel=1e-5)
+    other = other - other.mean((1, 2), keepdim=True)  # blind to the veil
+    for part in ("core", "halo"):
+        leaf = getattr(psfs, part).clone().requires_grad_()
+        (gradient,) = torch.autograd.grad((blend(image.detach(), replace(psfs, **{part: leaf})) * other).sum(), leaf)
+        change = torch.rand(leaf.shape, generator=torch.Generator().manual_seed(7))
+        moved = blend(image.detach(), replace(psfs, **{part: leaf.detach() + change})) - blend(image.detach(), psfs)
+        assert float((gradient * change).sum()) == pytest.approx(float((moved * other).sum()), rel=1e-3, abs=1e-3)
+
+
+def test_light_of_the_halo_is_found_where_it_belongs():
+    """All of it beside the window: a capture has its sum, its centre of mass, and nothing near the star."""
+    halo = torch.zeros(1, 1, 3, 9, 9)
+    halo[..., 4, 0] = halo[..., 4, 8] = 0.5  # sixteen pixels to the left and to the right
+    psfs = FieldPsfs((64, 64), f64([0]), f64([0]), torch.zeros(1, 1, 3, 3, 3), halo, halo_pixel=4)
+    star = torch.zeros(3, 64, 64)
+    star[:, 30:34, 30:34] = 1 / 16
+    found = blend(star, psfs)[0]
+    columns = torch.arange(64.0) - 31.5
+    assert float(found.sum()) == pytest.approx(1, rel=1e-5)
+    assert float((found * columns).sum()) == pytest.approx(0, abs=0.6)
+    assert float((found * columns.abs()).sum()) == pytest.approx(16, abs=0.5)
+    assert float(found[:, 26:38].abs().max()) < 1e-6
+
+
+def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_corner():
+    lens, view = blurred()
+    shape, pitch = (97, 129), 220.0
+    star = torch.zeros(3, *shape)
+    star[:, 80, 110] = 1
+    field = points(view, shape, pitch)[80, 110]
+    at = chief_points(lens, replace(view, fields=field[None]))[0] * (1e3 / pitch)
+    spread = simulate(lens, view, star, pitch, RAYS, distortion=True)[1].clamp(min=0)
+    straight = simulate(lens, view, star, pitch, RAYS)[1].clamp(min=0)
+
+    def centre(capture):
+        grid = torch.stack(torch.meshgrid(torch.arange(129) - 64.0, torch.arange(97) - 48.0, indexing="xy"), -1)
+        return (grid * (capture / capture.sum())[..., None]).sum((0, 1))
+
+    moved = (centre(spread) - centre(straight)).double()
+    expected = at - field * (1e3 / pitch)
+    assert expected.norm() > 0.3 and (moved - expected).norm() < 0.15
+    dark = simulate(lens, view, torch.ones(3, *shape), pitch, RAYS, illumination=True)
+    corner = points(view, shape, pitch)[2, 2].norm()
+    known = relative_illumination(lens, replace(view, fields=f64([[0, 0], [0, corner]])))
+    assert float(dark[1, 2, 2] / dark[1, 48, 64]) == pytest.approx(float(known[1]), rel=0.02)
+
+
+def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():
+    lens, view = blurred()
+    image = noise((40, 48), seed=8)
+    pitch = pitch_on_sensor(view, (40, 48)) * 0.5
+    first = [simulate(lens, view, image, pitch, 64, colour) for colour in ("srgb", "linear")]
+    assert (first[0] - first[1]).abs().mean() > 1e-3
+    even = simulate(lens, view, torch.full_like(image, 0.5), pitch, 64, "linear")
+    assert (even - 0.5).abs().max() < 0.01
+
+
+def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
+    _, view = blurred()  # 36 mm across
+    assert pitch_on_sensor(view, (96, 128)) == 225
+    assert pitch_on_sensor(view, (48, 64)) == 450
+    assert pitch_on_sensor(replace(view, pixel_pitch=223.0), (96, 128)) == 223  # nearly full: as it was made
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"image": torch.zeros(1, 96, 128)}, r"\(1, 96, 128\).*expected \(3, H, W\)"),
+        ({"image": torch.zeros(3, 96, 128, dtype=torch.uint8)}, "uint8.*expected"),
+        ({"image": torch.zeros(3, 20, 128)}, "20 x 128 pixels: too small"),
+        ({"pixel_pitch": 3000.0}, "corners at 238.* smaller pixel pitch"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(change, message):
+    lens, view = blurred()
+    given = {"image": torch.zeros(3, *SHAPE), "rays": 16, **change}
+    with pytest.raises(InputError, match=message):
+        simulate(lens, view, **given)
+
+
+def test_an_image_of_another_size_than_its_psfs_is_refused(traced):
+    with pytest.raises(InputError, match=r"\(3, 96, 127\).*expected \(3, 96, 128\)"):
+        blend(torch.zeros(3, 96, 127), traced)

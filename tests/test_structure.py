@@ -33,6 +33,7 @@ FLOORS = [
     ("tasklens.optics.analysis",),
     ("tasklens.optics.io",),
     ("tasklens.imaging",),
+    ("tasklens.simulation",),
     ("tasklens.recognition",),
     ("tasklens.design",),
     ("tasklens.report", "restoration"),
