@@ -40,7 +40,7 @@ def draw(
         rule: how the single captures were chosen.
     """
     columns = list(next(iter(frames.values())))
-    ratios = [4.0, 2.2] * len(frames) + [2.4] * len(answered)
+    ratios = [3.2, 2.0] * len(frames) + [2.2] * len(answered)
     figure = Figure(figsize=(5.2 * len(columns), 1.02 * sum(ratios)), layout="constrained")
     figure.suptitle(title, weight="bold")
     parts = iter(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
