@@ -79,6 +79,11 @@ TARGETS = {  # targets of the command line; the first is the default
         for elements in claims.claims_by_elements(study)
         for seed in study.seeds
     ],
+    "figure4": [
+        report_jobs.frames.output(study, "figure", elements=elements, seed=seed)
+        for elements in claims.claims_by_elements(study)
+        for seed in study.seeds
+    ],
     "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in LENSES],
     "ablations": sum(ABLATIONS.values(), []),
     **ABLATIONS,

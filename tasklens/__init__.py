@@ -4,14 +4,15 @@ For notebooks, with `help()` of each:
 
     load_lens, save_lens    lens.yaml and Zemax files
     trace, psf, analyse     rays, point spread functions, figures of a lens
-    simulate                captures of an image
+    simulate                captures of an image, each as if all of it lay at one field
+    simulate_sensor         capture of an image by the whole sensor
     design                  a new lens
 """
 
 from importlib import import_module
 from typing import Any
 
-__all__ = ["analyse", "design", "load_lens", "psf", "save_lens", "simulate", "trace"]
+__all__ = ["analyse", "design", "load_lens", "psf", "save_lens", "simulate", "simulate_sensor", "trace"]
 
 
 def __getattr__(name: str) -> Any:

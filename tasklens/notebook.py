@@ -152,9 +152,8 @@ def simulate(
     from tasklens.imaging import Camera
 
     source = _image(image)
-    for value, known in ((colour, ("srgb", "linear")), (outside_window, ("veil", "renormalise"))):
-        if value not in known:
-            raise InputError(f"expected {' or '.join(known)}, got {value!r}")
+    _one_of(colour, "srgb", "linear")
+    _one_of(outside_window, "veil", "renormalise")
     if fields is not None:
         points = torch.tensor(fields, dtype=view.fields.dtype).reshape(-1, 2)
         view = replace(view, fields=points)
@@ -167,6 +166,42 @@ def simulate(
     grid = psf(lens, view, rays, diffraction)
     camera = Camera(grid, outside_window, colour, sensor, relative_illumination(lens, view))
     return camera.grid(source[None])[:, 0]
+
+
+def simulate_sensor(
+    image: str | Path | numpy.ndarray | Tensor,
+    lens: Lens,
+    view: View,
+    pixel_pitch_um: float | None = None,
+    *,
+    colour: str = "srgb",
+    distortion: bool = False,
+    illumination: bool = False,
+    rays: int = 4096,
+) -> Tensor:
+    """Render what the whole sensor sees of an image through the lens: the PSF changes from axis to corner.
+
+    Args:
+        image: as in `simulate`, of any size; its centre is on the axis.
+        pixel_pitch_um: width of a pixel of the image; None: the one at which the image fills the sensor.
+        colour: "srgb" convolves the values of the image, "linear" its light.
+        distortion: distort the image; otherwise it has the geometry of a pinhole camera.
+        illumination: darken the image towards its corners; otherwise exposure makes up for it.
+        rays: number of rays of each PSF and colour.
+
+    Returns:
+        (3, H, W) capture, differentiable in the image and in the lens.
+
+    Raises:
+        InputError: the image cannot be read or is too small, or the lens has no image at its corners.
+
+    Example:
+        >>> capture = tasklens.simulate_sensor("cat.jpg", lens, view)  # 1080 x 1920: a quarter of a minute
+    """
+    from tasklens.simulation import sensor
+
+    _one_of(colour, "srgb", "linear")
+    return sensor.simulate(lens, view, _image(image), pixel_pitch_um, rays, colour, distortion, illumination)
 
 
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
@@ -182,6 +217,11 @@ def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
         >>> tasklens.analyse(lens, view)["rms_centroid_um"]
     """
     return figures(lens, view, rays)
+
+
+def _one_of(value: str, *known: str) -> None:
+    if value not in known:
+        raise InputError(f"expected {' or '.join(known)}, got {value!r}")
 
 
 def _image(image: str | Path | numpy.ndarray | Tensor) -> Tensor:

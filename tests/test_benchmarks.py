@@ -16,6 +16,7 @@ from tasklens.study.settings import ClassifierSettings
         ("captures", "times faster", ["--rounds", "1"]),
         ("memory", "peak [GiB]", ["--captures", "5"]),
         ("step", "% of the step", ["--rounds", "1"]),
+        ("simulation", "peak [GB]", ["--rounds", "1", "--lenses", "triplet-tasklens"]),
         ("network", "ratio", ["--rounds", "1"]),
         ("cost", "GPU-hours", ["config/smoke.yaml"]),
     ],

@@ -33,6 +33,7 @@ FLOORS = [
     ("tasklens.optics.analysis",),
     ("tasklens.optics.io",),
     ("tasklens.imaging",),
+    ("tasklens.simulation",),
     ("tasklens.recognition",),
     ("tasklens.design",),
     ("tasklens.report", "restoration"),
@@ -308,11 +309,21 @@ def edited(tmp_path, monkeypatch):
     digest.code_digest.cache_clear()
 
 
-READ_IMAGES = {"images", "reference", "design", "restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
+READ_IMAGES = {
+    "images",
+    "reference",
+    "design",
+    "restore",
+    "fine_tune",
+    "fine_tune_others",
+    "reproduce",
+    "captures",
+    "frames",
+}
 JUDGE = {"verdicts", "regimes", "ablation", "report"}
 TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate"}
-FIGURES = {"certificate", "comparison"}
-MEASUREMENTS = {"table", "verify", "comparison", "merit_function", *JUDGE}
+FIGURES = {"certificate", "comparison", "frames"}
+MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function", *JUDGE}
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail", *FIGURES}
 SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
@@ -337,7 +348,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
     "path, old, new, touched",
     [
         ("tasklens/optics/psf.py", "kernel_size // 2", "kernel_size // 3", OPTICS),
-        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design"} | SEE),
+        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames"} | SEE),
         ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),

@@ -164,7 +164,7 @@ def expected_of_everything(study: Study) -> dict[str, int]:
         found.measured |= {(lens, study.supervisor, False) for lens in lenses}
         found.add_starts([study.lens(lens) for lens in lenses])
     every = len(study.lenses)
-    per_seed = {"certificate": every, "comparison": len(drawn), "reproduce": again}
+    per_seed = {"certificate": every, "comparison": len(drawn), "frames": len(drawn), "reproduce": again}
     return found.counts(("ablation", len(study.ablations)), **per_seed)
 
 
@@ -183,7 +183,8 @@ def test_every_study_plans_its_jobs(beside_config, path):
         (beside_config / weights).parent.mkdir(parents=True, exist_ok=True)
         (beside_config / weights).touch()  # a user's own file
     assert plan(beside_config, path, "tables") == expected(study)
-    targets = ["tables", "verify", "figures", "certificates", "figure3", *(["ablations"] if study.ablations else [])]
+    targets = ["tables", "verify", "figures", "certificates", "figure3", "figure4"]
+    targets += ["ablations"] if study.ablations else []
     assert plan(beside_config, path, *targets) == expected_of_everything(study)
 
 

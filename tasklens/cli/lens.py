@@ -171,30 +171,42 @@ def simulate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Capture: .png or .jpg.", show_default=False)],
     field: Annotated[str, typer.Option(help="axis, middle, corner, or X,Y on the sensor in millimetres.")] = "axis",
     grid: Annotated[bool, typer.Option("--grid", help="All nine fields in one picture.")] = False,
+    sensor: Annotated[bool, typer.Option("--sensor", help="As the whole sensor sees it, from axis to corner.")] = False,
+    distortion: Annotated[bool, typer.Option("--distortion", help="Of the lens, with --sensor.")] = False,
+    illumination: Annotated[bool, typer.Option("--illumination", help="Darker corners, with --sensor.")] = False,
     colour: Annotated[Literal["srgb", "linear"], typer.Option(help="Convolve values, or light.")] = "srgb",
     noise: Annotated[bool, typer.Option("--noise", help="With the noise of a phone's sensor in daylight.")] = False,
     rays: Rays = 4096,
     diffraction: Annotated[bool, typer.Option("--diffraction", help="With diffraction: half a minute.")] = False,
     force: Force = False,
 ) -> None:
-    """Show what the sensor sees of an image, as if all of it lay at one field."""
+    """Show what the sensor sees of an image, as if all of it lay at one field, or with --sensor all of it."""
     from tasklens import notebook
     from tasklens.report import image_files
     from tasklens.study.settings import SensorSettings
 
     new_file(output, force, ".png", ".jpg", ".jpeg")
+    if sensor and (grid or noise or diffraction or field != "axis"):
+        raise InputError("--sensor: not with --field, --grid, --noise or --diffraction")
+    if not sensor and (distortion or illumination):
+        raise InputError("--distortion and --illumination: only with --sensor")
     found = read(file)
-    fields = None if grid else [_field(found.view, field)]
-    captures = notebook.simulate(
-        image,
-        found.lens,
-        found.view,
-        fields,
-        colour=colour,
-        sensor=SensorSettings() if noise else None,
-        rays=rays,
-        diffraction=diffraction,
-    )
+    if sensor:
+        captures = notebook.simulate_sensor(
+            image, found.lens, found.view, colour=colour, distortion=distortion, illumination=illumination, rays=rays
+        )[None]
+        say(f"{image}: as if it filled the sensor")
+    else:
+        captures = notebook.simulate(
+            image,
+            found.lens,
+            found.view,
+            None if grid else [_field(found.view, field)],
+            colour=colour,
+            sensor=SensorSettings() if noise else None,
+            rays=rays,
+            diffraction=diffraction,
+        )
     image_files.write_captures(output, captures)
     say(f"wrote {output}")
 

@@ -148,6 +148,24 @@ def comparison(study: Study, elements: str, seed: int) -> Plan:
     return Plan(Slice(claims=tuple(claims), seed=seed), inputs)
 
 
+@stage(f"{STAGES}.frames.run", {"figure": "figures/figure4-{elements}-seed{seed}.png"})
+def frames(study: Study, elements: str, seed: int) -> Plan:
+    """Draw a chart and test images as whole frames through the task-driven and the best imaging lens (figure 4)."""
+    claim = pick(
+        paper_claims.claims_by_elements(study), elements, "name of elements with a task-driven and an imaging design:"
+    )[0]
+    settings = Slice(claim=claim, captures={lens: study.capture_of(lens) for lens in claim.lenses}, seed=seed)
+    keys = {lens: (lens, claim.classifier, seed) for lens in claim.lenses}
+    inputs = {
+        "test": split(study, "test"),
+        "lenses": {lens: lens_file(study, lens, seed) for lens in claim.lenses},
+        "psfs": {lens: psf_file(study, lens, seed) for lens in claim.lenses},
+        "metrics": {keys[lens]: measurement(study, *keys[lens], "metrics") for lens in claim.baselines},
+        "predictions": {lens: measurement(study, *key, "predictions") for lens, key in keys.items()},
+    }
+    return Plan(settings, inputs)
+
+
 @stage(f"{STAGES}.captures.run", {"images": "figures/captures.safetensors", "answers": "tables/answers.csv"})
 def captures(study: Study) -> Plan:
     """Take some test images through every lens, of the first seed, and let each network classify them."""

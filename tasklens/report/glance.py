@@ -70,7 +70,8 @@ def text(name: str, found: Mapping) -> str:
     for key, (meaning, digits) in _FIELDS.items():
         lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in found["fields"][key]))
     if "worst_margin" in found:
-        lines.append(f"  worst margin: {found['worst_margin']['value']:.4f} ({found['worst_margin']['limit']})")
+        limit, value = found["worst_margin"]["limit"], found["worst_margin"]["value"]
+        lines.append(f"  VIOLATES {limit} by {-value:.4f}" if value < 0 else f"  worst margin: {value:.4f} ({limit})")
     if "design" in found.get("origin", {}):
         origin = found["origin"]
         seed = f", seed {origin['seed']}" if "seed" in origin else ""

@@ -17,6 +17,7 @@ REPORTED = {
     "ablation": (["csv"], "Tables"),
     "merit_function": (["csv", "figure"], "Merit function"),
     "comparison": (["figure"], "Comparisons"),
+    "frames": (["figure"], "Comparisons"),
     "certificate": (["figure"], "Lenses"),
 }
 

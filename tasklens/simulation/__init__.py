@@ -1,0 +1,1 @@
+"""Captures of a whole sensor, through PSFs that change over the field."""

@@ -1,0 +1,182 @@
+"""PSFs over a whole sensor, traced where they are needed to blend them.
+
+The lens is rotationally symmetric, and so are its PSFs: one quadrant of the sensor is traced, the others are its mirror
+images. The nodes are as dense as the PSF changes: from one to the next, half of the light moves by at most
+`_MOTION` pixels relative to the chief ray, as rays along a radius say. Towards the corner that may take a node
+every ten pixels, where about the axis one in twenty is enough. The nodes are a grid, so that a column has its largest
+density of all rows.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_rays, trace_fields
+from tasklens.optics.lens import Lens
+from tasklens.optics.psf import psf
+from tasklens.optics.rays import RayStatus
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.simulation.blend import FieldPsfs
+
+_MOTION = 0.4  # of the light between nodes [pixels]
+_NEAREST = 8.0  # nodes [pixels]
+_FARTHEST = 0.02  # nodes, in distances from centre to corner: so far vignetting changes little
+_CORE = 75  # width of the window of the core [pixels]
+_HALO, _HALO_PIXEL = 101, 4  # width of the window of the halo [its pixels], and of these [pixels]
+_AT_ONCE = 4  # fields that are traced at once, in the cache
+_RADII = 129  # at which a lens is traced to learn how it changes over the field
+_NEGLIGIBLE = 1e-6  # part of the light
+_NOMINAL = 0.02  # by which the diagonal of a sensor is larger than that of its pixels: 1080 x 1920 of 1.8 um on 4 mm
+
+
+def pitch_on_sensor(view: View, shape: tuple[int, int]) -> float:
+    """Return the pixel pitch [um] at which an image of H x W pixels fills the sensor, whatever its aspect.
+
+    That is the pitch of the view if the image has the sensor's number of pixels on the diagonal, or up to 2 % less;
+    else the one that makes the diagonal of the image that of the sensor, which is twice the largest field.
+    """
+    filling = 2e3 * float(view.radii.max()) / math.hypot(*shape)
+    return view.pixel_pitch if 1 <= filling / view.pixel_pitch <= 1 + _NOMINAL else filling
+
+
+class _Map:
+    """Fields by distance from the centre of the sensor: as a pinhole camera, or with the distortion of the lens.
+
+    Args:
+        radius: largest distance [mm].
+
+    Raises:
+        InputError: a chief ray does not reach the sensor, or another one reaches the same point.
+    """
+
+    def __init__(self, lens: Lens, view: View, radius: float, distortion: bool):
+        self.heights = numpy.linspace(0, radius, _RADII)
+        self.fields = self.heights
+        tried = torch.linspace(0, radius * (1.25 if distortion else 1), 2 * _RADII, dtype=torch.float64)
+        chief = chief_rays(lens, along_y(view, tried))
+        found = chief.y[:, 0, 0].detach()
+        rising = chief.valid[:, 0, 0] & (torch.diff(found, prepend=found[:1] - 1) > 0)
+        usable = int(rising.int().cumprod(0).sum())
+        reached = found[:usable] if distortion else tried[:usable]
+        if not usable or reached[-1] < radius * (1 - 1e-9):
+            raise InputError(
+                f"the lens has an image up to {float(reached.max()) if usable else 0:.3f} mm from the axis, and the "
+                f"image to simulate has corners at {radius:.3f} mm; expected a smaller pixel pitch"
+            )
+        if distortion:
+            self.fields = numpy.interp(self.heights, reached.numpy(), tried[:usable].numpy())
+
+    def scale(self, height: Tensor) -> Tensor:
+        """Return field over height at distances `height` [mm] from the centre."""
+        safe = height.clamp(min=self.heights[1])
+        return self.at(safe, self.fields) / safe
+
+    def at(self, height: Tensor, values: numpy.ndarray) -> Tensor:
+        """Interpolate values at `heights` to other distances from the centre."""
+        return torch.from_numpy(numpy.interp(height.numpy(), self.heights, values))
+
+
+def along_y(view: View, radius: Tensor) -> View:
+    """Return the view with fields at `radius` (F,) [mm] on +y."""
+    return replace(view, fields=torch.stack([torch.zeros_like(radius), radius], -1))
+
+
+def trace_field_psfs(
+    lens: Lens,
+    view: View,
+    shape: tuple[int, int],
+    pixel_pitch: float,
+    rays: int = 4096,
+    distortion: bool = False,
+    illumination: bool = False,
+) -> FieldPsfs:
+    """Trace the PSFs of a lens over a sensor of H x W pixels, centred on its axis; differentiable in the lens.
+
+    PSFs are centred on the chief ray, and normalised to the light that is not vignetted.
+
+    Args:
+        pixel_pitch: pixel pitch [um].
+        rays: pupil points of each PSF and colour.
+        distortion: whether the lens distorts the image.
+        illumination: whether the capture is darker where the lens gives less light.
+
+    Raises:
+        InputError: the lens has tilted surfaces, or no image at the corners of the sensor.
+    """
+    if lens.pose is not None:
+        raise InputError("lens with shifted or tilted surfaces: expected a rotationally symmetric one")
+    half = [(pixels - 1) / 2 for pixels in shape]
+    mapped = _Map(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
+    y, x = _nodes(lens, view, half, pixel_pitch, mapped)
+    pupil = sobol_disc(rays, seed=0)
+    halo_size = 2 * min(_HALO // 2, min(shape) // _HALO_PIXEL) + 1
+    core, halo = [], []
+    for row in y:
+        points = torch.stack([x, row.expand_as(x)], -1) * (pixel_pitch / 1e3)
+        at = replace(view, fields=points * mapped.scale(points.norm(dim=-1))[:, None])
+        parts = [replace(at, fields=fields) for fields in at.fields.split(_AT_ONCE)]
+        each = [_core_and_halo(lens, part, pupil, pixel_pitch, halo_size) for part in parts]
+        core.append(torch.cat([found[0] for found in each]))
+        halo.append(torch.cat([found[1] for found in each]))
+    beside = torch.stack(halo)
+    halo.clear()  # a third of the memory
+    negligible = bool(beside.detach().sum((-2, -1)).amax() < _NEGLIGIBLE)
+    source = bright = None
+    if distortion or illumination:
+        rows, columns = ((torch.arange(n) - h) * (pixel_pitch / 1e3) for n, h in zip(shape, half, strict=True))
+        radius = torch.hypot(rows[:, None].double(), columns.double())
+        if distortion:
+            unit = torch.stack(torch.broadcast_tensors(columns / (shape[1] / 2), rows[:, None] / (shape[0] / 2)), -1)
+            source = (unit * (1e3 / pixel_pitch) * mapped.scale(radius)[..., None]).float()
+        if illumination:
+            known = relative_illumination(lens, along_y(view, torch.from_numpy(mapped.fields)))
+            bright = mapped.at(radius, known.detach().numpy()).float()
+    return FieldPsfs(shape, y, x, torch.stack(core), None if negligible else beside, _HALO_PIXEL, source, bright)
+
+
+def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_size: int) -> tuple[Tensor, Tensor]:
+    """Trace the PSFs (F, 3, K, K) and (F, 3, M, M) of the fields of a view."""
+    rays, chief = trace_fields(lens, view, pupil), chief_rays(lens, view)
+    centre = torch.stack([chief.x[:, 0, 0], chief.y[:, 0, 0]], -1)
+    passed = (~rays.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / len(pupil))[..., None, None]
+    offset = torch.stack([rays.x, rays.y], -1) - centre[:, None, None]
+    inside = offset.detach().abs().amax(-1) <= (_CORE // 2) * pitch / 1e3  # all four pixels of such a ray
+    lost = RayStatus.VIGNETTED
+    within = replace(rays, status=rays.status.masked_fill(~inside, lost))
+    core = psf(within, centre, pitch, _CORE) / passed
+    if not bool((rays.valid & ~inside).any()):
+        return core.float(), core.new_zeros(*core.shape[:2], halo_size, halo_size).float()
+    beside = replace(rays, status=rays.status.masked_fill(inside, lost))
+    return core.float(), (psf(beside, centre, pitch * _HALO_PIXEL, halo_size) / passed).float()
+
+
+def _nodes(lens: Lens, view: View, half: list[float], pitch: float, mapped: _Map) -> list[Tensor]:
+    """Return the distances of the nodes from the centre [pixels], along y and along x."""
+    radius = torch.from_numpy(mapped.heights) * (1e3 / pitch)
+    at = along_y(view, torch.from_numpy(mapped.fields))
+    rays, chief = trace_fields(lens.detached(), at, sobol_disc(256, seed=0)), chief_rays(lens.detached(), at)
+    offset = torch.stack([rays.x - chief.x, rays.y - chief.y], -1) * (1e3 / pitch)
+    between = radius.diff()
+    moved = offset.diff(dim=0).norm(dim=-1) / between[:, None, None]  # along the radius, a pixel of the field
+    turned = offset[1:].norm(dim=-1) / radius[1:, None, None]  # across it the PSF is turned about the axis
+    valid = rays.valid[1:] & rays.valid[:-1]
+    rate = torch.maximum(*(torch.where(valid, v, torch.nan).flatten(1).nanmedian(-1).values for v in (moved, turned)))
+    farthest = max(_NEAREST, _FARTHEST * math.hypot(*half))
+    density = (rate.nan_to_num() / _MOTION).clamp(1 / farthest, 1 / _NEAREST)
+    found = []
+    for own, other in (half, half[::-1]):
+        position = torch.linspace(0, own, 8 * _RADII, dtype=torch.float64)
+        crossed = (radius[1:] >= position[:, None]) & (
+            radius[:-1] <= torch.hypot(position, position.new_tensor(other))[:, None]
+        )
+        largest = torch.where(crossed, density, 0).amax(-1)
+        count = torch.cat([position[:1], torch.cumsum((largest[1:] + largest[:-1]) / 2 * position[1], 0)])
+        wanted = torch.linspace(0, float(count[-1]), math.ceil(float(count[-1])) + 1, dtype=torch.float64)
+        found.append(torch.from_numpy(numpy.interp(wanted.numpy(), count.numpy(), position.numpy())))
+    return found

@@ -1,0 +1,237 @@
+"""Captures of a whole sensor: against light traced from every pixel; what comes of flux, stars, seams, gradients."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import WAVELENGTHS, cooke_triplet, f64
+from torch import Tensor
+
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_points, trace_fields
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.simulation.blend import FieldPsfs, blend
+from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
+from tasklens.simulation.sensor import simulate
+
+SHAPE = (96, 128)
+RAYS = 2048
+
+
+def blurred() -> tuple[Lens, View]:
+    """A Cooke triplet out of focus, whose first surface vignettes, and a sensor of 225 um pixels."""
+    whole = cooke_triplet()
+    distance, clear = whole.thickness.clone(), whole.semi_diameter.clone()
+    distance[-1] += 3.0
+    clear[0] = 7.5
+    fields = f64([[0.0, 0.0], [0.0, 9.0], [0.0, 18.0]])
+    return replace(whole, thickness=distance, semi_diameter=clear), View(fields, 50.0, WAVELENGTHS, 225.0, 31)
+
+
+@pytest.fixture(scope="module")
+def traced() -> FieldPsfs:
+    lens, view = blurred()
+    return trace_field_psfs(lens, view, SHAPE, pitch_on_sensor(view, SHAPE), RAYS)
+
+
+def noise(shape: tuple[int, int], seed: int) -> Tensor:
+    return torch.rand(3, *shape, generator=torch.Generator().manual_seed(seed))
+
+
+def points(view, shape, pitch) -> Tensor:
+    """Points (H, W, 2) of the pixels of a sensor [mm]."""
+    rows, columns = (((torch.arange(n) - (n - 1) / 2) * (pitch / 1e3)).double() for n in shape)
+    return torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
+
+
+def traced_from_every_pixel(lens, view, image: Tensor, pitch: float, lit: tuple[slice, slice]) -> Tensor:
+    """Follow each ray of the lit pixels to where it ends on the sensor, reflected at the edges of the frame.
+
+    No window, node or transform: four weights per ray.
+    """
+    height, width = image.shape[1:]
+    out = torch.zeros(3, height * width, dtype=torch.float64)
+    at = replace(view, fields=points(view, (height, width), pitch)[lit].flatten(0, 1))
+    rays, chief = trace_fields(lens, at, sobol_disc(RAYS, seed=0)), chief_points(lens, at)
+    pixel = torch.stack(torch.meshgrid(*map(torch.arange, (height, width)), indexing="ij"), -1)[lit].flatten(0, 1)
+    light = image[(slice(None), *lit)].flatten(1).T.double()[..., None] / (~rays.vignetted).sum(-1, keepdim=True)
+    ends = [
+        pixel[:, axis, None, None] + (landed - chief[:, 1 - axis, None, None]) * (1e3 / pitch)
+        for axis, landed in enumerate((rays.y, rays.x))
+    ]
+    for dy in (0, 1):
+        for dx in (0, 1):
+            weight, index = light * rays.valid, torch.zeros_like(rays.x, dtype=torch.int64)
+            for end, step, n in zip(ends, (dy, dx), (height, width), strict=True):
+                cell = end.floor() + step
+                weight = weight * (1 - (end - cell).abs())
+                inside = torch.where(cell < 0, -1 - cell, torch.where(cell > n - 1, 2 * n - 1 - cell, cell))
+                assert ((inside >= 0) & (inside < n))[rays.valid].all()
+                index = index * n + inside.nan_to_num().clamp(0, n - 1).long()
+            for colour in range(3):
+                out[colour].index_add_(0, index[:, colour].flatten(), weight[:, colour].flatten())
+    return out.unflatten(1, (height, width))
+
+
+@pytest.mark.parametrize(
+    "lit",
+    [(slice(40, 56), slice(56, 72)), (slice(40, 56), slice(112, 128)), (slice(0, 16), slice(0, 16))],
+    ids=["centre", "edge", "corner"],
+)
+def test_a_capture_is_that_of_psfs_traced_from_every_pixel(traced, lit):
+    """Within 1 % of what the lens does to the image, RMS, at centre, edge and corner."""
+    lens, view = blurred()
+    image = torch.zeros(3, *SHAPE)
+    image[(slice(None), *lit)] = noise((16, 16), seed=1)
+    expected = traced_from_every_pixel(lens, view, image, pitch_on_sensor(view, SHAPE), lit)
+    error = (blend(image, traced) - expected).square().mean().sqrt()
+    assert error < 0.01 * (expected - image).square().mean().sqrt()
+
+
+def test_a_star_shows_the_psf_of_its_field_and_keeps_its_light(traced):
+    """Between nodes too: within 2 % of the PSF's norm, which has the noise of rays."""
+    lens, view = blurred()
+    pitch = pitch_on_sensor(view, SHAPE)
+    for row, column in ((48, 64), (70, 90), (52, 124), (93, 125)):
+        star = torch.zeros(3, *SHAPE)
+        star[:, row, column] = 1
+        capture = blend(star, traced)
+        expected = traced_from_every_pixel(lens, view, star, pitch, (slice(row, row + 1), slice(column, column + 1)))
+        assert (capture - expected).norm() < 0.02 * expected.norm()
+        torch.testing.assert_close(capture.sum((-2, -1)), torch.ones(3), rtol=1e-5, atol=0)
+
+
+def with_halo(shape: tuple[int, int], seed: int) -> FieldPsfs:
+    """Random PSFs on a small sensor, each its own mirror image on the axes, with a halo on pixels of four."""
+    generator = torch.Generator().manual_seed(seed)
+    parts = []
+    for _ in range(2):
+        part = torch.rand(2, 3, 3, 5, 5, generator=generator)
+        part[0] += part[0].flip(-2)
+        part[:, 0] += part[:, 0].flip(-1)
+        parts.append(part)
+    total = sum(part.sum((-2, -1), keepdim=True) for part in parts)
+    height, width = ((n - 1) / 2 for n in shape)
+    nodes = f64([0, height]), f64([0, 0.4 * width, width])
+    return FieldPsfs(shape, *nodes, parts[0] / total, parts[1] / total, halo_pixel=4)
+
+
+def test_the_same_psf_everywhere_is_a_convolution_without_seams():
+    psfs = with_halo((41, 50), seed=2)
+    kernel = torch.rand(3, 5, 5, generator=torch.Generator().manual_seed(3))
+    kernel = kernel + kernel.flip(-2) + kernel.flip(-1) + kernel.flip(-2, -1)
+    kernel = kernel / kernel.sum((-2, -1), keepdim=True)
+    image = noise((41, 50), seed=4)
+    capture = blend(image, replace(psfs, core=kernel.expand(2, 3, 3, 5, 5), halo=None))
+    expected = torch.nn.functional.conv2d(image[None], kernel.flip(-2, -1)[:, None], groups=3)[0]
+    torch.testing.assert_close(capture[:, 2:-2, 2:-2], expected, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", [(32, 48), (33, 47), (47, 32), (40, 41)])
+def test_the_four_quadrants_are_mirror_images(shape):
+    """Of even and odd sizes, upright and lying: the capture of a mirrored image is the mirrored capture."""
+    psfs, image = replace(with_halo(shape, seed=2), halo=None), noise(shape, seed=2)
+    capture = blend(image, psfs)
+    assert capture.shape == image.shape
+    for axes in ((1,), (2,), (1, 2)):
+        torch.testing.assert_close(blend(image.flip(axes), psfs), capture.flip(axes), rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", [(32, 48), (33, 47), (41, 30)])
+def test_no_light_is_lost(shape):
+    image = noise(shape, seed=5)
+    torch.testing.assert_close(blend(image, with_halo(shape, 6)).sum((1, 2)), image.sum((1, 2)), rtol=1e-5, atol=0)
+
+
+def test_gradients_are_the_adjoint_in_image_and_psfs():
+    """<A x, y> = <x, A' y> for the image; the same in core and halo, in which a capture is linear but for the veil."""
+    psfs, image, other = with_halo((21, 30), 3), noise((21, 30), seed=5).requires_grad_(), noise((21, 30), seed=6)
+    value = (blend(image, psfs) * other).sum()
+    (gradient,) = torch.autograd.grad(value, image)
+    assert float((gradient * image).sum()) == pytest.approx(value.item(), rel=1e-5)
+    other = other - other.mean((1, 2), keepdim=True)  # blind to the veil
+    for part in ("core", "halo"):
+        leaf = getattr(psfs, part).clone().requires_grad_()
+        (gradient,) = torch.autograd.grad((blend(image.detach(), replace(psfs, **{part: leaf})) * other).sum(), leaf)
+        change = torch.rand(leaf.shape, generator=torch.Generator().manual_seed(7))
+        moved = blend(image.detach(), replace(psfs, **{part: leaf.detach() + change})) - blend(image.detach(), psfs)
+        assert float((gradient * change).sum()) == pytest.approx(float((moved * other).sum()), rel=1e-3, abs=1e-3)
+
+
+def test_light_of_the_halo_is_found_where_it_belongs():
+    """All of it beside the window: a capture has its sum, its centre of mass, and nothing near the star."""
+    halo = torch.zeros(2, 2, 3, 9, 9)
+    halo[..., 4, 0] = halo[..., 4, 8] = 0.5  # sixteen pixels to the left and to the right
+    psfs = FieldPsfs((64, 64), f64([0, 31.5]), f64([0, 31.5]), torch.zeros(2, 2, 3, 3, 3), halo, halo_pixel=4)
+    star = torch.zeros(3, 64, 64)
+    star[:, 30:34, 30:34] = 1 / 16
+    found = blend(star, psfs)[0]
+    columns = torch.arange(64.0) - 31.5
+    assert float(found.sum()) == pytest.approx(1, rel=1e-5)
+    assert float((found * columns).sum()) == pytest.approx(0, abs=0.6)
+    assert float((found * columns.abs()).sum()) == pytest.approx(16, abs=0.5)
+    assert float(found[:, 26:38].abs().max()) < 1e-6
+
+
+def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_corner():
+    lens, view = blurred()
+    shape, pitch = (97, 129), 220.0
+    star = torch.zeros(3, *shape)
+    star[:, 80, 110] = 1
+    field = points(view, shape, pitch)[80, 110]
+    at = chief_points(lens, replace(view, fields=field[None]))[0] * (1e3 / pitch)
+    spread = simulate(lens, view, star, pitch, RAYS, distortion=True)[1].clamp(min=0)
+    straight = simulate(lens, view, star, pitch, RAYS)[1].clamp(min=0)
+
+    def centre(capture):
+        grid = torch.stack(torch.meshgrid(torch.arange(129) - 64.0, torch.arange(97) - 48.0, indexing="xy"), -1)
+        return (grid * (capture / capture.sum())[..., None]).sum((0, 1))
+
+    moved = (centre(spread) - centre(straight)).double()
+    expected = at - field * (1e3 / pitch)
+    assert expected.norm() > 0.3 and (moved - expected).norm() < 0.15
+    dark = simulate(lens, view, torch.ones(3, *shape), pitch, RAYS, illumination=True)
+    corner = points(view, shape, pitch)[2, 2].norm()
+    known = relative_illumination(lens, replace(view, fields=f64([[0, 0], [0, corner]])))
+    assert float(dark[1, 2, 2] / dark[1, 48, 64]) == pytest.approx(float(known[1]), rel=0.02)
+
+
+def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():
+    lens, view = blurred()
+    image = noise((40, 48), seed=8)
+    pitch = pitch_on_sensor(view, (40, 48)) * 0.5
+    first = [simulate(lens, view, image, pitch, 64, colour) for colour in ("srgb", "linear")]
+    assert (first[0] - first[1]).abs().mean() > 1e-3
+    even = simulate(lens, view, torch.full_like(image, 0.5), pitch, 64, "linear")
+    assert (even - 0.5).abs().max() < 0.01
+
+
+def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
+    _, view = blurred()  # 36 mm across
+    assert pitch_on_sensor(view, (96, 128)) == 225
+    assert pitch_on_sensor(view, (48, 64)) == 450
+    assert pitch_on_sensor(replace(view, pixel_pitch=223.0), (96, 128)) == 223  # nearly full: as it was made
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"image": torch.zeros(1, 96, 128)}, r"\(1, 96, 128\).*expected \(3, H, W\)"),
+        ({"image": torch.zeros(3, 96, 128, dtype=torch.uint8)}, "uint8.*expected"),
+        ({"image": torch.zeros(3, 20, 128)}, "20 x 128 pixels: too small"),
+        ({"pixel_pitch": 3000.0}, "corners at 237.* smaller pixel pitch"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(change, message):
+    lens, view = blurred()
+    given = {"image": torch.zeros(3, *SHAPE), "rays": 16, **change}
+    with pytest.raises(InputError, match=message):
+        simulate(lens, view, **given)
+
+
+def test_an_image_of_another_size_than_its_psfs_is_refused(traced):
+    with pytest.raises(InputError, match=r"\(3, 96, 127\).*expected \(3, 96, 128\)"):
+        blend(torch.zeros(3, 96, 127), traced)
