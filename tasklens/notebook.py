@@ -24,7 +24,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
 from tasklens.optics.io import lens_files
-from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io.prescription import Prescription, with_use
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
@@ -67,7 +67,7 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
     Example:
         >>> tasklens.save_lens("lens.zmx", lens, view)
     """
-    found = lens_files.with_use(Prescription(lens.detached()), view)
+    found = with_use(Prescription(lens.detached()), view)
     lens_files.write(Path(path), found, notes or described(lens, view))
 
 

@@ -8,8 +8,7 @@ from test_zemax_files import FILES, reading_of
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import zemax
-from tasklens.optics.io.lens_files import with_use
-from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io.prescription import Prescription, with_use
 from tasklens.optics.view import view_of_spec
 from tasklens.study.settings import Spec
 

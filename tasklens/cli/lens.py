@@ -220,12 +220,12 @@ def export(
     force: Force = False,
 ) -> None:
     """Convert a lens for Zemax, or from Zemax to YAML."""
-    from tasklens.optics.io import lens_files
+    from tasklens.optics.io import lens_files, prescription
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
     found, content = lens_files.read_prescription(file, catalogue or ())
     if output.suffix.lower() == ".zmx" and not (found.fields and found.wavelengths_um):
-        found = lens_files.with_use(found, _reader(field_of_view, catalogue=catalogue)(file).view)
+        found = prescription.with_use(found, _reader(field_of_view, catalogue=catalogue)(file).view)
     lens_files.write(output, found, content)
     say(f"wrote {output}")
 

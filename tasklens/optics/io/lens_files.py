@@ -109,17 +109,6 @@ def write(path: Path, found: Prescription, notes: Mapping[str, Any]) -> None:
         raise FileError(f"{path}: expected .yaml, or .zmx for Zemax")
 
 
-def with_use(found: Prescription, view: View) -> Prescription:
-    """Return a prescription with the fields [degrees] and wavelengths of `view`, where it has none."""
-    angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
-    added: dict[str, Any] = {}
-    if found.fields is None:
-        added["fields"] = "angle_deg", tuple((x, y) for x, y in angles)
-    if found.wavelengths_um is None:
-        added |= {"wavelengths_um": tuple(view.wavelengths), "primary": len(view.wavelengths) // 2}
-    return replace(found, **added)
-
-
 def _changed(lens: Lens, efl: float, given: dict, wanted: dict) -> tuple[Lens, View]:
     """Return the lens and its view with the wanted values in place of the given ones; the focal length stays."""
     values = given | wanted

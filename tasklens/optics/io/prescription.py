@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import yaml
 
 from tasklens.materials.material import AIR, Material, from_definitions
 from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
 from tasklens.runtime.files import FileError, invalid_yaml, number, positive, write_text
 
 FORMAT = 2
@@ -217,3 +218,14 @@ def read(path: Path) -> tuple[Prescription, dict]:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise FileError(invalid_yaml(path, error)) from None
     return from_dict(content, str(path)), content
+
+
+def with_use(found: Prescription, view: View) -> Prescription:
+    """Return a prescription with the fields [degrees] and wavelengths of `view`, where it has none."""
+    angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
+    added: dict[str, Any] = {}
+    if found.fields is None:
+        added["fields"] = "angle_deg", tuple((x, y) for x, y in angles)
+    if found.wavelengths_um is None:
+        added |= {"wavelengths_um": tuple(view.wavelengths), "primary": len(view.wavelengths) // 2}
+    return replace(found, **added)

@@ -6,7 +6,6 @@ from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
 from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.analysis.tolerances import displacements
 from tasklens.optics.io import prescription, zemax
-from tasklens.optics.io.lens_files import with_use
 from tasklens.report import certificate, figures, manufacturability
 from tasklens.runtime.files import Files, write_text
 from tasklens.study.settings import Slice
@@ -22,7 +21,7 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
     errors_um = displacements(lens, view, content["figures"]["rays"])
     section = manufacturability.markdown(content["margins"], shapes(lens), errors_um, view.pixel_pitch)
     write_text(outputs.page, f"{page}\n{section}")
-    zemax.write(outputs.zemax, replace(with_use(found, view), title=settings.lens, aperture=None))
+    zemax.write(outputs.zemax, replace(prescription.with_use(found, view), title=settings.lens, aperture=None))
     panel = figures.panel(settings.lens, inputs.lens, inputs.psf)
     figures.draw([outputs.figure, outputs.figure_svg, outputs.figure_pdf], [panel])
     figures.draw_parts(panel, outputs.section, outputs.spots, outputs.psfs, outputs.curves)

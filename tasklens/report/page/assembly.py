@@ -90,9 +90,10 @@ def missing(settings: Slice, inputs: Files) -> list[str]:
     found += [f"{said} not been made" for name, said in others.items() if name not in inputs.others]
     groups = {"lenses": "not designed", "page": "without certificate and drawings", "histories": "without history"}
     for group, said in groups.items():
-        absent = [lens for lens in settings.elements if lens not in getattr(inputs, group)]
+        known = settings.elements if group == "lenses" else inputs.lenses  # a lens is missing once
+        absent = [lens for lens in known if lens not in getattr(inputs, group)]
         if absent:
-            found.append(f"{len(absent)} of {len(settings.elements)} lenses are {said}: {', '.join(absent)}")
+            found.append(f"{len(absent)} of {len(known)} lenses are {said}: {', '.join(absent)}")
     if "images" not in inputs.captures:
         found.append("captures have not been rendered")
     return found
