@@ -13,7 +13,7 @@ A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow thro
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy
 import torch
@@ -174,7 +174,7 @@ def simulate_sensor(
     view: View,
     pixel_pitch_um: float | None = None,
     *,
-    colour: str = "srgb",
+    colour: Literal["srgb", "linear"] = "srgb",
     distortion: bool = False,
     illumination: bool = False,
     rays: int = 4096,

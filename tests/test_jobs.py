@@ -111,7 +111,7 @@ READERS = [
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measured(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",), ("captures",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] in ("restore", "captures")
+     lambda job: job[0] in ("restore", "captures", "frames")
      or (job[0] in ("fine_tune", "fine_tune_others", "reproduce") and job[1] != SHARP)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,

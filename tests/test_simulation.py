@@ -14,6 +14,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.simulation.blend import FieldPsfs, blend
+from tasklens.simulation.charts import resolution_chart
 from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
 from tasklens.simulation.sensor import simulate
 
@@ -235,3 +236,12 @@ def test_what_cannot_be_simulated_is_refused(change, message):
 def test_an_image_of_another_size_than_its_psfs_is_refused(traced):
     with pytest.raises(InputError, match=r"\(3, 96, 127\).*expected \(3, 96, 128\)"):
         blend(torch.zeros(3, 96, 127), traced)
+
+
+def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside_down():
+    """Half of a star is black, and line pairs of 8 pixels are resolved."""
+    chart = resolution_chart(216, 384)
+    assert chart.shape == (3, 216, 384) and 0 <= chart.min() and chart.max() == 1
+    star = chart[0, 88:128, 172:212]
+    assert float(star.mean()) == pytest.approx(0.5, abs=0.02)
+    assert float(star[18:22, 18:22].std()) < 0.2 < float(star.std())

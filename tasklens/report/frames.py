@@ -30,6 +30,12 @@ class Answered:
     shown: Mapping[str, Tensor]
     correct: Mapping[str, bool]
 
+    def said(self, column: str) -> str:
+        """Return what stands above an image of a column."""
+        if column not in self.correct:
+            return self.title
+        return "recognised" if self.correct[column] else "not recognised"
+
 
 def draw(
     path: Path, title: str, frames: Mapping[str, Mapping[str, Tensor]], answered: Sequence[Answered], rule: str
@@ -59,8 +65,7 @@ def draw(
             axes.spines[:].set_linewidth(2)
     for each in answered:
         for axes, column in zip(next(parts).subplots(1, len(columns)), columns, strict=True):
-            known = {True: "recognised", False: "not recognised"}.get(each.correct.get(column), each.title)
-            _show(axes, each.shown[column], f"{column}: {known}")
+            _show(axes, each.shown[column], f"{column}: {each.said(column)}")
     figure.supxlabel(rule, fontsize=9)
     save(figure, [path], _DPI)
 

@@ -66,10 +66,11 @@ def _disagreements(settings: Slice, inputs: Files, test: ImageDataset, *lenses: 
         only = correct[one] & ~correct[other]
         if not only.any():
             continue
-        image, label = only.idxmax()
+        row = int(only.argmax())
+        image, label = only.index[row]
         images, _ = test.batch(torch.tensor([int(image)]))
         captures = {lens: _single(settings, inputs, lens, images) for lens in lenses}
-        answers = {lens: bool(correct[lens][image, label]) for lens in lenses}
+        answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
         answered.append(frames.Answered(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
     return answered
 
