@@ -62,7 +62,7 @@ def wrong(key: str, value: object) -> dict:
     return study
 
 
-@pytest.mark.parametrize("key, value, sentence", MISTAKES, ids=[f"{k}={v}"[:50] for k, v, _ in MISTAKES])
+@pytest.mark.parametrize("key, value, sentence", MISTAKES, ids=[f"{k}-{n}" for n, (k, _, _) in enumerate(MISTAKES)])
 def test_a_typical_mistake_has_one_sentence(key, value, sentence):
     with pytest.raises(StudyError) as error:
         parse(wrong(key, value))
