@@ -26,7 +26,7 @@ _RULE = (
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
     """Draw a chart and test images side by side as frames, and single captures on which two networks disagree.
 
-    The captures have neither noise nor levels.
+    The frames have neither noise nor levels, the single captures what the study gives them.
     """
     claim = settings.claim
     strongest = Measurements({}, inputs.metrics).strongest_baseline(claim, settings.seed)
