@@ -19,7 +19,7 @@ from tasklens.study.settings import Slice
 _SHAPE = 540, 960  # of the frames [pixels]
 _FIELD = 4  # the middle one of nine
 _RULE = (
-    "Below: the first test images in file order that one lens' network recognises at the middle field, not the other's"
+    "Last rows: the first test images in file order that one lens' network recognises at the middle field, not the other's"
 )
 
 
