@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import numpy
 import pytest
 import torch
 from examples import WAVELENGTHS, cooke_triplet, f64
+from PIL import Image
 from torch import Tensor
 
+import tasklens
+from tasklens.cli.app import main
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
@@ -152,7 +156,7 @@ def test_gradients_are_the_adjoint_in_image_and_psfs():
     psfs, image, other = with_halo((21, 30), 3), noise((21, 30), seed=5).requires_grad_(), noise((21, 30), seed=6)
     value = (blend(image, psfs) * other).sum()
     (gradient,) = torch.autograd.grad(value, image)
-    assert float((gradient * image).sum()) == pytest.approx(value.item(), rel=1e-5)
+    assert (gradient * image).sum().item() == pytest.approx(value.item(), rel=1e-5)
     other = other - other.mean((1, 2), keepdim=True)  # blind to the veil
     for part in ("core", "halo"):
         leaf = getattr(psfs, part).clone().requires_grad_()
@@ -245,3 +249,20 @@ def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside
     star = chart[0, 88:128, 172:212]
     assert float(star.mean()) == pytest.approx(0.5, abs=0.02)
     assert float(star[18:22, 18:22].std()) < 0.2 < float(star.std())
+
+
+def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
+    """The command writes what `tasklens.simulate_sensor` returns, and refuses options that would have no effect."""
+    lens, view = blurred()
+    path, image, output = (str(tmp_path / name) for name in ("lens.yaml", "image.png", "capture.png"))
+    tasklens.save_lens(path, lens, view)
+    values = (255 * noise((48, 64), seed=9)).byte().movedim(0, -1).numpy()
+    Image.fromarray(values).save(image)
+    command = ["lens", "simulate", path, image, "-o", output, "--rays", "64"]
+    assert main([*command, "--sensor", "--distortion", "--illumination"]) == 0
+    expected = tasklens.simulate_sensor(image, *tasklens.load_lens(path), distortion=True, illumination=True, rays=64)
+    found = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
+    assert (found - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
+    for options in (["--illumination"], ["--sensor", "--grid"]):
+        assert main([*command, "--force", *options]) == 2
+        assert "--sensor" in capsys.readouterr().err

@@ -18,9 +18,7 @@ from tasklens.study.settings import Slice
 
 _SHAPE = 540, 960  # of the frames [pixels]
 _FIELD = 4  # the middle one of nine
-_RULE = (
-    "Below: the first test images in file order that one lens' network recognises at the middle field, not the other's"
-)
+_RULE = "Last rows: the first test images in file order that only one lens' network recognises at the middle field"
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
