@@ -15,13 +15,13 @@ from snakemake.utils import min_version
 from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import durations_of
-from tasklens.pipeline.stage import STAGES, flatten, results
+from tasklens.pipeline.stage import STAGES, flatten, resolved, results
 from tasklens.pipeline.terminal import Terminal, after_dry_run
 from tasklens.recognition import class_folders
 from tasklens.runtime import files
 from tasklens.runtime.errors import InputError
 from tasklens.study import claims, loading, names
-from tasklens.study import study as studies
+from tasklens.study.study import TABLES, StudyError
 
 min_version("9.10")
 
@@ -32,13 +32,13 @@ if not workflow.config_settings.configfiles:
 
 overwrite = config.pop("overwrite", False)  # consent, no part of the study
 try:
-    study = loading.parse(config, [Path(path) for path in workflow.config_settings.configfiles])
-except studies.StudyError as error:
+    given = loading.parse(config, [Path(path) for path in workflow.config_settings.configfiles])
+    studies = loading.at_points(given)  # more than one of a sweep
+except StudyError as error:
     raise WorkflowError(str(error)) from None
 
-RESOLVED = f"{results(study)}/study.yaml"  # the study with all defaults, read by jobs
-durations = durations_of(study)
-LENSES = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
+EVERY = {study.name: study for study in [given, *studies]}
+durations = {name: durations_of(study) for name, study in EVERY.items()}
 
 # `tasklens` is that of the Python that runs Snakemake, even if its environment is not activated.
 # Freed memory stays with the process, since page faults of new arrays otherwise take a fifth of the time of a training
@@ -50,44 +50,50 @@ shell.prefix(
 
 
 wildcard_constraints:
-    lens="|".join([*study.lenses, *study.variants, names.SHARP]),
-    classifier="|".join(study.classifiers),
-    measured_name="|".join([*study.classifiers, *map(names.restored, study.classifiers)]),
-    seed="|".join(map(str, study.seeds)),
-    table="|".join(studies.TABLES),
-    elements="|".join(study.elements),
-    ablation="|".join(study.ablations),
+    lens="|".join(dict.fromkeys(lens for study in studies for lens in (*study.lenses, *study.variants, names.SHARP))),
+    classifier="|".join(given.classifiers),
+    measured_name="|".join([*given.classifiers, *map(names.restored, given.classifiers)]),
+    seed="|".join(map(str, given.seeds)),
+    table="|".join(TABLES),
+    elements="|".join(given.elements),
+    ablation="|".join(given.ablations),
 
 
-TABLES = {name: [report_jobs.table.output(study, "csv", table=name)] for name in studies.TABLES}
-ABLATIONS = {f"ablation_{name}": [report_jobs.ablation.output(study, "csv", ablation=name)] for name in study.ablations}
-TARGETS = {  # targets of the command line; the first is the default
-    "tables": [
-        *sum((TABLES[name] for name in study.tables), []),
-        report_jobs.verdicts.output(study, "csv"),
-        report_jobs.psf_tail.output(study, "csv"),
-        report_jobs.effort.output(study, "csv"),
-        report_jobs.report.output(study, "report"),
-    ],
-    **TABLES,
-    "backbones": TABLES["table2"],  # the single ablations of the paper's section 5
-    "end_to_end": TABLES["table3"],
-    "restoration": TABLES["table4"],
-    "figures": [report_jobs.certificate.output(study, "figure", **lens) for lens in LENSES],
-    "figure3": [
-        report_jobs.comparison.output(study, "figure", elements=elements, seed=seed)
-        for elements in claims.claims_by_elements(study)
-        for seed in study.seeds
-    ],
-    "figure4": [
-        report_jobs.frames.output(study, "figure", elements=elements, seed=seed)
-        for elements in claims.claims_by_elements(study)
-        for seed in study.seeds
-    ],
-    "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in LENSES],
-    "ablations": sum(ABLATIONS.values(), []),
-    **ABLATIONS,
-}
+def targets_of(study):
+    """Return the targets of the command line with the files of a study; the first is the default."""
+    tables = {name: [report_jobs.table.output(study, "csv", table=name)] for name in TABLES}
+    ablations = {
+        f"ablation_{name}": [report_jobs.ablation.output(study, "csv", ablation=name)] for name in study.ablations
+    }
+    lenses = [{"lens": lens, "seed": seed} for lens in study.lenses for seed in study.seeds]
+    compared = [{"elements": name, "seed": seed} for name in claims.claims_by_elements(study) for seed in study.seeds]
+    return {
+        "tables": [
+            *sum((tables[name] for name in study.tables), []),
+            report_jobs.verdicts.output(study, "csv"),
+            report_jobs.psf_tail.output(study, "csv"),
+            report_jobs.effort.output(study, "csv"),
+            report_jobs.report.output(study, "report"),
+        ],
+        **tables,
+        "backbones": tables["table2"],  # the single ablations of the paper's section 5
+        "end_to_end": tables["table3"],
+        "restoration": tables["table4"],
+        "figures": [report_jobs.certificate.output(study, "figure", **lens) for lens in lenses],
+        "figure3": [report_jobs.comparison.output(study, "figure", **each) for each in compared],
+        "figure4": [report_jobs.frames.output(study, "figure", **each) for each in compared],
+        "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in lenses],
+        "ablations": sum(ablations.values(), []),
+        **ablations,
+    }
+
+
+TARGETS = {}
+for study in studies:
+    for target, paths in targets_of(study).items():
+        TARGETS.setdefault(target, []).extend(paths)
+if given.sweep:
+    TARGETS["tables"].append(report_jobs.sweep.output(given, "csv"))
 
 for target, paths in TARGETS.items():
 
@@ -102,11 +108,6 @@ for target, paths in TARGETS.items():
 include: "workflow/rules/jobs.smk"
 
 
-if jobs.others(study):  # `tasklens run fine-tune` makes one of these by hand
-
-    ruleorder: fine_tune_others > fine_tune
-
-
 def has_output(job):
     """Return whether any output of a job is there, and not that of a killed job."""
     halves = workflow.async_run(workflow.persistence.incomplete(job))
@@ -114,62 +115,74 @@ def has_output(job):
 
 
 def planned_jobs():
-    """Return the jobs of this run by label."""
-    label = lambda job: runs.label_of(job.log, results(study))
-    return {
-        label(job): changes.PlannedJob(
-            job.rule.name,
-            job.wildcards_dict,
-            has_output(job),
-            tuple(label(other) for other in workflow.dag.dependencies[job] if other.rule.name in STAGES),
-        )
-        for job in workflow.dag.needrun_jobs(exclude_finished=False)  # a dry run counts all as finished
-        if job.rule.name in STAGES
-    }
+    """Return the jobs of this run by label, of each study."""
+    planned = {name: {} for name in EVERY}
+    for job in workflow.dag.needrun_jobs(exclude_finished=False):  # a dry run counts all as finished
+        if job.rule.name in RULES:
+            study, stage = RULES[job.rule.name]
+            label = lambda job: runs.label_of(job.log, results(study))
+            needs = (other for other in workflow.dag.dependencies[job] if other.rule.name in RULES)
+            planned[study.name][label(job)] = changes.PlannedJob(
+                stage.name, job.wildcards_dict, has_output(job), tuple(map(label, needs))
+            )
+    return {name: found for name, found in planned.items() if found}
 
 
-def refusal(found):
-    """Return why this run must not start: changed values would overwrite finished results; else None."""
-    return None if overwrite else changes.refusal(found, study, durations, workflow.cores or 1)
+def overwritten(study, planned):
+    """Return the finished results of a study that its planned jobs overwrite."""
+    return changes.overwritten(Path(resolved(study)), study, planned.get(study.name, {}))
+
+
+def refusals(planned):
+    """Return why this run must not start: changed values would overwrite finished results; else an empty text."""
+    cores = workflow.cores or 1
+    found = (changes.refusal(overwritten(study, planned), study, durations[study.name], cores) for study in studies)
+    return "" if overwrite else "\n\n".join(filter(None, found))
 
 
 if workflow.output_settings.dryrun:
-    after_dry_run(logger, lambda: refusal(changes.overwritten(Path(RESOLVED), study, planned_jobs())))
+    after_dry_run(logger, lambda: refusals(planned_jobs()))
 elif workflow.exec_mode == ExecMode.DEFAULT:
-    terminal = Terminal(study, logger, bool(workflow.output_settings.quiet))
+    terminal = Terminal(EVERY.values(), logger, bool(workflow.output_settings.quiet))
 
 
-onstart:
-    planned, cores = planned_jobs(), workflow.cores or 1
-    kinds = {job.stage for job in planned.values()}
-    found = changes.overwritten(Path(RESOLVED), study, planned)
-    if reason := refusal(found):
-        sys.exit(reason)
+def prepare(study, jobs):
+    """Check what the jobs of a study read, and write the file of the study for them; ends the run if it cannot be."""
+    kinds = {job.stage for job in jobs.values()}
     if "images" in kinds:
         try:
             class_folders.check(study.images)
         except InputError as error:
             sys.exit(f"{error}")
     # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
-    files.write_if_changed(RESOLVED, loading.dump(study))
+    files.write_if_changed(resolved(study), loading.dump(study))
     networks = "--networks" if "reference" in kinds else ""
     if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
         try:
-            shell("tasklens study check {RESOLVED} --no-weights {networks} > /dev/null")
+            shell(f"tasklens study check {resolved(study)} --no-weights {networks} > /dev/null")
         except CalledProcessError as error:  # which has said why
             sys.exit(error.returncode)
-    if found.otherwise:
-        again = changes.amount(found.otherwise, study, durations, cores)
-        print(f"Changed code or input files, or added classifiers: {again}")
-    print(durations.forecast([job.stage for job in planned.values()], cores))
-    terminal.begin({name: job.stage for name, job in planned.items()}, cores)
+
+
+onstart:
+    planned, cores = planned_jobs(), workflow.cores or 1
+    if reason := refusals(planned):
+        sys.exit(reason)
+    for name, jobs_of_study in planned.items():
+        again = overwritten(EVERY[name], planned).otherwise
+        prepare(EVERY[name], jobs_of_study)
+        if again:
+            amount = changes.amount(again, EVERY[name], durations[name], cores)
+            print(f"Changed code or input files, or added classifiers: {amount}")
+        print(durations[name].forecast([job.stage for job in jobs_of_study.values()], cores))
+    terminal.begin(planned, cores)
 
 
 onsuccess:
     terminal.end()
-    print(closing.success(study, terminal.run))
+    print(closing.success(given, terminal.runs))
 
 
 onerror:
     terminal.end()
-    print(closing.failure(study, terminal.run))
+    print(closing.failure(given, terminal.runs))

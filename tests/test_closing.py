@@ -53,14 +53,14 @@ def test_a_study_that_has_verdicts_gives_its_answer():
     write(f"{FOLDER}/report.html", "")
     run = run_of("design/a", "verdicts")
     run.finish()
-    lines = closing.success(study(), run).splitlines()
+    lines = closing.success(study(), {"tiny": run}).splitlines()
     first = lines.index("Study tiny: 2 jobs in 5 min.") + 1
     assert lines[first : first + len(SENTENCES)] == SENTENCES  # the main questions alone, and how sure that is
     assert lines[lines.index(f"Results: {FOLDER}/") + 1].strip() == f"{FOLDER}/report.html"
     commands = [line for line in lines if line.startswith("  snakemake")]
     assert len(commands) == 3 and all(f"--configfile {FOLDER}/study.yaml" in line for line in commands)
     assert "--config 'seeds=[0, 1, 2, 3, 4]'" in commands[-1]
-    assert "seeds=" not in closing.success(study(seeds=[0, 1, 2, 3, 4]), run)
+    assert "seeds=" not in closing.success(study(seeds=[0, 1, 2, 3, 4]), {"tiny": run})
 
 
 def test_a_run_that_made_no_verdicts_does_not_repeat_old_ones():
@@ -69,15 +69,15 @@ def test_a_run_that_made_no_verdicts_does_not_repeat_old_ones():
     run = run_of("certificate/a")
     run.jobs["certificate/a"].result = f"{FOLDER}/lenses/a/certificate.md"
     run.finish()
-    said = closing.success(study(), run)
+    said = closing.success(study(), {"tiny": run})
     assert "accurate" not in said and f"  {FOLDER}/lenses/a/certificate.md" in said.splitlines()
-    assert all(sentence in closing.success(study(), None) for sentence in SENTENCES)
+    assert all(sentence in closing.success(study(), {}) for sentence in SENTENCES)
 
 
 def test_without_verdicts_all_tables_come_next():
     run = run_of("design/a")
     run.finish()
-    said = closing.success(study(), run)
+    said = closing.success(study(), {"tiny": run})
     assert "accurate" not in said and f"Results: {FOLDER}/" in said
     assert f"snakemake -j2 tables --configfile {FOLDER}/study.yaml" in said and "verify" not in said
 
@@ -88,7 +88,7 @@ def test_a_failed_run_says_what_failed_and_how_to_go_on():
     run.jobs["table/table1"].state = runs.WAITING
     run.end("design/a", runs.FAILED, 3.0, "tasklens: no such file")
     run.end("design/b", runs.FAILED, 3.0)
-    lines = closing.failure(study(), run).splitlines()
+    lines = closing.failure(study(), {"tiny": run}).splitlines()
     assert "Study tiny: 1 of 4 jobs done." in lines
     at = lines.index("FAILED  design a: tasklens: no such file")
     assert lines[at + 1].strip() == f"{FOLDER}/logs/design/a.log"
@@ -98,4 +98,4 @@ def test_a_failed_run_says_what_failed_and_how_to_go_on():
 
 
 def test_a_run_that_never_began_has_nothing_failed():
-    assert "FAILED" not in closing.failure(study(), None)
+    assert "FAILED" not in closing.failure(study(), {})

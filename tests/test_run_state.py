@@ -13,6 +13,7 @@ from examples import tiny_study, write
 
 from tasklens.cli.app import main
 from tasklens.pipeline import progress_file, report_jobs, runs  # noqa: F401  declares the stages
+from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.terminal import Terminal
 from tasklens.runtime.progress import Progress
@@ -75,17 +76,17 @@ def test_the_state_of_a_run_is_read_as_it_was_written(place):
 def test_the_time_left_adds_up(place):
     """Two designs of 100 s and a table of 4 s on two cores: 102 s; unknown stages are more; none known says nothing."""
     run = run_of(design=2, table=1)
-    assert run.headline(durations()) == "0 of 3 jobs"
+    assert runs.headline([(run, durations())]) == "0 of 3 jobs"
     benchmark("table/a", 4)
-    assert run.headline(durations()) == "0 of 3 jobs, more than 2.0 s left"
+    assert runs.headline([(run, durations())]) == "0 of 3 jobs, more than 2.0 s left"
     benchmark("design/a", 100)
     assert run.seconds_left(durations()) == pytest.approx(102)
-    assert run.headline(durations()) == "0 of 3 jobs, about 2 min left"
+    assert runs.headline([(run, durations())]) == "0 of 3 jobs, about 2 min left"
     run.begin("design/0")
     run.jobs["design/0"].began -= 40.0
     assert run.seconds_left(durations()) == pytest.approx(82, abs=1)
     run.end("design/0", runs.FAILED)
-    assert run.headline(durations()) == "0 of 3 jobs, 1 failed, about 52 s left"
+    assert runs.headline([(run, durations())]) == "0 of 3 jobs, 1 failed, about 52 s left"
 
 
 def test_the_longest_running_job_keeps_the_others_waiting(place):
@@ -94,7 +95,7 @@ def test_the_longest_running_job_keeps_the_others_waiting(place):
     run.begin("design/0")
     write(f"{FOLDER}/progress/design/0.json", json.dumps({"updated": time.time() - 10, "remaining_s": 310.0}))
     assert run.seconds_left(durations()) == pytest.approx(300, abs=2)
-    assert run.headline(durations()) == "0 of 1 jobs, about 5 min left"
+    assert runs.headline([(run, durations())]) == "0 of 1 jobs, about 5 min left"
 
 
 # ---- progress of a job
@@ -152,10 +153,14 @@ class Snakemake:
         default = logging.StreamHandler()
         default.name = handler
         self.logger.addHandler(default)
-        self.terminal = Terminal(STUDY, self.logger, quiet)
+        self.terminal = Terminal([STUDY], self.logger, quiet)
 
     def begin(self) -> None:
-        self.terminal.begin({DESIGN: "design", TUNE: "fine_tune"}, 2)
+        jobs = {
+            DESIGN: PlannedJob("design", LENS, False, ()),
+            TUNE: PlannedJob("fine_tune", {}, False, (DESIGN,)),
+        }
+        self.terminal.begin({STUDY.name: jobs}, 2)
 
     def say(self, message: str, level: int = logging.INFO, **extra) -> None:
         self.logger.log(level, message, extra=extra)

@@ -166,7 +166,7 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
 
 def test_an_unknown_target_is_told(capsys):
     write("study.yaml", dump(parse(tiny_study())))
-    assert "cannot plan nothing of tiny" in complaint(capsys, "plan", "study.yaml", "--target", "nothing")
+    assert "cannot plan nothing of study.yaml" in complaint(capsys, "plan", "study.yaml", "--target", "nothing")
 
 
 # ---- diff

@@ -99,9 +99,10 @@ def check(
     """Check a study file, its images and imported lenses, compile the tracer where it is not yet; print a summary."""
     from tasklens.pipeline.checks import check as check_study
 
-    study = loading.load(*files)
-    check_study(study, networks, weights)
-    print(f"{study.name}: {len(study.lenses)} lenses, {len(study.classifiers)} classifiers, seeds {list(study.seeds)}")
+    for study in loading.at_points(loading.load(*files)):
+        check_study(study, networks, weights)
+        counts = f"{len(study.lenses)} lenses, {len(study.classifiers)} classifiers"
+        print(f"{study.name}: {counts}, seeds {list(study.seeds)}")
 
 
 @app.command()
@@ -112,32 +113,52 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""
-    study = loading.load(*files)
-    planned = planning.plan(study, files, target)
+    given = loading.load(*files)
+    studies = {study.name: study for study in [given, *loading.at_points(given)]}
+    found = planning.plan(studies.values(), files, target)
+    if as_json:
+        planned = [_figures(studies[name], jobs, cores) for name, jobs in found.items()]
+        print(json.dumps({"study": given.name, "points": planned} if given.sweep else planned[0], indent=1))
+        return
+    for name, jobs in found.items():
+        if given.sweep:
+            print(f"\n{name}")
+        _print_plan(studies[name], jobs, target, cores)
+
+
+def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> dict[str, Any]:
+    """Return what remains of a study for programs."""
     durations = durations_of(study)
     seconds, unmeasured = planning.seconds(planned, durations)
     disk_mb, unweighed = planning.disk_mb(study, planned)
-    memory_mb = planning.memory_mb(planned, durations)
-    changed = [str(change) for change in _changes(study)]
-    if as_json:
-        jobs = {stage: {k: v for k, v in asdict(each).items() if k != "files"} for stage, each in planned.items()}
-        figures = {"seconds": seconds / cores, "memory_mb": memory_mb, "disk_mb": disk_mb}
-        gaps = {"seconds_unknown_of": unmeasured, "disk_unknown_of": unweighed}
-        print(json.dumps({"study": study.name, "changed": changed, "jobs": jobs, **figures, **gaps}, indent=1))
-        return
+    return {
+        "study": study.name,
+        "changed": [str(change) for change in _changes(study)],
+        "jobs": {stage: {k: v for k, v in asdict(each).items() if k != "files"} for stage, each in planned.items()},
+        "seconds": seconds / cores,
+        "memory_mb": planning.memory_mb(planned, durations),
+        "disk_mb": disk_mb,
+        "seconds_unknown_of": unmeasured,
+        "disk_unknown_of": unweighed,
+    }
+
+
+def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str, cores: int) -> None:
+    durations, figures = durations_of(study), _figures(study, planned, cores)
     print(f"{'stage':<18} {'done':>5} {'missing':>8} {'again':>6}  {'each':>10}")
     for stage, each in planned.items():
         known = durations.seconds(stage)
         one = "?" if known is None else duration(known)
         print(f"{stage:<18} {len(each.done):>5} {len(each.missing):>8} {len(each.again):>6}  {one:>10}")
-    if changed:
-        print("Changed since the last run:", *changed, sep="\n  ")
+    if figures["changed"]:
+        print("Changed since the last run:", *figures["changed"], sep="\n  ")
     total = sum(each.remaining for each in planned.values())
     if not total:
         print(f"{study.name}: nothing is to be done for {target}.")
         return
     print(durations.forecast((stage for stage, each in planned.items() for _ in range(each.remaining)), cores))
-    print(f"memory: {memory_mb} MB for the largest job; disk: {disk_mb:.0f} MB more{_but(unweighed)}")
+    memory, disk = f"{figures['memory_mb']} MB for the largest job", f"{figures['disk_mb']:.0f} MB more"
+    print(f"memory: {memory}; disk: {disk}{_but(figures['disk_unknown_of'])}")
 
 
 def _but(unknown: list[str]) -> str:
@@ -163,16 +184,23 @@ def _folder(place: Path) -> Path:
 def status(place: Place, as_json: Json = False) -> None:
     """Say what runs now, what is done and what has failed, from files alone: also for a study on a cluster."""
     folder = _folder(place)
-    run = runs.read(folder)
-    if run is None:
+    places = [folder, *sorted(path.parent for path in folder.glob("*/run.json"))]  # with the points of a sweep
+    found = [run for each in places if (run := runs.read(each)) is not None]
+    if not found:
         raise FileError(f"{folder}/run.json: no run of this study is known; `tasklens study plan` says what remains")
-    durations = Durations(run.study, str(folder))
     if as_json:
-        running = {label: run.progress(label) for label in run.labels(runs.RUNNING)}
-        left = {"alive": run.is_alive, "seconds_left": run.seconds_left(durations), "progress": running}
-        print(json.dumps(asdict(run) | left, indent=1))
+        states = [_state(run) for run in found]
+        print(json.dumps(states[0] | ({"points": states[1:]} if states[1:] else {}), indent=1))
         return
-    print("\n".join(runs.status(run, durations)))
+    for run in found:
+        print("\n".join(runs.status(run, Durations(run.study, run.folder))))
+
+
+def _state(run: runs.Run) -> dict[str, Any]:
+    """Return the state of a run for programs."""
+    running = {label: run.progress(label) for label in run.labels(runs.RUNNING)}
+    left = run.seconds_left(Durations(run.study, run.folder))
+    return asdict(run) | {"alive": run.is_alive, "seconds_left": left, "progress": running}
 
 
 @app.command()

@@ -173,7 +173,7 @@ def refusal(found: Overwritten, study: Study, durations: Durations, cores: int) 
         [
             f"These changes would overwrite finished results of the study {study.name}; nothing was changed:",
             *(f"  {line}" for line in lines),
-            f"Keep them, and give the new ones a name of their own:  --config name={study.name}_2",
+            f"Keep them, and give the new ones a name of their own:  --config name={study.name.partition('/')[0]}_2",
             "Or overwrite them:  --config overwrite=true",
         ]
     )

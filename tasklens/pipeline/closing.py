@@ -1,5 +1,6 @@
 """The last words of a run: the answer of the study, where its results are, and what to type next."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -7,15 +8,38 @@ import pandas
 
 from tasklens.pipeline import report_jobs, runs
 from tasklens.pipeline.forecast import duration
-from tasklens.pipeline.stage import STAGES, results
+from tasklens.pipeline.stage import results
 from tasklens.report.page import words
+from tasklens.study.loading import at_points
 from tasklens.study.study import Study
 
 _ENOUGH_SEEDS = 5  # of which verdicts are more than suggestions
 
 
-def success(study: Study, run: runs.Run | None) -> str:
-    """Return the last words of a run that did all its jobs; of None, where nothing was to be done."""
+def success(study: Study, found: Mapping[str, runs.Run]) -> str:
+    """Return the last words of a run that did all its jobs.
+
+    Args:
+        found: the run of each study: of a sweep one for each point; empty where nothing was to be done.
+    """
+    return _sweep(study, found) if study.sweep else _study(study, found.get(study.name))
+
+
+def _sweep(study: Study, found: Mapping[str, runs.Run]) -> str:
+    table = report_jobs.sweep.output(study, "md")
+    lines = []
+    if found:
+        jobs = sum(len(run.jobs) for run in found.values())
+        took = max((run.ended or run.started) - run.started for run in found.values())
+        lines.append(f"\nStudy {study.name}: {jobs} jobs in {duration(took)}.")
+    if table.exists():
+        lines.append(table.read_text(encoding="utf-8"))
+    lines.append(f"Results: {results(study)}/")
+    lines += [f"  {path}" for each in at_points(study) if (path := report_jobs.report.output(each, "report")).exists()]
+    return "\n".join(lines)
+
+
+def _study(study: Study, run: runs.Run | None) -> str:
     verdicts = report_jobs.verdicts.output(study, "csv")
     lines = []
     if run is not None and run.ended is not None:
@@ -55,16 +79,15 @@ def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
     return found
 
 
-def failure(study: Study, run: runs.Run | None) -> str:
-    """Return the last words of a run in which jobs failed, or which was ended."""
-    stored = f"{results(study)}/study.yaml"
-    lines = []
-    if run is not None:
-        lines.append(f"\nStudy {study.name}: {len(run.labels(runs.DONE))} of {len(run.jobs)} jobs done.")
+def failure(study: Study, found: Mapping[str, runs.Run]) -> str:
+    """Return the last words of a run in which jobs failed, or which was ended; its arguments are those of `success`."""
+    lines = [""]
+    for name, run in found.items():
+        lines.append(f"Study {name}: {len(run.labels(runs.DONE))} of {len(run.jobs)} jobs done.")
         for label in run.labels(runs.FAILED):
             lines.append(f"FAILED  {runs.title(label)}: {run.jobs[label].result or 'no word in its log'}")
-            lines.append(f"        {results(study)}/logs/{label}.log")
-    partial = STAGES["table"].command(study, {"table": study.tables[0]}, stored)
+            lines.append(f"        {run.folder}/logs/{label}.log")
+    partial = report_jobs.table.command(at_points(study)[0], {"table": study.tables[0]})
     lines.append("The same command goes on from here; with --keep-going it does all that needs no failed job.")
     lines.append(f"Tables of what has finished: {partial} --partial")
     return "\n".join(lines)

@@ -14,8 +14,8 @@ def files_of(folder: Path, weights: bool) -> Iterator[Path]:
     """Yield the files of a study's results that are exported."""
     left_out = _LEFT_OUT if weights else _LEFT_OUT | _WEIGHTS
     for path in sorted(folder.rglob("*")):
-        parts = path.relative_to(folder).parts
-        if path.is_file() and parts[0] not in left_out and not path.name.startswith("."):
+        parts = path.relative_to(folder).parts[:-1]
+        if path.is_file() and left_out.isdisjoint(parts[:2]) and not path.name.startswith("."):  # of a point too
             yield path
 
 

@@ -93,7 +93,7 @@ class Durations:
     @cached_property
     def elsewhere(self) -> dict[str, Measured]:
         """Benchmarks of this study on another machine, by stage."""
-        return elsewhere(self.study)
+        return elsewhere(self.study.partition("/")[0])  # of a point of a sweep, its study
 
     @cached_property
     def guesses(self) -> dict[str, Measured]:

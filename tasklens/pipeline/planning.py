@@ -4,14 +4,14 @@ import csv
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages
 from tasklens.pipeline.digest import ROOT
 from tasklens.pipeline.forecast import Durations
-from tasklens.pipeline.stage import STAGES, Stage
+from tasklens.pipeline.stage import STAGES, Stage, results
 from tasklens.runtime.errors import InputError
 from tasklens.study.study import Study
 
@@ -31,10 +31,11 @@ class Planned:
         return len(self.missing) + len(self.again)
 
 
-def plan(study: Study, files: Sequence[Path], target: str) -> dict[str, Planned]:
-    """Ask Snakemake which jobs a target needs, by stage; it takes seconds.
+def plan(studies: Iterable[Study], files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
+    """Ask Snakemake which jobs a target needs, by name of the study and by stage; it takes seconds.
 
     Args:
+        studies: those of the files: of a sweep the study itself and one for each point.
         files: the files of the study, laid over each other.
 
     Raises:
@@ -45,20 +46,22 @@ def plan(study: Study, files: Sequence[Path], target: str) -> dict[str, Planned]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("Using ")]
-        raise InputError(f"Snakemake cannot plan {target} of {study.name}: {' '.join(said)}")
-    found: dict[str, Planned] = {}
+        raise InputError(f"Snakemake cannot plan {target} of {', '.join(map(str, files))}: {' '.join(said)}")
+    known = {study.name: study for study in sorted(studies, key=lambda study: study.name)}  # points after their study
+    found: dict[str, dict[str, Planned]] = {name: {} for name in known}
     for row in csv.DictReader(done.stdout.splitlines(), delimiter="\t"):
-        stage = STAGES.get(row["rule"])
+        stage = STAGES.get(row["rule"]) or STAGES.get(row["rule"].rpartition("_")[0])  # a point's rule has a number
         if stage is None:
             continue
-        planned = found.setdefault(stage.name, Planned())
         path = Path(row["output_file"])
+        study = [each for each in known.values() if path.is_relative_to(results(each))][-1]
+        planned = found[study.name].setdefault(stage.name, Planned())
         if row["date"] != "-":
             planned.files.append(path)
         if label := _label(stage, study, path):
             state = "done" if row["plan"] == "no update" else "missing" if row["date"] == "-" else "again"
             getattr(planned, state).append(label)
-    return {name: found[name] for name in STAGES if name in found}
+    return {name: {stage: jobs[stage] for stage in STAGES if stage in jobs} for name, jobs in found.items() if jobs}
 
 
 def _label(stage: Stage, study: Study, path: Path) -> str | None:

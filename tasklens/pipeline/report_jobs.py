@@ -21,10 +21,11 @@ from tasklens.study import effort as paper_effort
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims
-from tasklens.study.loading import dump
+from tasklens.study.loading import at_points, dump
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
 from tasklens.study.study import Study, pick
+from tasklens.study.sweep import points
 
 PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
 REPORT = "tasklens.report"
@@ -235,6 +236,16 @@ def _optional(study: Study) -> list[Path]:
     """Return the tables that the report shows where they exist, since they need further lenses."""
     stages = [regimes.output(study, "csv"), merit_function.output(study, "csv")]
     return stages + [ablation.output(study, "csv", ablation=name) for name in study.ablations]
+
+
+@stage(f"{REPORT}.sweep.make", lambda study: {kind: f"sweep.{kind}" for kind in ("csv", "md") if study.sweep})
+def sweep(study: Study) -> Plan:
+    """Make the table of a sweep: the numbers of all points beside each other."""
+    studies = dict(zip(points(study.sweep), at_points(study), strict=True))
+    tables = {
+        point: {name: table.output(each, "csv", table=name) for name in each.tables} for point, each in studies.items()
+    }
+    return Plan(Slice(study=study.name, points=points(study.sweep)), {"tables": tables})
 
 
 @stage(f"{REPORT}.verification.run", {})  # without output, it runs on every request

@@ -8,7 +8,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -122,21 +122,26 @@ class Run:
             words.append(f"silent for {duration(silent)}")
         return "  ".join(words)
 
-    def headline(self, durations: Durations) -> str:
-        """Say in one line how many jobs are done, and how long the others take."""
-        done, failed = len(self.labels(DONE)), len(self.labels(FAILED))
-        line = f"{done} of {len(self.jobs)} jobs" + (f", {failed} failed" if failed else "")
-        left = self.seconds_left(durations)
-        if left is None:
-            return line
-        unknown = {self.jobs[label].stage for label in self.labels(WAITING)}
-        unknown = {stage for stage in unknown if durations.seconds(stage) is None}
-        return f"{line}, {'more than ' if unknown else 'about '}{duration(left)} left"
+    def is_underestimated(self, durations: Durations) -> bool:
+        """Whether nothing is known of how long some waiting jobs take."""
+        return any(durations.seconds(self.jobs[label].stage) is None for label in self.labels(WAITING))
+
+
+def headline(found: Sequence[tuple[Run, Durations]]) -> str:
+    """Say in one line how many jobs of runs side by side are done, and how long the others take."""
+    done, failed = (sum(len(run.labels(state)) for run, _ in found) for state in (DONE, FAILED))
+    total = sum(len(run.jobs) for run, _ in found)
+    line = f"{done} of {total} jobs" + (f", {failed} failed" if failed else "")
+    left = [seconds for run, durations in found if (seconds := run.seconds_left(durations)) is not None]
+    if not left:
+        return line
+    more = any(run.is_underestimated(durations) for run, durations in found)
+    return f"{line}, {'more than ' if more else 'about '}{duration(sum(left))} left"
 
 
 def status(run: Run, durations: Durations) -> list[str]:
     """Describe a run in lines: how far it is, what runs, what has failed."""
-    lines = [f"{run.study}: {run.headline(durations)}"]
+    lines = [f"{run.study}: {headline([(run, durations)])}"]
     if run.ended is not None:
         took = duration(run.ended - run.started)
         lines[0] = f"{run.study}: the last run ended after {took}, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"

@@ -23,6 +23,11 @@ def results(study: Study) -> str:
     return f"results/{study.name}"
 
 
+def resolved(study: Study) -> str:
+    """Return the file of a study with all defaults, which its jobs read."""
+    return f"{results(study)}/study.yaml"
+
+
 def flatten(files: Any) -> Iterator[Path]:
     """Yield all paths in nested mappings and sequences; None means no file."""
     if isinstance(files, Path):
@@ -91,13 +96,15 @@ class Stage:
         """Return the plan of a job, from wildcards as texts."""
         return self.plan(study, **{n: int(wildcards[n]) if n == SEED else wildcards[n] for n in self.wildcards})
 
-    def command(self, study: Study, wildcards: Mapping[str, str], file: str) -> str:
-        """Return the command that a person would type for a job of the study in `file`."""
+    def command(self, study: Study, wildcards: Mapping[str, str]) -> str:
+        """Return the command that a person would type for a job of the resolved study."""
         processes = self.plan_from(study, wildcards).processes
         # Snakemake sets the threads of a job to its cores, here those of all its processes.
         torchrun = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.cli"
         words = [f"--seed {wildcards[name]}" if name == SEED else wildcards[name] for name in self.wildcards]
-        return " ".join(["tasklens" if processes == 1 else torchrun, "run", self.name.replace("_", "-"), file, *words])
+        return " ".join(
+            ["tasklens" if processes == 1 else torchrun, "run", self.name.replace("_", "-"), resolved(study), *words]
+        )
 
     def patterns_in(self, study: Study) -> Mapping[str, str]:
         """Return the patterns of the outputs in a study."""

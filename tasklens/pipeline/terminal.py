@@ -7,7 +7,7 @@ there is a line a minute in place of the bar.
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tasklens.pipeline import closing, runs
+from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import duration, durations_of, seconds_of
 from tasklens.pipeline.outcome import last_lines, outcome
 from tasklens.pipeline.stage import STAGES, results
@@ -39,13 +40,14 @@ _KNOWN = (
 class Terminal(logging.Handler):
     """Handler of Snakemake's log records; it prints nothing where the user has chosen another logger or `--quiet`."""
 
-    def __init__(self, study: Study, logger: logging.Logger, quiet: bool):
+    def __init__(self, studies: Iterable[Study], logger: logging.Logger, quiet: bool):
         super().__init__()
-        self.study, self.durations = study, durations_of(study)
-        self.run: runs.Run | None = None
+        self.studies = {study.name: study for study in studies}
+        self.durations = {name: durations_of(study) for name, study in self.studies.items()}
+        self.runs: dict[str, runs.Run] = {}  # by name of the study; more than one of a sweep
         self.live: Live | None = None
         self.stopped = threading.Event()
-        self.jobs: dict[int, tuple[str, Mapping[str, Any]]] = {}  # label and wildcards by Snakemake's number
+        self.jobs: dict[int, tuple[runs.Run, str, Mapping[str, Any]]] = {}  # label, wildcards by Snakemake's number
         default = next((handler for handler in logger.handlers if handler.name == _DEFAULT_HANDLER), None)
         self.console = Console(stderr=True, quiet=quiet or default is None, highlight=False)
         if default is not None and not quiet:
@@ -53,15 +55,17 @@ class Terminal(logging.Handler):
             logger.removeHandler(default)
         logger.addHandler(self)
 
-    def begin(self, jobs: Mapping[str, str], cores: int) -> None:
+    def begin(self, jobs: Mapping[str, Mapping[str, PlannedJob]], cores: int) -> None:
         """Begin to show a run.
 
         Args:
-            jobs: stage of each job by its label.
+            jobs: the jobs of each study by their labels.
             cores: number of jobs at a time.
         """
-        self.run = runs.Run(self.study.name, results(self.study), cores, {k: runs.Job(v) for k, v in jobs.items()})
-        self.run.save()
+        for name, planned in jobs.items():
+            stages = {label: runs.Job(job.stage) for label, job in planned.items()}
+            self.runs[name] = runs.Run(name, results(self.studies[name]), cores, stages)
+            self.runs[name].save()
         if self.console.is_terminal and not self.console.is_dumb_terminal:
             self.live = Live(
                 get_renderable=self._bar,
@@ -80,8 +84,9 @@ class Terminal(logging.Handler):
         self.stopped.set()
         if self.live is not None:
             self.live.stop()
-        if self.run is not None and self.run.ended is None:
-            self.run.finish()
+        for run in self.runs.values():
+            if run.ended is None:
+                run.finish()
 
     def close(self) -> None:
         """Leave the terminal as it was, however the run ended."""
@@ -105,69 +110,91 @@ class Terminal(logging.Handler):
             elif str(record.msg).startswith("Trying to restart job"):
                 self._print("        it is tried again")
             elif str(record.msg).startswith(_NOTHING):
-                self._print(f"{_NOTHING}.\n{closing.success(self.study, None)}")
+                self._print(f"{_NOTHING}.\n{closing.success(next(iter(self.studies.values())), {})}")
         except Exception:  # as every handler does: what cannot be shown must not end a run
             self.handleError(record)
 
+    def _find(self, record: Any) -> tuple[runs.Run, str] | None:
+        """Return the run and the label of the job of a record; None for a target."""
+        for run in self.runs.values():
+            label = runs.label_of(record.log, run.folder)
+            if label in run.jobs:
+                return run, label
+        return None
+
     def _begin_job(self, record: Any) -> None:
-        label = runs.label_of(record.log, results(self.study))
-        if self.run is None or label not in self.run.jobs:
-            return
-        self.jobs[record.jobid] = label, dict(record.wildcards)
-        self.run.begin(label)
-        if self.live is not None and not STAGES[self.run.jobs[label].stage].patterns:
-            self.live.stop()  # it prints
+        if found := self._find(record):
+            run, label = found
+            self.jobs[record.jobid] = run, label, dict(record.wildcards)
+            run.begin(label)
+            if self.live is not None and not STAGES[run.jobs[label].stage].patterns:
+                self.live.stop()  # it prints
 
     def _finish_job(self, number: int) -> None:
-        if self.run is None or number not in self.jobs:
+        if number not in self.jobs:
             return
-        label, wildcards = self.jobs[number]
-        stage, log = self.run.jobs[label].stage, self._log(label)
-        self.run.end(label, runs.DONE, seconds_of(Path(results(self.study), "benchmarks", f"{label}.tsv")))
-        self.run.jobs[label].result = outcome(self.study, stage, wildcards, log)
-        self.run.save()
-        self.durations = durations_of(self.study)
-        job = self.run.jobs[label]
-        done = len(self.run.labels(runs.DONE))
-        count = f"{done:>{len(str(len(self.run.jobs)))}}/{len(self.run.jobs)}"
-        self._print(f"{count}  {runs.title(label):<44}  {duration(job.seconds or 0.0):>8}  {job.result}")
+        run, label, wildcards = self.jobs[number]
+        study, job = self.studies[run.study], run.jobs[label]
+        run.end(label, runs.DONE, seconds_of(Path(run.folder, "benchmarks", f"{label}.tsv")))
+        job.result = outcome(study, job.stage, wildcards, self._log(run, label))
+        run.save()
+        self.durations[run.study] = durations_of(study)
+        total = sum(len(each.jobs) for each in self.runs.values())
+        done = sum(len(each.labels(runs.DONE)) for each in self.runs.values())
+        count = f"{done:>{len(str(total))}}/{total}"
+        self._print(f"{count}  {self._title(run, label):<44}  {duration(job.seconds or 0.0):>8}  {job.result}")
         if self.live is not None and not self.live.is_started and not self.stopped.is_set():
             self.live.start()
 
     def _fail_job(self, record: Any) -> None:
-        label = runs.label_of(record.log, results(self.study))
-        if self.run is None or label not in self.run.jobs:
+        found = self._find(record)
+        if found is None:
             return self._print(self.format(record))
-        log = self._log(label)
+        run, label = found
+        log = self._log(run, label)
         lines = last_lines(log, _LOG_LINES)
-        self.run.end(label, runs.FAILED, result=lines[-1] if lines else "")
-        self._print(
-            f"FAILED  {runs.title(label)}  after {duration(self.run.jobs[label].seconds or 0.0)}; its log {log}:"
-        )
+        run.end(label, runs.FAILED, result=lines[-1] if lines else "")
+        after = duration(run.jobs[label].seconds or 0.0)
+        self._print(f"FAILED  {self._title(run, label)}  after {after}; its log {log}:")
         for line in lines or ["(empty: the job was killed, or did not start)"]:
             self._print(f"    {line}")
 
-    def _log(self, label: str) -> Path:
-        return Path(results(self.study), "logs", f"{label}.log")
+    def _log(self, run: runs.Run, label: str) -> Path:
+        return Path(run.folder, "logs", f"{label}.log")
+
+    def _title(self, run: runs.Run, label: str) -> str:
+        point = run.study.partition("/")[2]
+        return " ".join(filter(None, (point, runs.title(label))))
+
+    def _headline(self) -> str:
+        return runs.headline([(run, self.durations[name]) for name, run in self.runs.items()])
+
+    def _running(self) -> list[str]:
+        """Describe the jobs that run now, each in a line."""
+        return [
+            " ".join(filter(None, (name.partition("/")[2], run.describe(label, self.durations[name]))))
+            for name, run in self.runs.items()
+            for label in run.labels(runs.RUNNING)
+        ]
 
     def _print(self, text: str) -> None:
         self.console.print(Text(text), soft_wrap=True)
 
     def _every_minute(self) -> None:
         while not self.stopped.wait(_MINUTE_S):
-            if self.run is not None:
-                running = "; ".join(self.run.describe(each, self.durations) for each in self.run.labels(runs.RUNNING))
-                self._print(f"{self.run.headline(self.durations)}; {running}")
+            if self.runs:
+                self._print("; ".join([self._headline(), *self._running()]))
 
     def _bar(self) -> Group:
-        if self.run is None:
+        if not self.runs:
             return Group()
         grid = Table.grid(padding=(0, 1))
-        done = len(self.run.labels(runs.DONE))
-        bar = ProgressBar(total=len(self.run.jobs), completed=done, width=24)
-        grid.add_row(bar, Text(self.run.headline(self.durations), no_wrap=True, overflow="ellipsis"))
-        running = self.run.labels(runs.RUNNING)
-        lines = [f"  {self.run.describe(label, self.durations)}" for label in running[:_SHOWN]]
+        total = sum(len(run.jobs) for run in self.runs.values())
+        done = sum(len(run.labels(runs.DONE)) for run in self.runs.values())
+        bar = ProgressBar(total=total, completed=done, width=24)
+        grid.add_row(bar, Text(self._headline(), no_wrap=True, overflow="ellipsis"))
+        running = self._running()
+        lines = [f"  {line}" for line in running[:_SHOWN]]
         lines += [f"  and {len(running) - _SHOWN} more"] if len(running) > _SHOWN else []
         return Group(grid, *(Text(line, no_wrap=True, overflow="ellipsis") for line in lines))
 

@@ -38,7 +38,7 @@ def differences(old: Path, new: Path) -> list[Difference]:
         paths = [folder / "tables" / f"{table}.csv" for folder in (old, new)]
         if not all(path.exists() for path in paths):
             continue
-        before, after = map(_numbers, paths)
+        before, after = map(numbers_of, paths)
         for row, column in dict.fromkeys([*before, *after]):
             values = before.get((row, column)), after.get((row, column))
             if values[0] != values[1]:
@@ -46,7 +46,7 @@ def differences(old: Path, new: Path) -> list[Difference]:
     return found
 
 
-def _numbers(path: Path) -> dict[tuple[str, str], float]:
+def numbers_of(path: Path) -> dict[tuple[str, str], float]:
     """Read the numbers of a table by row and column."""
     numbers = {}
     with open(path, newline="", encoding="utf-8") as file:

@@ -26,8 +26,8 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     specs = [measurements.lens_file(lens, claims.seeds[0])["spec"] for lens in rows["lens"]]
     return pandas.DataFrame(
         {
-            "elements": rows["lens"].str.partition("-")[0],
-            "design": rows["lens"].str.partition("-")[2],
+            "elements": rows["lens"].str.split("-").str[0],
+            "design": rows["lens"].str.split("-").str[1],
             "field_of_view_deg": [spec["field_of_view_deg"] for spec in specs],
             "f_number": [spec["f_number"] for spec in specs],
             "difference": rows["difference"],

@@ -12,6 +12,7 @@ from tasklens.runtime.files import invalid_yaml
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
+from tasklens.study.sweep import points
 
 
 def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
@@ -76,6 +77,27 @@ def laid_over(below: Mapping, above: Mapping) -> dict:
 def load(*paths: str | Path) -> Study:
     """Read a study from YAML files, each laid over those before it; raises StudyError as `read` and `parse` do."""
     return parse(reduce(laid_over, map(read, paths)), [Path(path) for path in paths])
+
+
+def at_points(study: Study) -> list[Study]:
+    """Return the study at every point of its sweep, named `{study}/{point}`; the study itself if it has none.
+
+    Raises:
+        StudyError: names the point, and a key or a value that the study cannot have.
+    """
+    if not study.sweep:
+        return [study]
+    resolved = yaml.safe_load(dump(study)) | {"sweep": {}}
+    found = []
+    for name, point in points(study.sweep).items():
+        content = resolved | {"name": f"{study.name}/{name}"}
+        for key, value in point.items():
+            content = laid_over(content, reduce(lambda nested, part: {part: nested}, reversed(key.split(".")), value))
+        try:
+            found.append(parse(content))
+        except StudyError as error:
+            raise StudyError(f"sweep, {name}: {error}") from None
+    return found
 
 
 def dump(study: Study) -> str:

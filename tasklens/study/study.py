@@ -34,9 +34,11 @@ from tasklens.study.settings import (
     Name,
     RestorationSettings,
     Spec,
+    StudyName,
     TrainingSettings,
     renamed,
 )
+from tasklens.study.sweep import Sweep
 
 TableName = Literal["table1", "table2", "table3", "table4"]
 TABLES: tuple[TableName, ...] = get_args(TableName)
@@ -62,7 +64,7 @@ class Study(Frozen):
     )
 
     format: Literal[2] = Field(description="Version of the keys of a study file.")
-    name: Name = Field(description="Name of the study; results are in results/<name>.")
+    name: StudyName = Field(description="Name of the study; results are in results/<name>.")
     seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
         (0,), min_length=1, description="Seeds of design, fine-tuning and data order; each job runs once per seed."
     )
@@ -91,6 +93,9 @@ class Study(Frozen):
     fine_tuning: TrainingSettings = Field(description="Fine-tuning of classifiers on lenses, and on the sharp images.")
     restoration: RestorationSettings = Field(description="The restoration network of table 4.")
     restored: tuple[Name, ...] | None = Field(None, description="Elements in table 4; null: all.")
+    sweep: Sweep = Field(
+        {}, description="Values of keys such as `spec.f_number`: a study for each, below results/<name>."
+    )
 
     @field_validator("seeds", "tables")
     @classmethod
@@ -123,10 +128,8 @@ class Study(Frozen):
         for name, plastics in info.data.get("elements", {}).items():
             for plastic in plastics:
                 if plastic not in known:
-                    nearest = ", ".join(difflib.get_close_matches(plastic, known, 8, 0))
-                    raise ValueError(
-                        f"elements.{name}: unknown plastic {plastic!r}; known ones nearest to it: {nearest}"
-                    )
+                    near = ", ".join(difflib.get_close_matches(plastic, known, 8, 0))
+                    raise ValueError(f"elements.{name}: unknown plastic {plastic!r}; known ones nearest to it: {near}")
                 used[plastic] = known[plastic]
         return used
 

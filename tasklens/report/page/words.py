@@ -79,7 +79,7 @@ def answers(
     """
     found = {}
     for name in elements:
-        of_table = verdicts[(verdicts["table"] == "table1") & (verdicts["lens"].str.partition("-")[0] == name)]
+        of_table = verdicts[(verdicts["table"] == "table1") & (verdicts["lens"].str.split("-").str[0] == name)]
         rows = [row for text in questions for row in of_table[of_table["claim"] == text].to_dict("records")]
         if rows:
             found[name] = [comparison(row, margins.get(row["claim"], 0.0)) for row in rows]

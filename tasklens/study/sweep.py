@@ -1,0 +1,38 @@
+"""Sweeps: the grid of values over which a study is run, each point in a folder of its own."""
+
+import re
+from itertools import product
+from typing import Annotated, Any
+
+from pydantic import AfterValidator
+
+_FIXED = ("format", "name", "sweep")  # the same at all points
+_VALUE = re.compile(r"[\w.+-]+")  # as part of a folder's name
+
+
+def _checked(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+    for key, values in sweep.items():
+        if key.split(".")[0] in _FIXED:
+            raise ValueError(f"sweep.{key}: is the same at all points; expected another key, such as spec.f_number")
+        for value in values:
+            if not isinstance(value, bool | int | float | str) or not _VALUE.fullmatch(str(value)):
+                raise ValueError(f"sweep.{key}: expected numbers, names, true or false, found {value!r}")
+        if not values or len(set(values)) < len(values):
+            raise ValueError(f"sweep.{key} = {list(values)}: expected values, each once")
+    return sweep
+
+
+Sweep = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_checked)]  # values by dotted key
+
+
+def points(sweep: Sweep) -> dict[str, dict[str, Any]]:
+    """Return the values of the keys at every point, by its name; the last key varies fastest.
+
+    Names are `{key}={value}`, joined by commas.
+    """
+    found = (dict(zip(sweep, values, strict=True)) for values in product(*sweep.values()))
+    return {",".join(f"{key}={_word(value)}" for key, value in point.items()): point for point in found}
+
+
+def _word(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

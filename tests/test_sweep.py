@@ -1,0 +1,166 @@
+"""Sweeps: a study at every point of a grid, in a folder of its own, and one table beside each other."""
+
+import json
+import logging
+from pathlib import Path
+
+import pandas
+import pytest
+import yaml
+from examples import tiny_study, write
+from test_workflow import forked, plan
+
+from tasklens.cli.app import main
+from tasklens.pipeline import closing, runs
+from tasklens.pipeline.changes import PlannedJob
+from tasklens.pipeline.report_jobs import sweep as sweep_stage
+from tasklens.pipeline.stage import results
+from tasklens.pipeline.terminal import Terminal
+from tasklens.report.sweep import make
+from tasklens.runtime.files import Files
+from tasklens.study.loading import at_points, dump, load, parse
+from tasklens.study.study import StudyError
+
+GRID = {"spec.f_number": [2.0, 2.8], "capture.diffraction": [False, True]}
+POINTS = [
+    "spec.f_number=2.0,capture.diffraction=false",
+    "spec.f_number=2.0,capture.diffraction=true",
+    "spec.f_number=2.8,capture.diffraction=false",
+    "spec.f_number=2.8,capture.diffraction=true",
+]
+
+
+def one_lens(**sweep: list) -> dict:
+    study = tiny_study()
+    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}, "tables": ["table1"], "sweep": sweep}
+
+
+@pytest.fixture
+def swept(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return parse(one_lens(**GRID))
+
+
+def test_each_point_is_the_study_with_these_values(swept, tmp_path):
+    """A name of its own below the study's, nothing else changed; and it is read again as it was written."""
+    found = at_points(swept)
+    assert [study.name for study in found] == [f"tiny/{point}" for point in POINTS]
+    assert [(s.spec.f_number, s.capture.diffraction) for s in found] == [
+        (2.0, False),
+        (2.0, True),
+        (2.8, False),
+        (2.8, True),
+    ]
+    plain = parse(one_lens())
+    assert at_points(plain) == [plain]
+    assert found[2].model_copy(update={"name": "tiny"}) == plain.model_copy(update={"spec": found[2].spec})
+    write("results/study.yaml", dump(found[1]))
+    assert load("results/study.yaml") == found[1]
+
+
+@pytest.mark.parametrize(
+    "sweep, words",
+    [
+        ({"spec.f_numbr": [2]}, ["sweep, spec.f_numbr=2", "did you mean f_number"]),
+        ({"spec.f_number": [-2]}, ["spec.f_number=-2", "greater than 0"]),
+        ({"spec.f_number": [2, 2.0]}, ["sweep.spec.f_number", "each once"]),
+        ({"spec.f_number": []}, ["sweep.spec.f_number", "expected values"]),
+        ({"spec.f_number": 2}, ["sweep.spec.f_number = 2", "a list"]),
+        ({"spec.f_number": [[2]]}, ["sweep.spec.f_number", "expected numbers, names"]),
+        ({"supervisor": ["../other"]}, ["sweep.supervisor", "'../other'"]),
+        ({"name": ["a"]}, ["sweep.name", "same at all points"]),
+    ],
+)
+def test_a_grid_that_cannot_be_is_refused(sweep, words):
+    with pytest.raises(StudyError) as caught:
+        at_points(parse(one_lens(**sweep)))
+    assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value)
+
+
+def test_a_point_has_all_jobs_of_a_study(tmp_path):
+    """Two F-numbers: every job twice, in folders of their own, and the table of both."""
+    once = plan(tmp_path, one_lens(), "tables")
+    found = plan(tmp_path, one_lens(**{"spec.f_number": [2.0, 2.8]}), "tables")
+    assert found.pop("sweep") == 1
+    assert found == {f"{stage}_{number}": count for stage, count in once.items() for number in (0, 1)}
+
+
+def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
+    """A finished lens of one point, made with another limit."""
+    name = "tiny/spec.f_number=2.0"
+    (before,) = at_points(parse(one_lens(**{"spec.f_number": [2.0]})))
+    write(tmp_path / results(before) / "study.yaml", dump(before))
+    for path in ("lens.yaml", "history.csv", "psf.safetensors"):
+        write(tmp_path / results(before) / "lenses/singlet-imaging1/seed0" / path, "")
+    changed = one_lens(**{"spec.f_number": [2.0, 2.8]}) | {"constraints": {"max_track": 4.2}}
+    status, said = forked(tmp_path, changed, "--dry-run", "table1", "--forcerun", "design_0")
+    assert status == 0 and f"results of the study {name}; nothing was changed" in said
+    assert "--config name=tiny_2" in said and said.count("nothing was changed") == 1
+
+
+def tables(study, accuracies: list[float]) -> Files:
+    """Table 1 of every point, with the accuracy of its lens."""
+    for each, accuracy in zip(at_points(study), accuracies, strict=True):
+        rows = f"elements,design,accuracy,rms_spot_um\n,reference,80,\nsinglet,imaging1,{accuracy},{accuracy / 10}\n"
+        write(f"{results(each)}/tables/table1.csv", rows)
+    return Files(**sweep_stage.plan(study).inputs)
+
+
+def test_numbers_of_all_points_stand_beside_each_other(swept):
+    """Accuracies as columns of points in the order of the grid; all numbers with the swept values in the CSV file."""
+    settings = sweep_stage.plan(swept).settings
+    make(settings, tables(swept, [10, 20, 30, 40]), Files(**sweep_stage.outputs(swept)))
+    lines = [line for line in Path("results/tiny/sweep.md").read_text().splitlines() if line.startswith("| table")]
+    assert [cell.strip() for cell in lines[0].split("|")[3:-1]] == POINTS
+    assert [cell.strip() for cell in lines[2].split("|")[2:-1]] == ["singlet-imaging1", "10.0", "20.0", "30.0", "40.0"]
+    rows = pandas.read_csv("results/tiny/sweep.csv")
+    one = rows[(rows["spec.f_number"] == 2.8) & rows["capture.diffraction"] & (rows["row"] == "singlet-imaging1")]
+    assert dict(zip(one["column"], one["value"], strict=True)) == {"accuracy": 40, "rms_spot_um": 4}
+
+
+def test_the_last_words_are_the_table(swept):
+    make(sweep_stage.plan(swept).settings, tables(swept, [10, 20, 30, 40]), Files(**sweep_stage.outputs(swept)))
+    write(f"results/tiny/{POINTS[1]}/report.html", "")
+    said = closing.success(swept, {})
+    assert "| singlet-imaging1 |" in said and f"  results/tiny/{POINTS[1]}/report.html" in said
+
+
+def test_jobs_of_all_points_are_counted_together(swept, capsys):
+    """A line for each job with its point; the state of each point in its own folder, for `status`."""
+    logger = logging.Logger("snakemake.test")
+    default = logging.StreamHandler()
+    default.name = "DefaultStreamHandler"
+    logger.addHandler(default)
+    terminal = Terminal(at_points(swept), logger, False)
+    label = "design/singlet-imaging1-seed0"
+    jobs = {f"tiny/{point}": {label: PlannedJob("design", {}, False, ())} for point in POINTS}
+    terminal.begin(jobs, 2)
+    log, wildcards = [f"results/tiny/{POINTS[2]}/logs/{label}.log"], {"lens": "singlet-imaging1", "seed": "0"}
+    lens = {"figures": {"rms_centroid_um": [1.0, 2.0]}, "origin": {}, "worst_margin": {"value": 0.1, "limit": "gap"}}
+    write(f"results/tiny/{POINTS[2]}/lenses/singlet-imaging1/seed0/lens.yaml", yaml.safe_dump(lens))
+    logger.info("", extra={"event": "job_info", "jobid": 7, "log": log, "wildcards": wildcards})
+    logger.info("", extra={"event": "job_finished", "job_id": 7})
+    terminal.close()
+    said = capsys.readouterr().err
+    assert said.startswith(f"1/4  {POINTS[2]} design singlet-imaging1-seed0") and "RMS spot 1.5 um" in said
+    states = [runs.read(Path("results/tiny", point)).jobs[label].state for point in POINTS]
+    assert states == [runs.WAITING, runs.WAITING, runs.DONE, runs.WAITING]
+
+
+def test_commands_know_the_points(tmp_path, monkeypatch, capsys):
+    """`plan`, `check` and `status` speak of each."""
+    monkeypatch.chdir(tmp_path)
+    write("study.yaml", yaml.safe_dump(one_lens(**{"spec.f_number": [2.0, 2.8]})))
+    assert main(["study", "plan", "study.yaml", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    names = ["tiny", "tiny/spec.f_number=2.0", "tiny/spec.f_number=2.8"]
+    assert found["study"] == "tiny" and [point["study"] for point in found["points"]] == names
+    assert found["points"][1]["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
+    assert main(["study", "check", "study.yaml", "--no-weights"]) == 0
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == names[1:]
+    for point in ("spec.f_number=2.0", "spec.f_number=2.8"):
+        runs.Run(f"tiny/{point}", f"results/tiny/{point}", 2, {"images": runs.Job("images")}).save()
+    write("results/tiny/study.yaml", dump(load("study.yaml")))
+    assert main(["study", "status", "study.yaml"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"{name}: 0 of 1 jobs" in said for name in names[1:])
