@@ -1,8 +1,10 @@
 """The page of a study: what it says of verdicts, which values it marks, and what it lists as missing."""
 
+import json
 import re
 from pathlib import Path
 
+import numpy
 import pandas
 import pytest
 from examples import tiny_study, write
@@ -172,6 +174,18 @@ def test_a_chart_has_a_point_per_lens_and_names_the_most_accurate():
     chart = charts.accuracy_over_rms(TABLE)
     assert chart is not None and "of 4 lenses. Most accurate: doublet tasklens, 71.0 % at 12.0 um" in chart.words
     assert charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
+
+
+def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():
+    """Two doublets, of two fields of view, share a square with their mean; a triplet has its own."""
+    rows = {"elements": ["doublet", "doublet_wide", "triplet_f2"], "plastics": [2, 2, 3], "f_number": [2.8, 2.8, 2.0]}
+    numbers = {"difference": [4.0, 8.0, -1.0], "low": [3.0, 7.0, -2.0], "high": [5.0, 9.0, 0.0]}
+    chart = charts.regime_map("map", "Where it pays", pandas.DataFrame(rows | numbers))
+    (squares,) = json.loads(chart.json)["data"]
+    assert (squares["x"], squares["y"]) == (["F/2", "F/2.8"], ["2 plastics", "3 plastics"])
+    assert squares["z"] == [[None, 6.0], [-1.0, None]]
+    assert "triplet_f2 at F/2 -1.0 (-2.0 to +0.0)" in chart.words
+    assert charts.regime_map("map", "", pandas.DataFrame(rows | numbers | {"difference": 3 * [numpy.nan]})) is None
 
 
 STUDY = parse(tiny_study())

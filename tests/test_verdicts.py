@@ -318,10 +318,13 @@ def test_map_of_regimes():
     for lens in study.lenses.values():
         path = jobs.design.output(study, "lens", lens=lens.name, seed=0)
         spec = study.spec_of(lens.elements).model_dump(mode="json")
-        path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"spec": spec}))
+        media = ["air", *(name for plastic in lens.plastics for name in (plastic.name, "air"))]
+        content = {"spec": spec, "surfaces": [{"medium": medium} for medium in media]}
+        path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | content))
     outputs = finish(report_jobs.regimes, study)
     rows = pandas.read_csv(outputs.csv).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
+    assert rows["plastics"].to_dict() == {"doublet": 2, "triplet": 3}
     assert "doublet-imaging2" in outputs.md.read_text()

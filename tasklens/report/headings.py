@@ -55,6 +55,7 @@ HEADINGS = {
     "longest_min": Heading("longest", "min", ".1f"),
     "memory_mb": Heading("most memory", "MB", ".0f"),
     "seeds": Heading("seeds", "", ".0f"),
+    "plastics": Heading("plastics", "", ".0f"),
     "field_of_view_deg": Heading("field of view", "deg", ".1f"),
     "f_number": Heading("F-number", "", ".1f"),
     "rms_task_um": Heading("RMS, task", "um", ".1f"),

@@ -4,6 +4,7 @@ from statistics import mean
 
 import pandas
 
+from tasklens.materials.material import AIR
 from tasklens.report import verdicts
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
@@ -23,11 +24,13 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     def rms_um(lens: str, seed: int) -> float:
         return measurements.lens_values(lens, seed)["rms_spot_um"]
 
-    specs = [measurements.lens_file(lens, claims.seeds[0])["spec"] for lens in rows["lens"]]
+    files = [measurements.lens_file(lens, claims.seeds[0]) for lens in rows["lens"]]
+    specs = [content["spec"] for content in files]
     return pandas.DataFrame(
         {
             "elements": rows["lens"].str.split("-").str[0],
             "design": rows["lens"].str.split("-").str[1],
+            "plastics": [sum(each["medium"] != AIR.name for each in content["surfaces"]) for content in files],
             "field_of_view_deg": [spec["field_of_view_deg"] for spec in specs],
             "f_number": [spec["f_number"] for spec in specs],
             "difference": rows["difference"],

@@ -144,7 +144,9 @@ def _comparisons(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> lis
             f"{row['elements']} {row['design']}, F/{row['f_number']:g}, {row['field_of_view_deg']:g}°"
             for row in regimes.to_dict("records")
         ]
-        found.append(charts.differences("regimes-map", "Where it pays", regimes, labels))
+        for name, rows in regimes.groupby("design", sort=False):
+            found.append(charts.regime_map(f"regime-map-{name}", f"Where {name} pays", rows))
+        found.append(charts.differences("regimes-differences", "Where it pays, with intervals", regimes, labels))
     ablations = [frame for name, frame in frames.items() if name.startswith("ablation_")]
     if ablations:
         both = pandas.concat(ablations).dropna(subset=["difference"])

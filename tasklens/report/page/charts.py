@@ -121,6 +121,41 @@ def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[
     return _chart(key, title, words, figure, 110 + 34 * len(known), **axes)
 
 
+def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
+    """Chart the differences of one design as a map: plastics upwards, F-numbers to the right; None without any.
+
+    A square with several regimes, such as fields of view, has the mean of their differences.
+    """
+    known = table.dropna(subset=["difference"])
+    if known.empty:
+        return None
+    wide = known.pivot_table("difference", "plastics", "f_number").sort_index()
+    largest = max(1.0, float(known["difference"].abs().max()))
+    figure = go.Figure()
+    figure.add_heatmap(
+        x=[f"F/{number:g}" for number in wide.columns],
+        y=[f"{number} plastic{'s' if number > 1 else ''}" for number in wide.index],
+        z=wide.astype(object).where(wide.notna(), None).to_numpy().tolist(),
+        zmin=-largest,
+        zmax=largest,
+        colorscale="PuOr",
+        texttemplate="%{z:+.1f}",
+        textfont={"size": 14},
+        xgap=2,
+        ygap=2,
+        hoverongaps=False,
+        hovertemplate="%{y}, %{x}<br>%{z:+.1f} points<extra></extra>",
+        colorbar={"title": {"text": "points"}},
+    )
+    values = (
+        f"{row['elements']} at F/{row['f_number']:g} {row['difference']:+.1f} ({row['low']:+.1f} to {row['high']:+.1f})"
+        for row in known.to_dict("records")
+    )
+    words = f"Points of accuracy of the task-driven lens less the best imaging lens: {'; '.join(values)}."
+    axes = {"xaxis": {"type": "category"}, "yaxis": {"type": "category", "automargin": True}}
+    return _chart(key, title, words, figure, 130 + 70 * len(wide), **axes)
+
+
 def histories(
     key: str, title: str, column: str, unit: str, runs: Mapping[str, pandas.DataFrame], words: str, log: bool
 ) -> Chart | None:
