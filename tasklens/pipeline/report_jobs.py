@@ -20,7 +20,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
-from tasklens.study.claims import Claims
+from tasklens.study.claims import Claim, Claims
 from tasklens.study.loading import at_points, dump
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
@@ -137,34 +137,36 @@ def certificate(study: Study, lens: str, seed: int) -> Plan:
 @stage(f"{STAGES}.comparison.run", _drawn("figure3-{elements}-seed{seed}"))
 def comparison(study: Study, elements: str, seed: int) -> Plan:
     """Draw the task-driven lenses of some elements and the best imaging lens (figure 3)."""
-    known = paper_claims.claims_by_elements(study)
-    claims = pick(known, elements, "name of elements with a task-driven and an imaging design:")
-    lenses = dict.fromkeys(lens for claim in claims for lens in claim.lenses)
-    keys = dict.fromkeys((lens, claim.classifier, seed) for claim in claims for lens in claim.baselines)
-    inputs = {
-        "lenses": {lens: lens_file(study, lens, seed) for lens in lenses},
-        "psfs": {lens: psf_file(study, lens, seed) for lens in lenses},
-        "metrics": {key: measurement(study, *key, "metrics") for key in keys},
-    }
-    return Plan(Slice(claims=tuple(claims), seed=seed), inputs)
+    claims, lenses = _compared(study, elements)
+    return Plan(Slice(claims=claims, seed=seed), _drawn_lenses(study, claims, lenses, seed))
 
 
 @stage(f"{STAGES}.frames.run", {"figure": "figures/figure4-{elements}-seed{seed}.png"})
 def frames(study: Study, elements: str, seed: int) -> Plan:
-    """Draw a chart and test images as whole frames through the task-driven and the best imaging lens (figure 4)."""
-    claim = pick(
-        paper_claims.claims_by_elements(study), elements, "name of elements with a task-driven and an imaging design:"
-    )[0]
-    settings = Slice(claim=claim, captures={lens: study.capture_of(lens) for lens in claim.lenses}, seed=seed)
-    keys = {lens: (lens, claim.classifier, seed) for lens in claim.lenses}
-    inputs = {
-        "test": split(study, "test"),
-        "lenses": {lens: lens_file(study, lens, seed) for lens in claim.lenses},
-        "psfs": {lens: psf_file(study, lens, seed) for lens in claim.lenses},
-        "metrics": {keys[lens]: measurement(study, *keys[lens], "metrics") for lens in claim.baselines},
-        "predictions": {lens: measurement(study, *key, "predictions") for lens, key in keys.items()},
-    }
+    """Draw a chart and test images as frames through the task-driven lenses and the best imaging lens (figure 4)."""
+    claims, lenses = _compared(study, elements)
+    settings = Slice(claims=claims, captures={lens: study.capture_of(lens) for lens in lenses}, seed=seed)
+    inputs = _drawn_lenses(study, claims, lenses, seed)
+    inputs["test"] = split(study, "test")
+    inputs["predictions"] = {lens: measurement(study, lens, study.supervisor, seed, "predictions") for lens in lenses}
     return Plan(settings, inputs)
+
+
+def _compared(study: Study, elements: str) -> tuple[tuple[Claim, ...], list[str]]:
+    """Return the claims of the task-driven lenses of some elements against imaging lenses, and all their lenses."""
+    known = paper_claims.claims_by_elements(study)
+    claims = pick(known, elements, "name of elements with a task-driven and an imaging design:")
+    return tuple(claims), list(dict.fromkeys(lens for claim in claims for lens in claim.lenses))
+
+
+def _drawn_lenses(study: Study, claims: Iterable[Claim], lenses: Iterable[str], seed: int) -> dict[str, Any]:
+    """Return the files of lenses and PSFs, and the metrics of which the best imaging lens is found."""
+    keys = dict.fromkeys((lens, claim.classifier, seed) for claim in claims for lens in claim.baselines)
+    return {
+        "lenses": {lens: lens_file(study, lens, seed) for lens in lenses},
+        "psfs": {lens: psf_file(study, lens, seed) for lens in lenses},
+        "metrics": {key: measurement(study, *key, "metrics") for key in keys},
+    }
 
 
 @stage(f"{STAGES}.captures.run", {"images": "figures/captures.safetensors", "answers": "tables/answers.csv"})

@@ -1,4 +1,4 @@
-"""Figure of whole frames: an image and its captures by two lenses, with zoomed patches and the answers of networks."""
+"""Figure of whole frames: an image and its captures by some lenses, with zoomed patches and the answers of networks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

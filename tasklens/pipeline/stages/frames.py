@@ -1,4 +1,6 @@
-"""Figure of whole frames through the task-driven and the best imaging lens of some elements (the paper's figure 4)."""
+"""Figure of whole frames through the task-driven lenses and the best imaging lens (the paper's figure 4)."""
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -16,9 +18,12 @@ from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
 from tasklens.simulation.sensor import capture
 from tasklens.study.settings import Slice
 
-_SHAPE = 540, 960  # of the frames [pixels]
+_SHAPE = 1080, 1920  # of the frames [pixels]
 _FIELD = 4  # the middle one of nine
-_RULE = "Last rows: the first test images in file order that only one lens' network recognises at the middle field"
+_RULE = (
+    "Last rows: the first test image in file order that the network of {one} recognises at the middle field\n"
+    "and that of {other} does not, and the first of which the opposite is true; where there are such"
+)
 
 
 def run(settings: Slice, inputs: Files, outputs: Files) -> None:
@@ -26,21 +31,22 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
 
     The frames have neither noise nor levels, the single captures what the study gives them.
     """
-    claim = settings.claim
-    strongest = Measurements({}, inputs.metrics).strongest_baseline(claim, settings.seed)
+    first = settings.claims[0]
+    strongest = Measurements({}, inputs.metrics).strongest_baseline(first, settings.seed)
+    lenses = [*(claim.lens for claim in settings.claims), strongest]
     test = dataset.read(*inputs.test)
     sources = {"chart": resolution_chart(*_SHAPE), "test images": _tiled(test)}
     shown = {name: {"sharp": image} for name, image in sources.items()}
-    for lens in (claim.lens, strongest):
+    for lens in lenses:
         found, content = prescription.read(inputs.lenses[lens])
         view = view_of(found.lens, content, str(inputs.lenses[lens]))
         pitch = pitch_on_sensor(view, _SHAPE)
         psfs = trace_field_psfs(found.lens, view, _SHAPE, pitch)
         for name, image in sources.items():
             shown[name][lens] = capture(image, psfs, settings.captures[lens].colour)
-    title = f"{_SHAPE[0]} x {_SHAPE[1]} pixels of {pitch:.2f} um fill the sensor; networks: {claim.classifier}"
-    answered = _disagreements(settings, inputs, test, claim.lens, strongest)
-    frames.draw(outputs.figure, title, shown, answered, _RULE)
+    title = f"{_SHAPE[0]} x {_SHAPE[1]} pixels of {pitch:.2f} um fill the sensor; networks: {first.classifier}"
+    answered = _disagreements(settings, inputs, test, lenses)
+    frames.draw(outputs.figure, title, shown, answered, _RULE.format(one=first.lens, other=strongest))
 
 
 def _tiled(test: ImageDataset) -> Tensor:
@@ -52,15 +58,16 @@ def _tiled(test: ImageDataset) -> Tensor:
     return whole[:, : _SHAPE[0], : _SHAPE[1]]
 
 
-def _disagreements(settings: Slice, inputs: Files, test: ImageDataset, *lenses: str) -> list[frames.Answered]:
-    """Return the first image that only the first lens' network recognises, and the first that only the second's does.
+def _disagreements(settings: Slice, inputs: Files, test: ImageDataset, lenses: Sequence[str]) -> list[frames.Answered]:
+    """Return the first image that the first lens' network recognises and the last one's does not; and the opposite.
 
     There are fewer if the networks do not disagree so.
     """
     correct = {lens: predictions.read(inputs.predictions[lens]).iloc[:, _FIELD] == 1 for lens in lenses}
-    predictions.same_images(correct[lenses[0]], correct[lenses[1]], " and ".join(lenses))
+    for lens in lenses[1:]:
+        predictions.same_images(correct[lenses[0]], correct[lens], f"{lenses[0]} and {lens}")
     answered = []
-    for one, other in (lenses, lenses[::-1]):
+    for one, other in ((lenses[0], lenses[-1]), (lenses[-1], lenses[0])):
         only = correct[one] & ~correct[other]
         if not only.any():
             continue
