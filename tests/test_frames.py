@@ -1,0 +1,104 @@
+"""Figure 4: frames through all task-driven lenses and the best imaging lens, and captures chosen by a written rule."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy
+import pandas
+import pytest
+import torch
+from examples import tiny_study, write
+from PIL import Image
+from safetensors.torch import save_file
+
+from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline.run import run
+from tasklens.pipeline.stages import frames as stage
+from tasklens.report import frames
+from tasklens.study.loading import parse
+
+LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
+SHAPE = 108, 192
+IMAGES, SIDE, FIELDS = 8, 16, 9
+TASK, JOINT, BEST, OTHER = "doublet-tasklens", "doublet-tasklens_joint", "doublet-imaging2", "doublet-imaging3"
+CORRECT = {  # at the middle field, in file order
+    TASK: [1, 0, 1, 0, 1, 1, 0, 0],
+    JOINT: [1, 1, 0, 1, 1, 1, 0, 0],
+    BEST: [1, 0, 0, 1, 0, 1, 1, 0],
+    OTHER: [0] * IMAGES,
+}
+
+
+def made(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    """Doublets of the headline study with planted predictions, and random images."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stage, "_SHAPE", SHAPE)
+    tiny = tiny_study()
+    task = tiny["designs"]["tasklens"]
+    joint = {"method": "joint_ray_space", "batch_size": 2, "rays": 16, "micro_batch": 18, "network_learning_rate": 1e-4}
+    joint |= {"candidates": ["imaging2"], "finish": task["finish"]}
+    least = {"method": "least_squares", "starts": 3, "evaluations": 6}
+    designs = {"tasklens": task, "tasklens_joint": joint, "imaging2": least, "imaging3": least}
+    made_of = {"elements": {"doublet": ["COC", "OKP4"]}, "designs": designs}
+    study = parse(tiny | made_of)
+    images = numpy.random.default_rng(0).integers(0, 256, (IMAGES, 3, SIDE, SIDE), dtype=numpy.uint8)
+    numpy.save(made(jobs.images.output(study, "test")), images)
+    labels = {"classes": ["cat", "dog"], "labels": [0, 1] * (IMAGES // 2)}
+    write(jobs.images.output(study, "test_labels"), json.dumps(labels))
+    for lens, correct in CORRECT.items():
+        files = jobs.design.outputs(study, lens=lens, seed=0)
+        shutil.copy(LENSES / f"{lens}.yaml", made(files["lens"]))
+        psf = torch.zeros(FIELDS, 3, 5, 5)
+        psf[..., 2, 2] = 1
+        save_file({"psf": psf, "illumination": torch.ones(FIELDS, 3)}, files["psf"])
+        tuned = jobs.fine_tune.outputs(study, lens=lens, measured_name="small", seed=0)
+        columns = {f"field{k}": correct if k == 4 else [0] * IMAGES for k in range(FIELDS)}
+        rows = {"image": range(IMAGES), "label": ["cat", "dog"] * (IMAGES // 2)} | columns
+        write(tuned["predictions"], pandas.DataFrame(rows).to_csv(index=False))
+        write(tuned["metrics"], f"metric,field,value\nminival_accuracy,0,{80 if lens == BEST else 10}\n")
+    return study
+
+
+def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monkeypatch):
+    """Columns and captures by the rule, frames of as many pixels as the sensor has, and a file."""
+    found, draw = {}, frames.draw
+
+    def drawn(path, title, shown, answered, rule):
+        found.update(title=title, shown=shown, answered=answered, rule=rule)
+        draw(path, title, shown, answered, rule)
+
+    monkeypatch.setattr(frames, "draw", drawn)
+    run(report_jobs.frames, study, {"elements": "doublet", "seed": 0})
+    for captures in found["shown"].values():
+        assert list(captures) == ["sharp", TASK, JOINT, BEST]
+        assert all(capture.shape == (3, *SHAPE) for capture in captures.values())
+        blurred = [capture.diff(dim=2).abs().mean() for capture in captures.values()]
+        assert max(blurred[1:]) < 0.9 * blurred[0]  # an image through a lens has less contrast from pixel to pixel
+    only_task, only_best = found["answered"]
+    assert only_task.title == "test image 2, cat" and only_best.title == "test image 3, dog"
+    assert only_task.correct == {TASK: True, JOINT: False, BEST: False}
+    assert only_best.correct == {TASK: False, JOINT: True, BEST: True}
+    assert only_task.said(JOINT) == "not recognised" and only_task.said("sharp") == only_task.title
+    sharp = only_task.shown["sharp"]
+    assert all(torch.allclose(capture, sharp, atol=1e-5) for capture in only_task.shown.values())  # PSFs of a point
+    assert f"network of {TASK} " in found["rule"] and f"that of {BEST} " in found["rule"]
+    with Image.open(report_jobs.frames.output(study, "figure", elements="doublet", seed=0)) as image:
+        assert image.width > 3 * image.height / 4
+
+
+def test_networks_that_agree_leave_the_frames_alone(study, monkeypatch):
+    answered = []
+    monkeypatch.setattr(frames, "draw", lambda path, title, shown, found, rule: answered.append(found))
+    predictions = [
+        jobs.fine_tune.output(study, "predictions", lens=n, measured_name="small", seed=0) for n in (TASK, BEST)
+    ]
+    shutil.copy(*predictions)
+    run(report_jobs.frames, study, {"elements": "doublet", "seed": 0})
+    assert answered == [[]]
