@@ -263,6 +263,11 @@ def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
     expected = tasklens.simulate_sensor(image, *tasklens.load_lens(path), distortion=True, illumination=True, rays=64)
     found = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
     assert (found - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
-    for options in (["--illumination"], ["--sensor", "--grid"]):
+    assert main([*command, "--force", "--sensor", "--true-pixels", "--pixel-pitch", "20"]) == 0
+    pitched = tasklens.load_lens(path, pixel_pitch_um=20.0)
+    expected = tasklens.simulate_sensor(image, *pitched, pixel_pitch_um=20.0, rays=64)
+    found = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
+    assert (found - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
+    for options in (["--illumination"], ["--true-pixels"], ["--sensor", "--grid"]):
         assert main([*command, "--force", *options]) == 2
         assert "--sensor" in capsys.readouterr().err

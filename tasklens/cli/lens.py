@@ -172,6 +172,10 @@ def simulate(
     field: Annotated[str, typer.Option(help="axis, middle, corner, or X,Y on the sensor in millimetres.")] = "axis",
     grid: Annotated[bool, typer.Option("--grid", help="All nine fields in one picture.")] = False,
     sensor: Annotated[bool, typer.Option("--sensor", help="As the whole sensor sees it, from axis to corner.")] = False,
+    true_pixels: Annotated[
+        bool,
+        typer.Option("--true-pixels", help="Pixels of the image are the sensor's, with --sensor; else it fills it."),
+    ] = False,
     distortion: Annotated[bool, typer.Option("--distortion", help="Of the lens, with --sensor.")] = False,
     illumination: Annotated[bool, typer.Option("--illumination", help="Darker corners, with --sensor.")] = False,
     colour: Annotated[Literal["srgb", "linear"], typer.Option(help="Convolve values, or light.")] = "srgb",
@@ -188,14 +192,14 @@ def simulate(
     new_file(output, force, ".png", ".jpg", ".jpeg")
     if sensor and (grid or noise or diffraction or field != "axis"):
         raise InputError("--sensor: not with --field, --grid, --noise or --diffraction")
-    if not sensor and (distortion or illumination):
-        raise InputError("--distortion and --illumination: only with --sensor")
+    if not sensor and (true_pixels or distortion or illumination):
+        raise InputError("--true-pixels, --distortion and --illumination: only with --sensor")
     found = read(file)
     if sensor:
-        captures = notebook.simulate_sensor(
-            image, found.lens, found.view, colour=colour, distortion=distortion, illumination=illumination, rays=rays
-        )[None]
-        say(f"{image}: as if it filled the sensor")
+        pitch = found.view.pixel_pitch if true_pixels else None
+        how: Any = {"colour": colour, "distortion": distortion, "illumination": illumination, "rays": rays}
+        captures = notebook.simulate_sensor(image, found.lens, found.view, pitch, **how)[None]
+        say(f"{image}: in pixels of {pitch:g} um" if pitch else f"{image}: as if it filled the sensor")
     else:
         captures = notebook.simulate(
             image,

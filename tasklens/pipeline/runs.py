@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from tasklens.pipeline import progress_file
 from tasklens.pipeline.forecast import Durations, duration
 from tasklens.runtime.files import FileError, write_text
@@ -78,7 +80,7 @@ class Run:
     @property
     def is_alive(self) -> bool:
         """Whether the run goes on, as far as this machine can know."""
-        return self.ended is None and (self.host != socket.gethostname() or _exists(self.pid))
+        return self.ended is None and (self.host != socket.gethostname() or psutil.pid_exists(self.pid))
 
     def seconds_left(self, durations: Durations) -> float | None:
         """Return how long the remaining jobs take on the run's cores [s]; None where nothing is known of any."""
@@ -180,13 +182,3 @@ def label_of(log: Iterable[str], folder: str) -> str | None:
 def title(label: str) -> str:
     """Return a label as words, such as `design doublet-spot-seed0`."""
     return label.replace("/", " ", 1)
-
-
-def _exists(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
