@@ -1,5 +1,7 @@
 """Workflow of a study: `snakemake -j2 tables`; another study with `--configfile config/smoke.yaml`."""
 
+import ast
+import json
 import os
 import shlex
 import sys
@@ -15,7 +17,7 @@ from snakemake.utils import min_version
 from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import durations_of
-from tasklens.pipeline.stage import STAGES, flatten, resolved, results
+from tasklens.pipeline.stage import STAGES, flatten, results, study_file
 from tasklens.pipeline.terminal import Terminal, after_dry_run
 from tasklens.recognition import class_folders
 from tasklens.runtime import files
@@ -114,6 +116,12 @@ def has_output(job):
     return any(os.path.exists(path) for path in job.output if path not in halves)
 
 
+def made_with(job):
+    """Return the settings with which the outputs of a job were made, as Snakemake has recorded them; else None."""
+    recorded = (ast.literal_eval(text) for path in job.output for text in workflow.persistence.params(path) or ())
+    return next((json.loads(text) for text in recorded if isinstance(text, str) and text.startswith("{")), None)
+
+
 def planned_jobs():
     """Return the jobs of this run by label, of each study."""
     planned = {name: {} for name in EVERY}
@@ -123,14 +131,14 @@ def planned_jobs():
             label = lambda job: runs.label_of(job.log, results(study))
             needs = (other for other in workflow.dag.dependencies[job] if other.rule.name in RULES)
             planned[study.name][label(job)] = changes.PlannedJob(
-                stage.name, job.wildcards_dict, has_output(job), tuple(map(label, needs))
+                stage.name, job.wildcards_dict, has_output(job), tuple(map(label, needs)), made_with(job)
             )
     return {name: found for name, found in planned.items() if found}
 
 
 def overwritten(study, planned):
     """Return the finished results of a study that its planned jobs overwrite."""
-    return changes.overwritten(Path(resolved(study)), study, planned.get(study.name, {}))
+    return changes.overwritten(Path(study_file(study)), study, planned.get(study.name, {}))
 
 
 def refusals(planned):
@@ -146,20 +154,22 @@ elif workflow.exec_mode == ExecMode.DEFAULT:
     terminal = Terminal(EVERY.values(), logger, bool(workflow.output_settings.quiet))
 
 
-def prepare(study, jobs):
-    """Check what the jobs of a study read, and write the file of the study for them; ends the run if it cannot be."""
-    kinds = {job.stage for job in jobs.values()}
+def prepare(planned):
+    """Check what the planned jobs read, and write the files of the studies for them; ends the run if it cannot be."""
+    kinds = {job.stage for jobs_of_study in planned.values() for job in jobs_of_study.values()}
     if "images" in kinds:
         try:
-            class_folders.check(study.images)
+            for study in studies:
+                class_folders.check(study.images)
         except InputError as error:
             sys.exit(f"{error}")
     # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
-    files.write_if_changed(resolved(study), loading.dump(study))
+    for study in EVERY.values():
+        files.write_if_changed(study_file(study), loading.dump(study))
     networks = "--networks" if "reference" in kinds else ""
-    if networks or study.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
+    if networks or given.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
         try:
-            shell(f"tasklens study check {resolved(study)} --no-weights {networks} > /dev/null")
+            shell(f"tasklens study check {study_file(given)} --no-weights {networks} > /dev/null")
         except CalledProcessError as error:  # which has said why
             sys.exit(error.returncode)
 
@@ -168,11 +178,11 @@ onstart:
     planned, cores = planned_jobs(), workflow.cores or 1
     if reason := refusals(planned):
         sys.exit(reason)
+    found = {name: overwritten(EVERY[name], planned).otherwise for name in planned}
+    prepare(planned)
     for name, jobs_of_study in planned.items():
-        again = overwritten(EVERY[name], planned).otherwise
-        prepare(EVERY[name], jobs_of_study)
-        if again:
-            amount = changes.amount(again, EVERY[name], durations[name], cores)
+        if found[name]:
+            amount = changes.amount(found[name], EVERY[name], durations[name], cores)
             print(f"Changed code or input files, or added classifiers: {amount}")
         print(durations[name].forecast([job.stage for job in jobs_of_study.values()], cores))
     terminal.begin(planned, cores)

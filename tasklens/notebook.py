@@ -141,7 +141,7 @@ def simulate(
         rays, diffraction: as in `psf`.
 
     Returns:
-        (F, 3, H, W) captures, differentiable in the image and in the lens.
+        (F, 3, H, W) captures, differentiable in the image and in the lens, whose relative illumination is held.
 
     Raises:
         InputError: the image cannot be read, or is smaller than half a PSF.
@@ -164,7 +164,7 @@ def simulate(
             "one, or a smaller kernel_size (--kernel-size)"
         )
     grid = psf(lens, view, rays, diffraction)
-    camera = Camera(grid, outside_window, colour, sensor, relative_illumination(lens, view))
+    camera = Camera(grid, outside_window, colour, sensor, relative_illumination(lens.detached(), view))
     return camera.grid(source[None])[:, 0]
 
 
@@ -190,7 +190,7 @@ def simulate_sensor(
         rays: number of rays of each PSF and colour.
 
     Returns:
-        (3, H, W) capture, differentiable in the image and in the lens.
+        (3, H, W) capture, differentiable in the image and in the lens, whose relative illumination is held.
 
     Raises:
         InputError: the image cannot be read or is too small, or the lens has no image at its corners.

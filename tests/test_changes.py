@@ -1,12 +1,16 @@
 """Changed values of a study: how they are told, and which finished results of the last run they would overwrite."""
 
+import json
+from dataclasses import replace
+
 import pytest
 from examples import changed, tiny_study, write
 
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
-from tasklens.pipeline.changes import Change, PlannedJob, amount, changes, overwritten, refusal, resolved
+from tasklens.pipeline.changes import Change, PlannedJob, amount, changes, overwritten, refusal
 from tasklens.pipeline.forecast import Durations
-from tasklens.study.loading import dump, parse
+from tasklens.pipeline.stage import STAGES
+from tasklens.study.loading import dump, parse, resolved
 from tasklens.study.study import Study
 
 LENSES = ("imaging1", "imaging2")
@@ -165,6 +169,22 @@ def test_changed_code_is_told_but_not_asked_about(found, tmp_path):
     same = found(base())
     assert same.changes == () and same.by_values == () and said(same, base(), tmp_path) == []
     assert amount(same.otherwise, parse(base()), Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
+
+
+def test_settings_of_the_outputs_count_where_they_are_known(found, tmp_path):
+    """The study was stored by a run that left the lens alone, which was made before with two steps."""
+    after = parse(changed(base(), "designs.imaging1.steps", 3))
+    label = next(label for label in jobs_of(after) if label.startswith("design/"))
+    job = jobs_of(after)[label]
+    made = json.loads(STAGES["design"].plan_from(after, job.wildcards).settings.model_dump_json())
+    write(tmp_path / "now.yaml", dump(after))
+    same = overwritten(tmp_path / "now.yaml", after, {label: replace(job, made_with=made)})
+    assert same.by_values == () and same.otherwise == ("design",)
+    made["entry"]["design"]["steps"] = 2
+    other = overwritten(tmp_path / "now.yaml", after, {label: replace(job, made_with=made)})
+    assert other.by_values == ("design",)
+    (head, line, *_) = refusal(other, after, Durations("tiny", str(tmp_path)), 1).splitlines()
+    assert "finished results" in head and line == "  entry.design.steps: 2 -> 3: 1 lens again"
 
 
 def test_a_stored_study_of_another_version_is_asked_about(found, tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, f64
+from examples import WAVELENGTHS, cooke_triplet, difference, f64
 from PIL import Image
 from torch import Tensor
 
@@ -249,6 +249,23 @@ def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside
     star = chart[0, 88:128, 172:212]
     assert float(star.mean()) == pytest.approx(0.5, abs=0.02)
     assert float(star[18:22, 18:22].std()) < 0.2 < float(star.std())
+
+
+def test_a_distorted_image_is_differentiable_in_the_lens():
+    """Where a pixel's light comes from moves with the lens, too; the illumination is held."""
+    lens, view = blurred()
+    lens = replace(lens, semi_diameter=cooke_triplet().semi_diameter)  # whole pupils: no jumps
+    ramp = torch.linspace(0.2, 0.8, 3 * 40 * 60).reshape(3, 40, 60)
+
+    def corner(curvature: Tensor, held: bool = False) -> Tensor:
+        shaped = replace(lens, curvature=curvature)
+        return simulate(shaped, view, ramp, rays=256, distortion=True, illumination=held)[:, :5, :5].mean()
+
+    start = lens.curvature.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(corner(start), start)
+    expected = difference(corner, lens.curvature.clone(), 1e-4)
+    assert gradient[1:] == pytest.approx(expected[1:], rel=0.1, abs=0.02 * float(expected.abs().max()))
+    assert torch.autograd.grad(corner(start, held=True), start)[0].isfinite().all()
 
 
 def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):

@@ -164,6 +164,12 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
     assert not (place / "results").exists()
 
 
+def test_a_target_without_jobs_has_nothing_to_be_done(capsys):
+    write("study.yaml", dump(parse(tiny_study())))
+    assert study("plan", "study.yaml", "--target", "ablations") == 0
+    assert "tiny: nothing is to be done for ablations." in capsys.readouterr().out
+
+
 def test_an_unknown_target_is_told(capsys):
     write("study.yaml", dump(parse(tiny_study())))
     assert "cannot plan nothing of study.yaml" in complaint(capsys, "plan", "study.yaml", "--target", "nothing")

@@ -2,6 +2,7 @@
 
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import pandas
@@ -13,6 +14,7 @@ from test_workflow import forked, plan
 from tasklens.cli.app import main
 from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob
+from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.report_jobs import sweep as sweep_stage
 from tasklens.pipeline.stage import results
 from tasklens.pipeline.terminal import Terminal
@@ -64,6 +66,8 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
         ({"spec.f_numbr": [2]}, ["sweep, spec.f_numbr=2", "did you mean f_number"]),
         ({"spec.f_number": [-2]}, ["spec.f_number=-2", "greater than 0"]),
         ({"spec.f_number": [2, 2.0]}, ["sweep.spec.f_number", "each once"]),
+        ({"spec.f_number": [2, "2"]}, ["sweep.spec.f_number", "each once"]),
+        ({"designs.imaging1.method": ["spot", "least_squares"]}, ["designs.imaging1.method", "several designs"]),
         ({"spec.f_number": []}, ["sweep.spec.f_number", "expected values"]),
         ({"spec.f_number": 2}, ["sweep.spec.f_number = 2", "a list"]),
         ({"spec.f_number": [[2]]}, ["sweep.spec.f_number", "expected numbers, names"]),
@@ -123,6 +127,40 @@ def test_the_last_words_are_the_table(swept):
     write(f"results/tiny/{POINTS[1]}/report.html", "")
     said = closing.success(swept, {})
     assert "| singlet-imaging1 |" in said and f"  results/tiny/{POINTS[1]}/report.html" in said
+    part = runs.Run(f"tiny/{POINTS[0]}", f"results/tiny/{POINTS[0]}", 1, {"images": runs.Job("images")})
+    assert "| singlet" not in closing.success(swept, {part.study: part})  # a run that did not make it again
+    part.end("images", runs.FAILED)
+    said = closing.failure(swept, {part.study: part, f"tiny/{POINTS[1]}": replace(part, jobs={})})
+    assert said.count("--partial") == 1 and f"table results/tiny/{POINTS[0]}/study.yaml table1 --partial" in said
+
+
+def test_points_side_by_side_share_the_cores(swept):
+    """Two points on two cores, each with a job of a hundred seconds: a hundred seconds in all."""
+    found = []
+    for point in POINTS[:2]:
+        folder = f"results/tiny/{point}"
+        write(f"{folder}/benchmarks/design/a.tsv", "s\tmax_rss\n100\t1\n")
+        found.append(
+            (runs.Run(f"tiny/{point}", folder, 2, {"design/b": runs.Job("design")}), Durations("tiny", folder))
+        )
+    assert runs.seconds_left(found) == pytest.approx(100)
+    assert runs.headline(found) == "0 of 2 jobs, about 2 min left"
+
+
+def test_stages_are_of_points_and_the_table_is_of_the_sweep(swept, capsys):
+    """By hand too: the study of a sweep is no point, and a plain study has no table of points."""
+    write("swept.yaml", dump(swept))
+    write("plain.yaml", dump(parse(one_lens())))
+    assert main(["run", "table", "swept.yaml", "table1"]) == 2
+    assert f"results/tiny/{POINTS[3]}/study.yaml" in capsys.readouterr().err
+    assert main(["run", "sweep", "plain.yaml"]) == 2
+    assert "has no sweep" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["tiny/tables", "tiny/..", "tiny/a=../b", "tiny/a=b/c=d"])
+def test_a_name_leads_nowhere_else(name):
+    with pytest.raises(StudyError, match="name"):
+        parse(one_lens() | {"name": name})
 
 
 def test_jobs_of_all_points_are_counted_together(swept, capsys):

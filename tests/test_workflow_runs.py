@@ -13,7 +13,7 @@ from test_workflow import command, forked, plan, snakemake, with_imported
 
 from tasklens.cli.app import main
 from tasklens.pipeline.forecast import Durations
-from tasklens.study.loading import load, parse
+from tasklens.study.loading import dump, load, parse
 
 
 def one_lens() -> dict:
@@ -74,6 +74,11 @@ def test_finished_results_are_not_overwritten_without_consent(finished):
     assert done.returncode != 0 and "spec.f_number: 2.8 -> 2.0: 1 lens, 1 classifier again" in output, output
     assert "--config overwrite=true" in output and "Traceback" not in output and "goes on from here" not in output
     assert "1 lens, 1 classifier again" in forked(finished, faster, "--dry-run", "table1")[1]
+    stored = finished / "results/tiny/study.yaml"
+    stored.write_text(dump(parse(faster)))  # as by a run of the changed study that left the lens alone
+    assert "1 lens, 1 classifier again" in forked(finished, faster, "--dry-run", "table1")[1]
+    stored.write_bytes(before[stored][0])
+    os.utime(stored, ns=2 * (before[stored][1],))
     for study, *others in ((faster, "--config", "overwrite=true"), (one_lens() | {"seeds": [0, 1]},)):
         status, output = forked(finished, study, "--dry-run", "table1", *others)
         assert status == 0 and "again" not in output and "design" in output

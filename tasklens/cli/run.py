@@ -15,8 +15,9 @@ import typer
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.partial import prepare
 from tasklens.pipeline.run import run
-from tasklens.pipeline.stage import SEED, STAGES, Stage
-from tasklens.study.loading import load
+from tasklens.pipeline.stage import SEED, STAGES, Stage, study_file
+from tasklens.runtime.errors import InputError
+from tasklens.study.loading import at_points, load
 from tasklens.study.names import SHARP
 from tasklens.study.study import TableName
 
@@ -46,6 +47,11 @@ def _command(stage: Stage) -> Callable[..., None]:
 
     def command(study: Path, partial: bool = False, **wildcards: Any) -> None:
         found = load(study)
+        if stage is report_jobs.sweep and not found.sweep:
+            raise InputError(f"{study}: has no sweep, of which this would make the table")
+        if stage is not report_jobs.sweep and found.sweep:
+            points = ", ".join(study_file(each) for each in at_points(found))
+            raise InputError(f"{study}: has a sweep; expected the file of one of its points: {points}")
         if wildcards.get(SEED, 0) is None:
             wildcards[SEED] = found.seeds[0]
         if partial and stage is report_jobs.report:

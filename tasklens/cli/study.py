@@ -115,7 +115,7 @@ def plan(
     """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""
     given = loading.load(*files)
     studies = {study.name: study for study in [given, *loading.at_points(given)]}
-    found = planning.plan(studies.values(), files, target)
+    found = planning.plan(studies.values(), files, target) or {given.name: {}}
     if as_json:
         planned = [_figures(studies[name], jobs, cores) for name, jobs in found.items()]
         print(json.dumps({"study": given.name, "points": planned} if given.sweep else planned[0], indent=1))
@@ -168,7 +168,7 @@ def _but(unknown: list[str]) -> str:
 def _changes(study: Study) -> list[changes.Change]:
     """Return the values that differ from those of the last run of the study; none before the first."""
     stored = Path(results(study), "study.yaml")
-    return changes.changes(loading.read(stored), changes.resolved(study)) if stored.exists() else []
+    return changes.changes(loading.read(stored), loading.resolved(study)) if stored.exists() else []
 
 
 def _folder(place: Path) -> Path:
@@ -192,8 +192,11 @@ def status(place: Place, as_json: Json = False) -> None:
         states = [_state(run) for run in found]
         print(json.dumps(states[0] | ({"points": states[1:]} if states[1:] else {}), indent=1))
         return
-    for run in found:
-        print("\n".join(runs.status(run, Durations(run.study, run.folder))))
+    known = [(run, Durations(run.study, run.folder)) for run in found]
+    if len(alive := [each for each in known if each[0].is_alive]) > 1:
+        print(f"all points: {runs.headline(alive)}")
+    for each in known:
+        print("\n".join(runs.status(*each)))
 
 
 def _state(run: runs.Run) -> dict[str, Any]:
@@ -226,7 +229,7 @@ def diff(
 
 
 def _configuration(place: Path) -> Mapping[str, Any]:
-    return changes.resolved(loading.load(place / "study.yaml" if place.is_dir() else place))
+    return loading.resolved(loading.load(place / "study.yaml" if place.is_dir() else place))
 
 
 @app.command()

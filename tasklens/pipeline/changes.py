@@ -1,5 +1,6 @@
 """What differs between two configurations of a study, and which finished results the new one would overwrite."""
 
+import json
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import yaml
 from tasklens.pipeline.forecast import Durations, duration
 from tasklens.pipeline.jobs import fine_tune_others, others
 from tasklens.pipeline.stage import STAGES
-from tasklens.study.loading import dump, load
+from tasklens.study.loading import load, resolved
 from tasklens.study.study import Study, StudyError
 
 _COUNTED = {  # results that took long, by stage; what is made of them is overwritten without asking
@@ -62,19 +63,21 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") ->
     return found
 
 
-def resolved(study: Study) -> dict[str, Any]:
-    """Return a study with all defaults, as it stands in its file."""
-    return yaml.safe_load(dump(study))
-
-
 @dataclass(frozen=True)
 class PlannedJob:
-    """A job that is to run: its stage and wildcards, whether it has outputs, and labels of the jobs it waits for."""
+    """A job that is to run.
+
+    Attributes:
+        exists: whether it has outputs.
+        needs: labels of the jobs that it waits for.
+        made_with: settings with which its outputs were made; None where that is not known.
+    """
 
     stage: str
     wildcards: Mapping[str, str]
     exists: bool
     needs: tuple[str, ...]
+    made_with: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -95,12 +98,12 @@ class Overwritten:
 def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     """Find the finished results that the jobs of a run overwrite, where the study was stored before.
 
-    A job is made again by a changed value if its settings differ from those that the stored study gives it, or if it
+    A job is made again by a changed value if its settings differ from those with which its outputs were made, or if it
     reads what such a job makes, also where that was removed. Further seeds, lenses or classifiers change no settings of
     other jobs.
 
     Args:
-        stored: the resolved study of the last run.
+        stored: the resolved study of the last run: its settings are taken where those of outputs are not known.
         jobs: the jobs of the run by label.
     """
     finished = {label for label, job in jobs.items() if job.exists and job.stage in _COUNTED}
@@ -110,28 +113,37 @@ def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> O
         before = load(stored)
     except StudyError:  # of another version
         before = None
-    different = {label for label, job in jobs.items() if before is None or _differs(job, before, study)}
+    pairs = {label: _settings(job, before, study) for label, job in jobs.items()}
+    different = {label for label, (old, new) in pairs.items() if old != new}
     affected = finished & _with_dependents(different, jobs)
-    known = yaml.safe_load(stored.read_text(encoding="utf-8"))
+    found = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
+    if not found:  # made before another study of the same name, which was changed back
+        found = [change for label in sorted(different) for change in changes(*pairs[label])]
     return Overwritten(
-        tuple(changes(known, resolved(study))),
+        tuple({str(change): change for change in found}.values()),
         tuple(jobs[label].stage for label in sorted(affected)),
         tuple(jobs[label].stage for label in sorted(finished - affected)),
     )
 
 
-def _differs(job: PlannedJob, before: Study, after: Study) -> bool:
+def _settings(job: PlannedJob, before: Study | None, after: Study) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the settings with which a job's outputs were made, and those with which they are to be made."""
     stage = STAGES[job.stage]
+    new = json.loads(stage.plan_from(after, job.wildcards).settings.model_dump_json())
     try:
-        old = stage.plan_from(before, job.wildcards).settings.model_dump(mode="json")
+        if job.made_with is not None:
+            old = dict(job.made_with)
+        elif before is not None:
+            old = json.loads(stage.plan_from(before, job.wildcards).settings.model_dump_json())
+        else:
+            return {}, new
     except StudyError:  # it was not in the study: new, unless there is an output of an earlier one
-        return job.exists
-    new = stage.plan_from(after, job.wildcards).settings.model_dump(mode="json")
+        return ({}, new) if job.exists else (new, new)
     if isinstance(old.get("classifiers"), dict):  # measured beside each other, with the numbers that each has alone
         common = old["classifiers"].keys() & new["classifiers"].keys()
         for each in (old, new):
             each["classifiers"] = {name: each["classifiers"][name] for name in common}
-    return old != new
+    return old, new
 
 
 def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) -> set[str]:

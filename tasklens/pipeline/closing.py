@@ -32,7 +32,7 @@ def _sweep(study: Study, found: Mapping[str, runs.Run]) -> str:
         jobs = sum(len(run.jobs) for run in found.values())
         took = max((run.ended or run.started) - run.started for run in found.values())
         lines.append(f"\nStudy {study.name}: {jobs} jobs in {duration(took)}.")
-    if table.exists():
+    if table.exists() and (not found or study.name in found):
         lines.append(table.read_text(encoding="utf-8"))
     lines.append(f"Results: {results(study)}/")
     lines += [f"  {path}" for each in at_points(study) if (path := report_jobs.report.output(each, "report")).exists()]
@@ -87,7 +87,9 @@ def failure(study: Study, found: Mapping[str, runs.Run]) -> str:
         for label in run.labels(runs.FAILED):
             lines.append(f"FAILED  {runs.title(label)}: {run.jobs[label].result or 'no word in its log'}")
             lines.append(f"        {run.folder}/logs/{label}.log")
-    partial = report_jobs.table.command(at_points(study)[0], {"table": study.tables[0]})
     lines.append("The same command goes on from here; with --keep-going it does all that needs no failed job.")
-    lines.append(f"Tables of what has finished: {partial} --partial")
+    for each in at_points(study):
+        if not study.sweep or (each.name in found and found[each.name].labels(runs.FAILED)):
+            partial = report_jobs.table.command(each, {"table": each.tables[0]})
+            lines.append(f"Tables of what has finished: {partial} --partial")
     return "\n".join(lines)

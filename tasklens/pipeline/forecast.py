@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import mean
 
 from tasklens.pipeline.stage import results
+from tasklens.runtime.benchmarks import Benchmark, benchmarks, number
 from tasklens.study.study import Study
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
@@ -33,44 +34,24 @@ class Measured:
     memory_mb: float
 
 
-def benchmarks(folder: Path) -> dict[str, Measured]:
+def by_stage(folder: Path) -> dict[str, Measured]:
     """Read Snakemake's benchmark files below a folder, by stage."""
-    found: dict[str, list[tuple[float, float]]] = {}
-    for path in sorted(folder.rglob("*.tsv")):
-        rows = _rows(path)
-        if rows:
-            stage = path.relative_to(folder).parts[0].removesuffix(".tsv")
-            found.setdefault(stage, []).append((float(rows[-1]["s"]), _number(rows[-1]["max_rss"])))
+    found: dict[str, list[Benchmark]] = {}
+    for stage, job in benchmarks(folder):
+        found.setdefault(stage, []).append(job)
     return {
-        stage: Measured(mean(s for s, _ in jobs), max(s for s, _ in jobs), max(mb for _, mb in jobs))
+        stage: Measured(
+            mean(job.seconds for job in jobs), max(job.seconds for job in jobs), max(job.memory_mb for job in jobs)
+        )
         for stage, jobs in found.items()
     }
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file, delimiter="\t"))
-
-
-def seconds_of(path: Path) -> float | None:
-    """Read the duration of one job from its benchmark file [s]; None where there is none."""
-    rows = _rows(path) if path.exists() else []
-    return float(rows[-1]["s"]) if rows else None
-
-
-def _number(text: str) -> float:
-    """Parse a number of a file; 0 where there is none, as for the memory of a very short job."""
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0
 
 
 def elsewhere(study: str) -> dict[str, Measured]:
     """Read what was measured of a study in `config/`, by stage; empty for other studies. Gaps of the file are 0."""
     with open(MEASURED, newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["study"] == study]
-    return {row["stage"]: Measured(*(_number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
+    return {row["stage"]: Measured(*(number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
 
 
 class Durations:
@@ -88,7 +69,7 @@ class Durations:
     @cached_property
     def here(self) -> dict[str, Measured]:
         """Benchmarks of this study on this machine, by stage."""
-        return benchmarks(self.folder)
+        return by_stage(self.folder)
 
     @cached_property
     def elsewhere(self) -> dict[str, Measured]:

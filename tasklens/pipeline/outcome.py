@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from statistics import mean
 
-import yaml
-
 from tasklens.pipeline.stage import STAGES
+from tasklens.runtime.files import parse_yaml
 from tasklens.study.names import SHARP
 from tasklens.study.study import Study
 
@@ -31,7 +30,7 @@ def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -
 
 
 def _lens(path: Path) -> str:
-    content = yaml.load(path.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    content = parse_yaml(path.read_text(encoding="utf-8"))
     words = [f"RMS spot {mean(content['figures']['rms_centroid_um']):.1f} um"]
     if "validation_loss" in content["origin"]:
         words.append(f"loss {content['origin']['validation_loss']:.3g}")

@@ -84,13 +84,13 @@ class Run:
 
     def seconds_left(self, durations: Durations) -> float | None:
         """Return how long the remaining jobs take on the run's cores [s]; None where nothing is known of any."""
+        return seconds_left([(self, durations)])
+
+    def known_seconds(self, durations: Durations) -> tuple[list[float], list[float]]:
+        """Return how long each waiting and each running job still takes [s], of those of which it is known."""
         waiting = [durations.seconds(self.jobs[label].stage) for label in self.labels(WAITING)]
         running = [self._left(label, durations) for label in self.labels(RUNNING)]
-        known = [seconds for seconds in (*waiting, *running) if seconds is not None]
-        if not known:
-            return None
-        longest = max((seconds for seconds in running if seconds is not None), default=0.0)
-        return max(longest, sum(known) / self.cores)
+        return [each for each in waiting if each is not None], [each for each in running if each is not None]
 
     def _left(self, label: str, durations: Durations) -> float | None:
         """Return how long a running job still takes [s]: the longer of what its phase and its stage's jobs say."""
@@ -129,16 +129,24 @@ class Run:
         return any(durations.seconds(self.jobs[label].stage) is None for label in self.labels(WAITING))
 
 
+def seconds_left(found: Sequence[tuple[Run, Durations]]) -> float | None:
+    """Return how long the remaining jobs of runs side by side take on their cores [s]; None where nothing is known."""
+    known = [run.known_seconds(durations) for run, durations in found]
+    running = [seconds for _, each in known for seconds in each]
+    every = running + [seconds for each, _ in known for seconds in each]
+    return max([*running, sum(every) / found[0][0].cores]) if every else None
+
+
 def headline(found: Sequence[tuple[Run, Durations]]) -> str:
     """Say in one line how many jobs of runs side by side are done, and how long the others take."""
     done, failed = (sum(len(run.labels(state)) for run, _ in found) for state in (DONE, FAILED))
     total = sum(len(run.jobs) for run, _ in found)
     line = f"{done} of {total} jobs" + (f", {failed} failed" if failed else "")
-    left = [seconds for run, durations in found if (seconds := run.seconds_left(durations)) is not None]
-    if not left:
+    left = seconds_left(found)
+    if left is None:
         return line
     more = any(run.is_underestimated(durations) for run, durations in found)
-    return f"{line}, {'more than ' if more else 'about '}{duration(sum(left))} left"
+    return f"{line}, {'more than ' if more else 'about '}{duration(left)} left"
 
 
 def status(run: Run, durations: Durations) -> list[str]:

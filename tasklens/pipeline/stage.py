@@ -23,7 +23,7 @@ def results(study: Study) -> str:
     return f"results/{study.name}"
 
 
-def resolved(study: Study) -> str:
+def study_file(study: Study) -> str:
     """Return the file of a study with all defaults, which its jobs read."""
     return f"{results(study)}/study.yaml"
 
@@ -103,7 +103,7 @@ class Stage:
         torchrun = f"OMP_NUM_THREADS=1 torchrun --standalone --nproc-per-node {processes} -m tasklens.cli"
         words = [f"--seed {wildcards[name]}" if name == SEED else wildcards[name] for name in self.wildcards]
         return " ".join(
-            ["tasklens" if processes == 1 else torchrun, "run", self.name.replace("_", "-"), resolved(study), *words]
+            ["tasklens" if processes == 1 else torchrun, "run", self.name.replace("_", "-"), study_file(study), *words]
         )
 
     def patterns_in(self, study: Study) -> Mapping[str, str]:

@@ -19,9 +19,10 @@ from rich.text import Text
 
 from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob
-from tasklens.pipeline.forecast import duration, durations_of, seconds_of
+from tasklens.pipeline.forecast import duration, durations_of
 from tasklens.pipeline.outcome import last_lines, outcome
 from tasklens.pipeline.stage import STAGES, results
+from tasklens.runtime import benchmarks
 from tasklens.study.study import Study
 
 _MINUTE_S = 60.0
@@ -135,7 +136,8 @@ class Terminal(logging.Handler):
             return
         run, label, wildcards = self.jobs[number]
         study, job = self.studies[run.study], run.jobs[label]
-        run.end(label, runs.DONE, seconds_of(Path(run.folder, "benchmarks", f"{label}.tsv")))
+        measured = benchmarks.read(Path(run.folder, "benchmarks", f"{label}.tsv"))
+        run.end(label, runs.DONE, None if measured is None else measured.seconds)
         job.result = outcome(study, job.stage, wildcards, self._log(run, label))
         run.save()
         self.durations[run.study] = durations_of(study)

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pandas
-import yaml
 
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
 from tasklens.report.optimality import Gap, gap
+from tasklens.runtime.files import parse_yaml
 from tasklens.study.claims import Claim
 
 
@@ -43,7 +43,7 @@ class Measurements:
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
         """Read the content of a lens file, without validation."""
-        return yaml.load(self.lenses[lens, seed].read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        return parse_yaml(self.lenses[lens, seed].read_text())
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
         """Compute the function `lens_values` of a lens of the study."""

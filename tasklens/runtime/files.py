@@ -61,6 +61,13 @@ def invalid_yaml(path: str | Path, error: Exception) -> str:
     return f"{where}: not valid YAML: {getattr(error, 'problem', None) or error}"
 
 
+def parse_yaml(text: str) -> Any:
+    """Parse YAML without validation, ten times as fast as `yaml.safe_load` where libyaml is there."""
+    import yaml
+
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
 def temporary_of(path: Path) -> Path:
     """Return the temporary path of `path` while it is written."""
     return path.with_name(f".{path.name}.part")

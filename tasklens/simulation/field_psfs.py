@@ -10,7 +10,6 @@ density of all rows.
 import math
 from dataclasses import replace
 
-import numpy
 import torch
 from torch import Tensor
 
@@ -56,30 +55,37 @@ class _Map:
     """
 
     def __init__(self, lens: Lens, view: View, radius: float, distortion: bool):
-        self.heights = numpy.linspace(0, radius, _RADII)
+        self.heights = torch.linspace(0, radius, _RADII, dtype=torch.float64)
         self.fields = self.heights
         tried = torch.linspace(0, radius * (1.25 if distortion else 1), 2 * _RADII, dtype=torch.float64)
         chief = chief_rays(lens, along_y(view, tried))
-        found = chief.y[:, 0, 0].detach()
+        found = chief.y[:, 0, 0]
         rising = chief.valid[:, 0, 0] & (torch.diff(found, prepend=found[:1] - 1) > 0)
         usable = int(rising.int().cumprod(0).sum())
         reached = found[:usable] if distortion else tried[:usable]
         if not usable or reached[-1] < radius * (1 - 1e-9):
             raise InputError(
                 f"the lens has an image up to {float(reached.max()) if usable else 0:.3f} mm from the axis, and the "
-                f"image to simulate has corners at {radius:.3f} mm; expected a smaller pixel pitch"
+                f"image to simulate has corners at {radius:.3f} mm; expected a smaller pixel pitch or a smaller image"
             )
         if distortion:
-            self.fields = numpy.interp(self.heights, reached.numpy(), tried[:usable].numpy())
+            self.fields = interpolate(self.heights, reached, tried[:usable])
 
     def scale(self, height: Tensor) -> Tensor:
         """Return field over height at distances `height` [mm] from the centre."""
-        safe = height.clamp(min=self.heights[1])
+        safe = height.clamp(min=float(self.heights[1]))
         return self.at(safe, self.fields) / safe
 
-    def at(self, height: Tensor, values: numpy.ndarray) -> Tensor:
+    def at(self, height: Tensor, values: Tensor) -> Tensor:
         """Interpolate values at `heights` to other distances from the centre."""
-        return torch.from_numpy(numpy.interp(height.numpy(), self.heights, values))
+        return interpolate(height, self.heights, values)
+
+
+def interpolate(x: Tensor, knots: Tensor, values: Tensor) -> Tensor:
+    """Interpolate linearly between values (N,) at rising knots (N,), constant outside; differentiable in both."""
+    upper = torch.searchsorted(knots.detach(), x.detach().contiguous()).clamp(1, len(knots) - 1)
+    low, high = knots[upper - 1], knots[upper]
+    return torch.lerp(values[upper - 1], values[upper], ((x - low) / (high - low)).clamp(0, 1))
 
 
 def along_y(view: View, radius: Tensor) -> View:
@@ -98,7 +104,8 @@ def trace_field_psfs(
 ) -> FieldPsfs:
     """Trace the PSFs of a lens over a sensor of H x W pixels, centred on its axis; differentiable in the lens.
 
-    PSFs are centred on the chief ray, and normalised to the light that is not vignetted.
+    Its relative illumination, on request, has no derivatives. PSFs are centred on the chief ray, and normalised to the
+    light that is not vignetted.
 
     Args:
         pixel_pitch: pixel pitch [um].
@@ -135,8 +142,8 @@ def trace_field_psfs(
             unit = torch.stack(torch.broadcast_tensors(columns / (shape[1] / 2), rows[:, None] / (shape[0] / 2)), -1)
             source = (unit * (1e3 / pixel_pitch) * mapped.scale(radius)[..., None]).float()
         if illumination:
-            known = relative_illumination(lens, along_y(view, torch.from_numpy(mapped.fields)))
-            bright = mapped.at(radius, known.detach().numpy()).float()
+            known = relative_illumination(lens.detached(), along_y(view, mapped.fields.detach()))
+            bright = mapped.at(radius, known).float()
     return FieldPsfs(shape, y, x, torch.stack(core), None if negligible else beside, _HALO_PIXEL, source, bright)
 
 
@@ -158,8 +165,8 @@ def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_siz
 
 def _nodes(lens: Lens, view: View, half: list[float], pitch: float, mapped: _Map) -> list[Tensor]:
     """Return the distances of the nodes from the centre [pixels], along y and along x."""
-    radius = torch.from_numpy(mapped.heights) * (1e3 / pitch)
-    at = along_y(view, torch.from_numpy(mapped.fields))
+    radius = mapped.heights * (1e3 / pitch)
+    at = along_y(view, mapped.fields.detach())
     rays, chief = trace_fields(lens.detached(), at, sobol_disc(256, seed=0)), chief_rays(lens.detached(), at)
     offset = torch.stack([rays.x - chief.x, rays.y - chief.y], -1) * (1e3 / pitch)
     between = radius.diff()
@@ -178,5 +185,5 @@ def _nodes(lens: Lens, view: View, half: list[float], pitch: float, mapped: _Map
         largest = torch.where(crossed, density, 0).amax(-1)
         count = torch.cat([position[:1], torch.cumsum((largest[1:] + largest[:-1]) / 2 * position[1], 0)])
         wanted = torch.linspace(0, float(count[-1]), math.ceil(float(count[-1])) + 1, dtype=torch.float64)
-        found.append(torch.from_numpy(numpy.interp(wanted.numpy(), count.numpy(), position.numpy())))
+        found.append(interpolate(wanted, count, position))
     return found

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import yaml
 from pydantic import ValidationError
@@ -87,10 +88,10 @@ def at_points(study: Study) -> list[Study]:
     """
     if not study.sweep:
         return [study]
-    resolved = yaml.safe_load(dump(study)) | {"sweep": {}}
+    common = resolved(study) | {"sweep": {}}
     found = []
     for name, point in points(study.sweep).items():
-        content = resolved | {"name": f"{study.name}/{name}"}
+        content = common | {"name": f"{study.name}/{name}"}
         for key, value in point.items():
             content = laid_over(content, reduce(lambda nested, part: {part: nested}, reversed(key.split(".")), value))
         try:
@@ -98,6 +99,11 @@ def at_points(study: Study) -> list[Study]:
         except StudyError as error:
             raise StudyError(f"sweep, {name}: {error}") from None
     return found
+
+
+def resolved(study: Study) -> dict[str, Any]:
+    """Return a study with all defaults, as it stands in its file."""
+    return yaml.safe_load(dump(study))
 
 
 def dump(study: Study) -> str:

@@ -25,7 +25,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(gt=0)]
 Magnification = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
-StudyName = Annotated[str, Field(pattern=r"^[a-z0-9_]+(/[\w.,=+-]+)?$")]  # study/key=value at a point of a sweep
+StudyName = Annotated[str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?$")]  # study/key=value at a point of a sweep
 
 
 def renamed(names: dict[str, str]) -> Any:

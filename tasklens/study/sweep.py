@@ -14,10 +14,12 @@ def _checked(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
     for key, values in sweep.items():
         if key.split(".")[0] in _FIXED:
             raise ValueError(f"sweep.{key}: is the same at all points; expected another key, such as spec.f_number")
+        if key.startswith("designs.") and key.endswith(".method"):
+            raise ValueError(f"sweep.{key}: methods have other keys each; expected several designs in `designs`")
         for value in values:
             if not isinstance(value, bool | int | float | str) or not _VALUE.fullmatch(str(value)):
                 raise ValueError(f"sweep.{key}: expected numbers, names, true or false, found {value!r}")
-        if not values or len(set(values)) < len(values):
+        if not values or min(len(set(values)), len(set(map(_word, values)))) < len(values):
             raise ValueError(f"sweep.{key} = {list(values)}: expected values, each once")
     return sweep
 

@@ -12,7 +12,7 @@ import yaml
 from tasklens.materials.material import AIR, Material, from_definitions
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.files import FileError, invalid_yaml, number, positive, write_text
+from tasklens.runtime.files import FileError, invalid_yaml, number, parse_yaml, positive, write_text
 
 FORMAT = 2
 APERTURES = ("entrance_pupil_diameter_mm", "f_number")
@@ -213,8 +213,7 @@ def write(path: Path, prescription: Prescription, notes: Mapping) -> None:
 def read(path: Path) -> tuple[Prescription, dict]:
     """Read a lens file: its prescription, and its whole content; raises FileError as `from_dict` does."""
     try:
-        with open(path, encoding="utf-8") as file:
-            content = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        content = parse_yaml(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise FileError(invalid_yaml(path, error)) from None
     return from_dict(content, str(path)), content

@@ -47,7 +47,8 @@ def shown(files: Mapping[str, Path], supervisor: str) -> list[Shown]:
     if not {"images", "answers"} <= files.keys():
         return []
     arrays = load_file(files["images"])
-    answers = pandas.read_csv(files["answers"], keep_default_na=False)
+    texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
+    answers = pandas.read_csv(files["answers"], keep_default_na=False, dtype=texts)
     answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
     images = answers[["image", "label"]].drop_duplicates()
     images = images.set_index("image").loc[list(dict.fromkeys(_in_order(files["answers"])))]

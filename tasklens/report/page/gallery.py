@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas
-import yaml
 
 from tasklens.report.measurements import lens_values
 from tasklens.report.page import pictures
-from tasklens.runtime.files import Files
+from tasklens.runtime.files import Files, parse_yaml
 from tasklens.study.settings import Slice
 
 _HEADING = "## Manufacturability\n\n"
@@ -56,7 +55,7 @@ def entries(settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> 
 
 def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> Entry:
     text = inputs.lenses[lens].read_text(encoding="utf-8")
-    content = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    content = parse_yaml(text)
     figures, margins = content["figures"], content["margins"]
     groups = vars(inputs)
     page = groups["page"][lens].read_text(encoding="utf-8") if lens in groups["page"] else ""

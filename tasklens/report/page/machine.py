@@ -1,6 +1,7 @@
 """Where and how long a study ran: time and memory by kind of job, machine, commit, versions."""
 
 import json
+import math
 import os
 import platform
 from collections.abc import Mapping
@@ -8,15 +9,15 @@ from pathlib import Path
 
 import pandas
 
+from tasklens.runtime.benchmarks import benchmarks
+
 
 def durations(folder: Path) -> pandas.DataFrame:
     """Return a row per kind of job from Snakemake's benchmark files: jobs, time [min], longest job, memory [MB]."""
-    rows = []
-    for path in sorted(folder.rglob("*.tsv")):
-        last = pandas.read_csv(path, sep="\t").iloc[-1:]
-        kind = path.relative_to(folder).parts[0].removesuffix(".tsv").replace("_", " ")
-        memory = pandas.to_numeric(last["max_rss"], errors="coerce")
-        rows.append({"job": kind, "minutes": float(last["s"].iloc[0]) / 60, "memory_mb": float(memory.iloc[0])})
+    rows = [
+        {"job": stage.replace("_", " "), "minutes": job.seconds / 60, "memory_mb": job.memory_mb or math.nan}
+        for stage, job in benchmarks(folder)
+    ]
     if not rows:
         return pandas.DataFrame()
     jobs = pandas.DataFrame(rows).groupby("job")

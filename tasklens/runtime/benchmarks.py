@@ -1,0 +1,37 @@
+"""Snakemake's benchmark files: time and memory of finished jobs."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Benchmark(NamedTuple):
+    """Duration [s] and largest memory [MB] of a job; 0 MB where it was too short to be measured."""
+
+    seconds: float
+    memory_mb: float
+
+
+def read(path: Path) -> Benchmark | None:
+    """Read the benchmark of a job; None where there is none, or where the job was killed meanwhile."""
+    if not path.exists():
+        return None
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file, delimiter="\t"))
+    return Benchmark(float(rows[-1]["s"]), number(rows[-1]["max_rss"])) if rows else None
+
+
+def benchmarks(folder: Path) -> Iterator[tuple[str, Benchmark]]:
+    """Yield the stage and the benchmark of each job of a study, from its folder of benchmarks."""
+    for path in sorted(folder.rglob("*.tsv")):
+        if found := read(path):
+            yield path.relative_to(folder).parts[0].removesuffix(".tsv"), found
+
+
+def number(text: str) -> float:
+    """Parse a number of a file; 0 where there is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
