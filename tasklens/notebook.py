@@ -10,6 +10,7 @@ A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow thro
     captures = tasklens.simulate("photograph.jpg", lens, view)
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +31,9 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+
+# torch causes this warning itself, at the first forward-mode derivative of a process.
+warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
 
 if TYPE_CHECKING:
     from tasklens.study.settings import SensorSettings

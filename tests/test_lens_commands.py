@@ -67,7 +67,7 @@ def test_a_zemax_file_of_our_lens_has_its_figures(capsys):
     assert run("show", DOUBLET, SAME, *FEW, "--json") == 0
     output = capsys.readouterr()
     ours, theirs = json.loads(output.out).values()
-    assert f"{SAME}: pixels of 1.8 um and windows of 51 pixels" in output.err
+    assert f"{SAME}: no pixels in the file: taken as 1.8 um, and PSF windows of 51" in output.err
     for key in ("efl_mm", "f_number", "track_mm"):
         assert theirs[key] == pytest.approx(ours[key], rel=1e-6)
     for key in ("angle_deg", "rms_centroid_um", "core_radius_um", "mtf_sagittal_half_nyquist"):
@@ -232,8 +232,8 @@ MISTAKES = [
     ),
     (
         ("show", "glass.zmx"),
-        "glass.zmx, line 77: GLAS: unknown glass 'NOSUCH'; searched in the built-in plastics. Give its catalogue, or "
-        "define it in YAML",
+        "glass.zmx, line 77: GLAS: unknown glass 'NOSUCH'; searched in the built-in plastics. Give its catalogue or "
+        "YAML file (--catalogue FILE, in a study `catalogues`)",
     ),
     (("show", SAME, "--catalogue", "absent.agf"), "absent.agf: no such file or directory"),
     (("show", "text.zmx"), "text.zmx, line 1: hello: unknown keyword (with ''), which may change rays; delete"),
@@ -268,7 +268,7 @@ def test_a_mistake_is_one_line_and_exit_status_2(folder, capsys, arguments, word
     before = sorted(folder.iterdir())
     assert run(*arguments) == 2
     output = capsys.readouterr()
-    (line,) = [line for line in output.err.splitlines() if "pixels, as in a study" not in line]
+    (line,) = [line for line in output.err.splitlines() if "no pixels in the file" not in line]
     assert line.startswith("tasklens: ") and words in line
     assert output.out == "" and sorted(folder.iterdir()) == before
 
@@ -278,3 +278,15 @@ def test_a_wrong_option_or_command(capsys):
     assert run("shaw", DOUBLET) == 2 and "'show'" in capsys.readouterr().err
     assert run("show", DOUBLET, "--f-nunber", "3") == 2 and "--f-number" in capsys.readouterr().err
     assert run("draw", DOUBLET) == 2 and "--output" in capsys.readouterr().err
+
+
+def test_an_export_for_zemax_spares_a_catalogue_of_the_same_name(folder, capsys):
+    """A plastic that OpticStudio does not know goes into a catalogue beside the lens, which is said."""
+    mine = folder / "out.agf"
+    mine.write_text("mine")
+    assert run("export", DOUBLET, "-o", folder / "out.zmx") == 2
+    assert "out.agf: exists" in capsys.readouterr().err and mine.read_text() == "mine"
+    assert not (folder / "out.zmx").exists()
+    assert run("export", DOUBLET, "-o", folder / "out.zmx", "--force") == 0
+    said = capsys.readouterr().err
+    assert "out.agf with OKP4" in said and "Glasscat" in said and "OKP4" in mine.read_text()

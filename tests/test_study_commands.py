@@ -97,7 +97,12 @@ def test_a_new_study_of_photographs(place):
     found = load("mine.yaml")
     assert str(found.images.folder) == "photos" and found.images.size == 224
     assert found.images.minival == 160  # a fifth of 800
-    assert found.classifiers["resnet18"].model == "resnet18"
+    assert found.classifiers["resnet18"].model == "resnet18" and found.classifiers["resnet18"].pretrained
+    write("mine.safetensors", "")
+    options = ["--networks", "resnet18.a1_in1k", "--weights", "mine.safetensors", "--minutes", "9999", "--force"]
+    assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
+    own = load("mine.yaml").classifiers["resnet18_a1_in1k"]
+    assert (own.model, str(own.weights), own.pretrained) == ("resnet18.a1_in1k", "mine.safetensors", False)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +117,8 @@ def test_a_new_study_of_photographs(place):
         ("--elements mine=COC+WOOD", "elements.mine: unknown plastic 'WOOD'"),
         ("--networks ,", "--networks: expected names"),
         ("--networks resnet19", "classifiers.resnet19"),
+        ("--networks resnet18 --weights nowhere.pth", "--weights nowhere.pth: no such file"),
+        (f"--weights {__file__}", "--weights: for a network of timm; resnet is trained on the images"),
         ("--minutes 0.01", "--minutes 0.01: the least study of this kind takes about"),
     ],
 )

@@ -58,7 +58,7 @@ def design(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Design one lens. By least squares a doublet takes a minute; by a network, what it begins with comes first.
+    """Design one lens. By least squares a doublet takes a minute; by a network lenses for image quality come first.
 
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 

@@ -224,14 +224,19 @@ def export(
     force: Force = False,
 ) -> None:
     """Convert a lens for Zemax, or from Zemax to YAML."""
-    from tasklens.optics.io import lens_files, prescription
+    from tasklens.optics.io import lens_files, prescription, zemax
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
     found, content = lens_files.read_prescription(file, catalogue or ())
     if output.suffix.lower() == ".zmx" and not (found.fields and found.wavelengths_um):
         found = prescription.with_use(found, _reader(field_of_view, catalogue=catalogue)(file).view)
+    own = zemax.own_materials(found) if output.suffix.lower() == ".zmx" else {}
+    if own:
+        beside = new_file(output.with_suffix(".agf"), force, ".agf")
     lens_files.write(output, found, content)
     say(f"wrote {output}")
+    if own:
+        say(f"wrote {beside} with {', '.join(own)}, for OpticStudio's folder Glasscat")
 
 
 def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:

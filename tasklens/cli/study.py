@@ -31,6 +31,7 @@ def new(
     images: Annotated[str | None, typer.Option(help="Folder of photographs, or `built-in`.")] = None,
     size: Annotated[int | None, typer.Option(help="Side of the images [pixels].")] = None,
     networks: Annotated[str | None, typer.Option(help="Such as resnet,vit, or of timm; the first supervises.")] = None,
+    weights: Annotated[Path | None, typer.Option(help="Weights of the first network, of timm.")] = None,
     elements: Annotated[str | None, typer.Option(help="Such as doublet,triplet or mine=COC+OKP4.")] = None,
     f_number: Annotated[float | None, typer.Option(help="F-number of the lenses.")] = None,
     field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal [degrees].")] = None,
@@ -62,7 +63,10 @@ def new(
         f_number=asked(f_number, "F-number", 2.8),
         field_of_view_deg=asked(field_of_view, "Full field of view [degrees]", 68.8),
         seeds=asked(seeds, "Seeds", 1),
+        weights=weights,
     )
+    if weights is not None and not weights.is_file():
+        raise FileError(f"--weights {weights}: no such file")
     minutes = asked(minutes, "Time to spend [minutes]", 30.0)
     cut, seconds = new_study.fit(wish, minutes, cores)
     new_study.check(wish, cut)

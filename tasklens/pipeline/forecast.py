@@ -5,6 +5,7 @@ values from another machine; these durations are scaled by the ratio of duration
 """
 
 import csv
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,11 +14,15 @@ from pathlib import Path
 from statistics import mean
 
 from tasklens.pipeline.stage import results
+from tasklens.recognition import class_folders
 from tasklens.runtime.benchmarks import Benchmark, benchmarks, number
+from tasklens.runtime.files import FileError
+from tasklens.study.settings import ImageSettings
 from tasklens.study.study import Study
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
 _LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
+_COMPARABLE = 20_000  # training images; with more, nothing measured here says how long jobs take
 _LIMIT = 4.0  # time limit of a job over the longest job of its stage
 _LEAST_LIMIT_MIN = 10.0
 _UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage without benchmarks
@@ -122,8 +127,20 @@ class Durations:
 
 
 def durations_of(study: Study) -> Durations:
-    """Return the durations of a study; where nothing is known of a stage, of a study with images of its size."""
-    return Durations(study.name, results(study), "photographs" if study.images.size >= _LARGE else "small")
+    """Return the durations of a study; where nothing is known of a stage, of a study with images like its own."""
+    similar = "photographs" if study.images.size >= _LARGE else "small"
+    return Durations(study.name, results(study), similar if _training_images(study.images) <= _COMPARABLE else "")
+
+
+def _training_images(images: ImageSettings) -> float:
+    """Return the number of training images, counted up to `_COMPARABLE`; infinity where their folder is missing."""
+    if images.train is not None:
+        return images.train
+    assert images.folder is not None  # rendered images need counts
+    try:
+        return class_folders.count(class_folders.split_folder(images.folder, class_folders.TRAIN), _COMPARABLE + 1)
+    except (FileError, OSError):
+        return math.inf
 
 
 def duration(seconds: float) -> str:

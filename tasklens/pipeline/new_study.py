@@ -1,5 +1,6 @@
 """A new study that fits a time: the default study, cut until the measured durations of its jobs say so."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,6 +55,7 @@ class Wish:
         networks: names of networks of the default study, or of timm, which start from published weights; the first one
             supervises the designs.
         elements: plastics from front to back by name.
+        weights: weights of the first network, if it is one of timm, in place of published ones.
     """
 
     name: str
@@ -64,11 +66,13 @@ class Wish:
     f_number: float
     field_of_view_deg: float
     seeds: int
+    weights: Path | None = None
 
 
 def content(wish: Wish, cut: Cut) -> dict[str, Any]:
     """Return the keys of the study file: the default study with what is wished, and cut."""
     base = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+    names = [re.sub("[^a-z0-9_]", "_", network.lower()) for network in wish.networks]  # resnet18.a1_in1k
     designs = {name: _design(base["designs"], name, cut) for name in cut.designs or base["designs"]}
     images: dict[str, Any] = {"size": wish.size, "minival": base["images"]["minival"], "seed": 0}
     if wish.folder is None:
@@ -85,8 +89,11 @@ def content(wish: Wish, cut: Cut) -> dict[str, Any]:
         "images": images,
         "spec": base["spec"] | {"f_number": wish.f_number, "field_of_view_deg": wish.field_of_view_deg},
         "elements": {name: list(plastics) for name, plastics in wish.elements.items()},
-        "supervisor": wish.networks[0],
-        "classifiers": {name: _network(base["classifiers"], name, wish.size) for name in wish.networks},
+        "supervisor": names[0],
+        "classifiers": {
+            name: _network(base["classifiers"], wish, network)
+            for name, network in zip(names, wish.networks, strict=True)
+        },
         "designs": designs,
         "fine_tuning": base["fine_tuning"],
         "restoration": base["restoration"],
@@ -108,13 +115,15 @@ def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
     return design
 
 
-def _network(networks: Mapping[str, Any], name: str, size: int) -> dict[str, Any]:
-    """Return a network of the default study for images of a size, or a published one of timm with a new head."""
+def _network(networks: Mapping[str, Any], wish: Wish, name: str) -> dict[str, Any]:
+    """Return a network of the default study for images of a size, or one of timm with weights and a new head."""
     if name not in networks:
-        return {"model": name, "pretrained": True, "training": {"epochs": 1, "learning_rate": 3e-4}}
+        own = wish.weights is not None and name == wish.networks[0]
+        weights = {"weights": str(wish.weights)} if own else {"pretrained": True}
+        return {"model": name, **weights, "training": {"epochs": 1, "learning_rate": 3e-4}}
     network = dict(networks[name])
     if "img_size" in network.get("arguments", {}):
-        network["arguments"] = network["arguments"] | {"img_size": size}
+        network["arguments"] = network["arguments"] | {"img_size": wish.size}
     return network
 
 
@@ -183,11 +192,14 @@ def check(wish: Wish, cut: Cut) -> None:
     study = parse(content(wish, cut))
     class_folders.check(study.images)
     known = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))["classifiers"]
+    if wish.weights is not None and wish.networks[0] in known:
+        raise InputError(f"--weights: for a network of timm; {wish.networks[0]} is trained on the images")
     if others := [name for name in wish.networks if name not in known]:
         from tasklens.recognition import classifiers
 
-        for name in others:
-            classifiers.check(name, study.classifiers[name], wish.size)
+        for name, settings in study.classifiers.items():
+            if settings.model in others:
+                classifiers.check(name, settings, wish.size)
 
 
 _COMMENTS = {
@@ -209,7 +221,7 @@ def text(wish: Wish, cut: Cut, forecast_s: float, cores: int, path: Path) -> str
     """Return the study file: what it is, its command and duration, and its keys with comments."""
     lines = [
         f"# {cut.words[0].upper()}{cut.words[1:]}: about {duration(forecast_s)} on {cores} cores of the machine on",
-        "# which config/durations.csv was measured. All keys: tasklens/study/settings.py, with units and limits.",
+        "# which config/durations.csv was measured. All keys: `tasklens study schema`, and the page of keys in docs.",
         "#",
         f"#   snakemake -j{cores} tables --configfile {path}",
     ]

@@ -7,6 +7,7 @@ import pandas
 
 from tasklens.materials.material import AIR
 from tasklens.optics.lens import Lens
+from tasklens.report.manufacturability import UNITS
 from tasklens.report.publish import rounded
 
 _FIELDS = {  # key in the figures of a lens: what a person reads, number of decimals
@@ -39,7 +40,8 @@ _COLUMNS = {  # key of a row: its heading, format
 _NOTE = """\
 Lengths in mm, field of view in degrees, spots in um, distortion in %. Worst RMS, distortion and illumination: of the
 worst field. Means over the fields: RMS, radii of 50 % (core) and 80 % of the light about the chief ray, MTF at half
-Nyquist, light in the PSF window."""
+Nyquist, light in the PSF window. Margin: to the nearest limit of the design, in the limit's unit (mm, slope, fraction,
+rad); a violation is negative."""
 
 
 def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
@@ -71,7 +73,9 @@ def text(name: str, found: Mapping) -> str:
         lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in found["fields"][key]))
     if "worst_margin" in found:
         limit, value = found["worst_margin"]["limit"], found["worst_margin"]["value"]
-        lines.append(f"  VIOLATES {limit} by {-value:.4f}" if value < 0 else f"  worst margin: {value:.4f} ({limit})")
+        unit, limit = UNITS.get(limit, "mm"), limit.replace("_", " ")
+        size = f"{abs(value):.4f} {unit}".strip()
+        lines.append(f"  VIOLATES its limit of {limit} by {size}" if value < 0 else f"  worst margin: {size} ({limit})")
     if "design" in found.get("origin", {}):
         origin = found["origin"]
         seed = f", seed {origin['seed']}" if "seed" in origin else ""

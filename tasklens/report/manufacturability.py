@@ -10,7 +10,7 @@ from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS
 from tasklens.report.publish import right_aligned
 
 _SHOWN = 3  # number of most sensitive parts in the page
-_UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "rad"}
+UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "rad"}
 
 
 def markdown(
@@ -27,7 +27,7 @@ def markdown(
     moved_um = math.hypot(*errors_um.values())
     worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SHOWN]
     limits = pandas.DataFrame(
-        [(name.replace("_", " "), f"{value:.4f} {_UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
+        [(name.replace("_", " "), f"{value:.4f} {UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
         columns=["limit", "margin"],
     )
     surfaces = pandas.DataFrame(

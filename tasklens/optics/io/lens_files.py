@@ -134,7 +134,8 @@ def _derived(found: Prescription, content: Mapping, wanted: dict) -> LensFile:
         given["wavelengths_um"] = (max(colours), middle, min(colours))
     elif "wavelengths_um" not in wanted:
         default = Spec.model_fields["wavelengths_um"].default
-        remarks.append(f"no three wavelengths in the file: those of a study, {', '.join(map(str, default))} um")
+        taken = ", ".join(map(str, default))
+        remarks.append(f"no three wavelengths in the file: taken as {taken} um (--wavelengths)")
     reference = (given | wanted).get("wavelengths_um", Spec.model_fields["wavelengths_um"].default)[1]
     first_order = paraxial(found.lens, reference)
     efl = float(first_order.efl)
@@ -147,7 +148,8 @@ def _derived(found: Prescription, content: Mapping, wanted: dict) -> LensFile:
         given["diagonal_mm"] = 2 * efl * tangent
     lens, view = _changed(found.lens, efl, given, wanted)
     if not {"pixel_pitch_um", "kernel_size"} <= set(wanted):
-        remarks.append(f"pixels of {view.pixel_pitch} um and windows of {view.kernel_size} pixels, as in a study")
+        taken = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} of them"
+        remarks.append(f"no pixels in the file: taken as {taken} (--pixel-pitch, --kernel-size)")
     if math.isfinite(found.object_distance_mm):
         focused = refocused(lens, view, _RAYS)
         shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])

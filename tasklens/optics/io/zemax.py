@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tasklens.materials.catalogues import collect, in_zemax, write_agf
-from tasklens.materials.material import AIR
+from tasklens.materials.material import AIR, Material
 from tasklens.materials.zemax_text import Line, decimal, read_lines
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io.prescription import FIELDS, Prescription
@@ -171,7 +171,7 @@ def write(path: Path, prescription: Prescription) -> None:
         FileError: no fields or wavelengths, more wavelengths than Zemax allows, an aperture that does not fit the stop,
             or a text or name that the file cannot hold.
     """
-    own = {m.name: m for m in prescription.lens.media if m != AIR and m.formula != "model" and not m.zemax}
+    own = own_materials(prescription)
     if own and " " in path.stem:
         raise FileError(f"{path}: the name of a Zemax catalogue has no spaces; rename the file")
     text = "\r\n".join(_lines(prescription, str(path), [path.stem.upper()] if own else [])) + "\r\n"
@@ -179,6 +179,12 @@ def write(path: Path, prescription: Prescription) -> None:
         write_agf(path.with_suffix(".agf"), own.values())
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode("ascii" if text.isascii() else "utf-16"))
+
+
+def own_materials(prescription: Prescription) -> dict[str, Material]:
+    """Return the glasses that OpticStudio does not know, by name, which `write` puts into a catalogue."""
+    media = prescription.lens.media
+    return {medium.name: medium for medium in media if medium != AIR and medium.formula != "model" and not medium.zemax}
 
 
 def _lines(prescription: Prescription, name: str, own: list[str]) -> list[str]:

@@ -176,7 +176,8 @@ def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material
             raise line.error(f"no model glass has nd = {nd} and Vd = {vd}")
         return model_glass(nd, vd, dpgf, "" if name == BLANK else name)
     if name not in glasses:
-        raise line.error(f"unknown glass {name!r}; searched in {searched}. Give its catalogue, or define it in YAML")
+        catalogue = "Give its catalogue or YAML file (--catalogue FILE, in a study `catalogues`)"
+        raise line.error(f"unknown glass {name!r}; searched in {searched}. {catalogue}")
     return glasses[name]
 
 
