@@ -14,7 +14,7 @@ from snakemake.logging import logger
 from snakemake.settings.types import ExecMode
 from snakemake.utils import min_version
 
-from tasklens.pipeline import changes, closing, jobs, report_jobs, runs
+from tasklens.pipeline import changes, closing, jobs, kept_studies, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import durations_of
 from tasklens.pipeline.stage import STAGES, flatten, results, study_file
@@ -167,15 +167,15 @@ def prepare(planned):
                 class_folders.check(study.images)
         except InputError as error:
             sys.exit(f"{error}")
-    # Not written while parsing: a dry run during a running study must not change the file that its jobs read.
-    for study in EVERY.values():
-        files.write_if_changed(study_file(study), loading.dump(study))
+    kept = {name: kept_studies.keep(study) for name, study in EVERY.items()}  # of these, jobs take their settings
     networks = "--networks" if "reference" in kinds else ""
     if networks or given.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
         try:
-            shell(f"tasklens study check {study_file(given)} --no-weights {networks} > /dev/null")
+            shell(f"tasklens study check {kept[given.name]} --no-weights {networks} > /dev/null")
         except CalledProcessError as error:  # which has said why
             sys.exit(error.returncode)
+    for study in EVERY.values():  # for people, and the next run
+        files.write_if_changed(study_file(study), loading.dump(study))
 
 
 onstart:

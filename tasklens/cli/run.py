@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tasklens.pipeline import report_jobs
+from tasklens.pipeline import kept_studies, report_jobs
 from tasklens.pipeline.partial import prepare
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import SEED, STAGES, Stage, study_file
@@ -45,7 +45,7 @@ def app() -> typer.Typer:
 def _command(stage: Stage) -> Callable[..., None]:
     """Return the command of a stage: its wildcards are arguments, the seed and `--partial` options."""
 
-    def command(study: Path, partial: bool = False, **wildcards: Any) -> None:
+    def command(study: Path, partial: bool = False, plan: str | None = None, **wildcards: Any) -> None:
         found = load(study)
         if stage is report_jobs.sweep and not found.sweep:
             raise InputError(f"{study}: has no sweep, of which this would make the table")
@@ -54,6 +54,8 @@ def _command(stage: Stage) -> Callable[..., None]:
             raise InputError(f"{study}: has a sweep; expected the file of one of its points: {points}")
         if wildcards.get(SEED, 0) is None:
             wildcards[SEED] = found.seeds[0]
+        if plan is not None:
+            found = kept_studies.find(stage, found, wildcards, plan)
         if partial and stage is report_jobs.report:
             prepare(found)
         if status := run(stage, found, wildcards, partial):
@@ -65,6 +67,7 @@ def _command(stage: Stage) -> Callable[..., None]:
     ]
     if SEED in stage.wildcards:
         parameters.append(_option(SEED, int | None, None, "By default the first seed of the study."))
+    parameters.append(_option("plan", str | None, None, "Digest of the settings that a rule gives its job."))
     if stage in (report_jobs.table, report_jobs.report):
         words = f"Write <{stage.name}>-partial, of what is there."
         parameters.append(_option("partial", bool, False, words, "--partial"))

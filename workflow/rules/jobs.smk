@@ -76,7 +76,9 @@ for name, study, stage in declared():  # functions of wildcards are called later
             gpu=lambda w, plan_of=plan_of: plan_of(w).gpus,
         params:
             settings=lambda w, plan_of=plan_of: plan_of(w).settings.model_dump_json(),
-            command=lambda w, study=study, stage=stage: stage.command(study, w),
+            command=lambda w, study=study, stage=stage, plan_of=plan_of: (
+                f"{stage.command(study, w)} --plan {kept_studies.digest(plan_of(w))}"
+            ),
             code=code_digest(stage.function),
         shell:
             "{params.command} 2> {log}"
