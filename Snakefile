@@ -34,6 +34,8 @@ if not workflow.config_settings.configfiles:
 
 overwrite = config.pop("overwrite", False)  # consent, no part of the study
 try:
+    for path in workflow.config_settings.configfiles:
+        loading.read(path)  # Snakemake takes the last of two equal keys
     given = loading.parse(config, [Path(path) for path in workflow.config_settings.configfiles])
     studies = loading.at_points(given)  # more than one of a sweep
 except StudyError as error:
@@ -114,6 +116,11 @@ for target, paths in TARGETS.items():
 include: "workflow/rules/jobs.smk"
 
 
+def at_once():
+    """Return how many jobs run at once: on cores of this machine, or submitted to a cluster."""
+    return workflow.resource_settings.cores or workflow.resource_settings.nodes or 1
+
+
 def has_output(job):
     """Return whether any output of a job is there, and not that of a killed job."""
     halves = workflow.async_run(workflow.persistence.incomplete(job))
@@ -147,7 +154,7 @@ def overwritten(study, planned):
 
 def refusals(planned):
     """Return why this run must not start: changed values would overwrite finished results; else an empty text."""
-    cores = workflow.cores or 1
+    cores = at_once()
     found = (changes.refusal(overwritten(study, planned), study, durations[study.name], cores) for study in studies)
     return "" if overwrite else "\n\n".join(filter(None, found))
 
@@ -179,7 +186,7 @@ def prepare(planned):
 
 
 onstart:
-    planned, cores = planned_jobs(), workflow.cores or 1
+    planned, cores = planned_jobs(), at_once()
     if reason := refusals(planned):
         sys.exit(reason)
     found = {name: overwritten(EVERY[name], planned).otherwise for name in planned}

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from examples import changed, tiny_study, with_imported
+from examples import changed, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.design_settings import LearningRates
-from tasklens.study.loading import dump, load, parse
+from tasklens.study.loading import dump, load, parse, read
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
 
@@ -320,3 +320,43 @@ def test_a_wavelength_outside_a_used_plastics_range_is_named():
     study = changed(tiny_study(), "elements.singlet", ["MINE"]) | {"materials": {"MINE": MINE}}
     with pytest.raises(StudyError, match=r"0\.72.*0\.45 to 0\.7.*MINE"):
         parse(changed(study, "spec.wavelengths_um", [0.72, 0.6, 0.5]))
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("name: a\nname: b\n", "line 2, column 1: name stands twice; remove one"),
+        ("spec:\n  f_number: 2\n  f_number: 4\n", "line 3, column 3: f_number stands twice"),
+        ("designs: {a: {steps: 1, steps: 2}}\n", "line 1, column 25: steps stands twice"),
+        ("seeds: [05]\n", "line 1, column 9: YAML reads 05 as 5"),
+        ("seeds: [017]\n", "YAML reads 017 as 15; write 15, or another number"),
+        ("images: {test: 1:30}\n", "line 1, column 16: YAML reads 1:30 as 90"),
+    ],
+)
+def test_yaml_that_is_not_what_it_seems_is_refused(tmp_path, text, words):
+    write(tmp_path / "study.yaml", text)
+    with pytest.raises(StudyError) as caught:
+        read(tmp_path / "study.yaml")
+    assert str(caught.value).startswith(f"{tmp_path}/study.yaml, ") and words in str(caught.value)
+
+
+def test_yaml_with_anchors_and_merged_keys_is_read(tmp_path):
+    """A key may change what `<<` brings; 0, 10 and quoted numbers are what they seem."""
+    text = "a: &a {steps: 10, seed: 0}\nb: {<<: *a, steps: 2}\nc: ['05', *a, *a]\n"
+    write(tmp_path / "study.yaml", text)
+    assert read(tmp_path / "study.yaml")["b"] == {"steps": 2, "seed": 0}
+
+
+@pytest.mark.parametrize(
+    "key, value, words",
+    [
+        ("seeds", [True], "seeds.0 = true: expected a whole number"),
+        ("images.seed", True, "images.seed = true: expected a whole number"),
+        ("images.test", True, "images.test = true: expected a whole number"),
+        ("seeds", [2**70], "seeds.0 = 1180591620717411303424: expected less than 92233720368547"),
+    ],
+)
+def test_truth_is_no_number(key, value, words):
+    with pytest.raises(StudyError) as caught:
+        parse(changed(tiny_study(), key, value))
+    assert words in str(caught.value)

@@ -10,6 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 from tasklens.runtime.files import invalid_yaml
+from tasklens.study import strict_yaml
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
@@ -51,12 +52,14 @@ def _layer(path: Path, missing: Sequence[str]) -> str:
 
 
 def read(path: str | Path) -> Mapping:
-    """Read the keys of a study file; raises StudyError for a file that is no YAML mapping."""
+    """Read the keys of a study file; raises StudyError for a file that is no YAML mapping, or not what it seems."""
     if Path(path).is_dir():
         raise StudyError(f"{path}: is a folder; expected a study file (YAML), as those in config/")
     try:
-        with open(path, encoding="utf-8") as file:
-            content = yaml.safe_load(file)
+        text = Path(path).read_text(encoding="utf-8")
+        if found := strict_yaml.problem(text):
+            raise StudyError(f"{path}, {found}")
+        content = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise StudyError(invalid_yaml(path, error)) from None
     except UnicodeDecodeError:

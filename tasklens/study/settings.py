@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
@@ -22,7 +23,17 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(gt=0)]
+
+
+def _no_truth(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError("expected a whole number")
+    return value
+
+
+Whole = Annotated[int, BeforeValidator(_no_truth)]  # not `true`, which is 1
+Count = Annotated[Whole, Field(gt=0)]
+Seed = Annotated[Whole, Field(ge=0, lt=2**63)]
 Magnification = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 StudyName = Annotated[str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?$")]  # study/key=value at a point of a sweep
@@ -81,7 +92,7 @@ class Spec(Frozen):
     field_of_view_deg: float = Field(68.8, gt=0, lt=150, description="Full field of view on the diagonal [degrees].")
     f_number: Positive = Field(2.8, description="Focal length over diameter of the entrance pupil.")
     pixel_pitch_um: Positive = Field(1.8, description="Pixel pitch [um].")
-    kernel_size: int = Field(51, ge=3, description="Width of the square PSF window [pixels], odd.")
+    kernel_size: Whole = Field(51, ge=3, description="Width of the square PSF window [pixels], odd.")
     wavelengths_um: tuple[Positive, Positive, Positive] = Field(
         (0.6563, 0.5893, 0.4861),
         description="Red, green and blue [um]; the middle one is the reference. C, D, F lines.",
@@ -150,11 +161,11 @@ RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports tor
 class ImageSettings(Frozen):
     """Settings of labelled images: rendered, or read from `folder`: train/<class>/* and test/<class>/* (or val)."""
 
-    size: int = Field(64, ge=16, description="Side of the square images [pixels].")
+    size: Whole = Field(64, ge=16, description="Side of the square images [pixels].")
     train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
     minival: Count = Field(500, description="Number of images for selection, taken from the training images.")
     test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
-    seed: int = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
+    seed: Seed = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
     folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")
     periods: tuple[Annotated[float, Field(ge=3)], float] = Field(
         (5.0, 16.0), description="Shortest and longest period of rendered textures [pixels]; shorter ones are harder."
@@ -258,7 +269,7 @@ class SensorSettings(Frozen):
     full_well: Positive = Field(6000, description="Electrons of a pixel at white with gain 1.")
     gain: Magnification = Field(1, description="Gain: white is at full_well / gain electrons; about 16 indoors.")
     read_noise: float = Field(2, ge=0, description="Standard deviation of the read noise [electrons].")
-    bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
+    bits: Annotated[Whole, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
 
 
 class CaptureSettings(Frozen):

@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
 
@@ -33,6 +33,7 @@ from tasklens.study.settings import (
     ImageSettings,
     Name,
     RestorationSettings,
+    Seed,
     Spec,
     StudyName,
     TrainingSettings,
@@ -65,9 +66,7 @@ class Study(Frozen):
 
     format: Literal[2] = Field(description="Version of the keys of a study file.")
     name: StudyName = Field(description="Name of the study; results are in results/<name>.")
-    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
-        (0,), min_length=1, description="Seeds of design, fine-tuning and data order; each job runs once per seed."
-    )
+    seeds: tuple[Seed, ...] = Field((0,), min_length=1, description="Seeds of design, fine-tuning and data order.")
     images: ImageSettings = Field(description="The labelled images.")
     spec: Spec = Field(Spec(), description="Specification of all lenses.")
     specs: dict[Name, dict[str, Any]] = Field(
