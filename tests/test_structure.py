@@ -418,6 +418,42 @@ def test_a_killed_writer_leaves_nothing_that_looks_finished(tmp_path):
     path = tmp_path / "file.txt"
     done = subprocess.run([sys.executable, "-c", code, str(path)], env=os.environ)
     assert done.returncode == -signal.SIGKILL and not path.exists()
+    assert len(list(tmp_path.iterdir())) == 1
+    files.write_text(path, "whole")
+    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]  # what it left is gone
+
+
+def test_two_writers_of_one_file_do_not_mix(tmp_path):
+    """A process left over from a killed run, and its successor: each has a temporary file of its own."""
+    code = (
+        "import sys; from pathlib import Path; from tasklens.runtime.files import replacing\n"
+        "with replacing(Path(sys.argv[1])) as temporary:\n"
+        "    temporary.write_text('theirs'); print('begun', flush=True); input()"
+    )
+    path = tmp_path / "file.txt"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", code, str(path)], **pipes) as other:
+        assert other.stdout.readline() == "begun\n"
+        files.write_text(path, "ours")
+        assert path.read_text() == "ours" and len(list(tmp_path.iterdir())) == 2
+        other.communicate("go on\n")
+    assert other.returncode == 0 and path.read_text() == "theirs" and [*tmp_path.iterdir()] == [path]
+
+
+def test_an_array_has_one_writer(tmp_path):
+    """Since it is resumed under one name: a second process is refused, and may write once the first has ended."""
+    path = tmp_path / "array.npy"
+    code = (
+        "import sys; from pathlib import Path; from tasklens.runtime.files import writing_array\n"
+        "with writing_array(Path(sys.argv[1]), (2,), 'uint8') as array: array[:] = 7"
+    )
+    command = [sys.executable, "-c", code, str(path)]
+    with files.writing_array(path, (2,), "uint8") as array:
+        array[:] = 5
+        refused = subprocess.run(command, capture_output=True, text=True)
+        assert refused.returncode != 0 and "another process is writing it" in refused.stderr
+    assert files.map_array(path).tolist() == [5, 5]
+    assert subprocess.run(command).returncode == 0 and files.map_array(path).tolist() == [7, 7]
 
 
 def test_rows_keep_all_columns(tmp_path):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from tasklens.recognition import class_folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.runtime.files import FileError, temporary_of, writing_array
+from tasklens.runtime.files import FileError, resumable_of, writing_array
 from tasklens.runtime.progress import Progress
 
 Image.MAX_IMAGE_PIXELS = None  # no limit of Pillow's: the files are trusted, and may be of any size
@@ -72,7 +72,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
     part = checkpoint.part(path.stem)
     if part.result is not None and path.exists():
         return
-    begun = temporary_of(path).exists() and part.step > 0
+    begun = resumable_of(path).exists() and part.step > 0
     shape = (len(listing), 3, size, size)
     with writing_array(path, shape, "uint8", begun) as array, ThreadPoolExecutor(threads) as pool:
 

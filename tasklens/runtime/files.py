@@ -1,16 +1,20 @@
 """Atomic writing of files, under a temporary name that is renamed; and reading."""
 
+import glob
 import json
 import math
 import os
 import re
 import shutil
+import socket
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+
+import psutil
 
 from tasklens.runtime.errors import InputError
 
@@ -69,25 +73,53 @@ def parse_yaml(text: str) -> Any:
 
 
 def temporary_of(path: Path) -> Path:
-    """Return the temporary path of `path` while it is written."""
+    """Return the temporary path at which this process writes `path`, and no other one."""
+    return path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part")
+
+
+def resumable_of(path: Path) -> Path:
+    """Return the temporary path at which `path` is written by one process after the other."""
     return path.with_name(f".{path.name}.part")
 
 
 @contextmanager
-def replacing(path: Path, begun: bool = False) -> Iterator[Path]:
+def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `path` when the block ends, and removed when it raises.
 
-    A temporary file left by a killed process is removed first, unless `begun` continues it.
+    The file is on the disk before it has its name, so that it is complete or absent after a loss of power too.
+    Temporary files that killed processes of this machine have left are removed.
+
+    Args:
+        temporary: in place of a name of this process alone.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = temporary_of(path)
-    if not begun:
-        temporary.unlink(missing_ok=True)
+    _remove_abandoned(path)
+    temporary = temporary or temporary_of(path)
     try:
         yield temporary
+        _synchronise(temporary, os.O_RDWR)
         os.replace(temporary, path)
+        if os.name == "posix":  # elsewhere folders cannot be opened
+            _synchronise(path.parent, os.O_RDONLY)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _remove_abandoned(path: Path) -> None:
+    begin = f".{path.name}.{socket.gethostname()}-"
+    for other in path.parent.glob(f"{glob.escape(begin)}*.part"):
+        number = other.name.removeprefix(begin).removesuffix(".part")
+        if number.isdigit() and (int(number) == os.getpid() or not psutil.pid_exists(int(number))):
+            other.unlink(missing_ok=True)
+
+
+def _synchronise(path: Path, mode: int) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    opened = os.open(path, mode)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -116,11 +148,11 @@ def writing_array(
         begun: continue the temporary file of a killed process, and keep its values.
 
     Raises:
-        FileError: too little disk space, before the block.
+        FileError: too little disk space, or another process that writes it, before the block.
     """
     import numpy
 
-    with replacing(path, begun) as temporary:
+    with _alone(path), replacing(path, resumable_of(path)) as temporary:
         if not begun:
             size = numpy.dtype(dtype).itemsize * math.prod(shape)
             free = shutil.disk_usage(temporary.parent).free  # on a full disk, writing to the map kills the process
@@ -129,6 +161,23 @@ def writing_array(
         mapped = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
         yield mapped
         mapped.flush()
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Let no other process write `path` while the block runs; raises FileError where one does."""
+    from filelock import FileLock, Timeout
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path.with_name(f".{path.name}.lock"), timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise FileError(f"{path}: another process is writing it; wait for it, or end it") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def map_array(path: Path) -> "torch.Tensor":
