@@ -328,3 +328,11 @@ def test_map_of_regimes():
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
     assert rows["plastics"].to_dict() == {"doublet": 2, "triplet": 3}
     assert "doublet-imaging2" in outputs.md.read_text()
+
+
+@pytest.mark.parametrize(
+    "low, high, words", [(-0.03, 0.01, "0.1"), (-0.1, 0.62, "0.7"), (0.0, 0.0, "0.0"), (-0.3, 0.2, "0.3")]
+)
+def test_undecided_is_within_what_the_interval_reaches(low, high, words):
+    """Rounded up: a difference of 0.03 is not within 0.0 points."""
+    assert verdicts.verdict((low + high) / 2, low, high, 1.0, 5) == ("undecided", f"within {words} points")

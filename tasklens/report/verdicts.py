@@ -12,6 +12,7 @@ than five seeds it suggests the difference instead. Otherwise it is undecided, a
 points the two are.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
@@ -55,7 +56,7 @@ def verdict(
     """
     above = low > -margin
     if p_holm >= 1 - bootstrap.CONFIDENCE or not (above or high < -margin):
-        return UNDECIDED, f"within {max(-low, high):.1f} points"
+        return UNDECIDED, f"within {math.ceil(round(10 * max(-low, high), 6)) / 10:.1f} points"
     if seeds < LEAST_SEEDS:
         over = "images, one seed" if seeds == 1 else f"images and {seeds} seeds"
         return f"suggests {difference:+.1f} points ({low:.1f} to {high:.1f} over {over})", "fewer than five seeds"
