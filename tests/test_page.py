@@ -8,11 +8,12 @@ import numpy
 import pandas
 import pytest
 from examples import tiny_study, write
+from safetensors.numpy import save_file
 
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.run import run
 from tasklens.report.optimality import Gap
-from tasklens.report.page import assembly, charts, tables, words
+from tasklens.report.page import assembly, captures, charts, tables, words
 from tasklens.report.verdicts import verdict
 from tasklens.runtime.files import FileError
 from tasklens.study.claims import FEWER_ELEMENTS, OVER_END_TO_END, OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES
@@ -235,3 +236,16 @@ def test_a_page_that_is_too_large_is_refused(monkeypatch, tmp_path):
     with pytest.raises(FileError, match=r"report-partial\.html: would have .* MB, more than 1: show fewer lenses"):
         partial_page(monkeypatch, tmp_path)
     assert not Path("results/tiny/report-partial.html").exists()
+
+
+def test_a_class_may_be_called_by_a_number(tmp_path):
+    """Answers are texts: 7 is 7, and 007 is not."""
+    image = numpy.full((1, 1, 3, 4, 4), 128, dtype=numpy.uint8)
+    save_file({"sharp": image, "lens": image}, tmp_path / "images.safetensors")
+    head = "image,label,lens,field,restored,classifier,answer,probability,psnr_db\n"
+    rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
+    write(tmp_path / "answers.csv", head + rows)
+    files = {"images": tmp_path / "images.safetensors", "answers": tmp_path / "answers.csv"}
+    (found,) = captures.shown(files, "a")
+    assert [answer.right for answer in found.captures["lens", False][0].answers] == [True, False]
+    assert found.label == "7"
