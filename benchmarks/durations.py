@@ -10,7 +10,7 @@ import csv
 import io
 from pathlib import Path
 
-from tasklens.pipeline.forecast import MEASURED, benchmarks
+from tasklens.pipeline.forecast import MEASURED, by_stage
 from tasklens.runtime.files import write_text
 
 COLUMNS = ("study", "stage", "seconds", "longest_s", "memory_mb")
@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> None:
     with open(options.table, newline="") as file:
         rows = {(row["study"], row["stage"]): row for row in csv.DictReader(file)}
     for folder in options.results:
-        for stage, found in benchmarks(folder / "benchmarks").items():
+        for stage, found in by_stage(folder / "benchmarks").items():
             numbers = {"seconds": found.seconds, "longest_s": found.longest_s, "memory_mb": found.memory_mb}
             words = {name: f"{value:.1f}" for name, value in numbers.items()}
             rows[folder.name, stage] = {"study": folder.name, "stage": stage} | words
