@@ -32,7 +32,16 @@ if not workflow.config_settings.configfiles:
     configfile: "config/config.yaml"
 
 
-overwrite = config.pop("overwrite", False)  # consent, no part of the study
+def flag(name, default):
+    """Take a key that is of a run, no part of the study, out of the configuration; `--config` gives texts."""
+    given = str(config.pop(name, default)).lower()
+    if given not in ("true", "false"):
+        raise WorkflowError(f"--config {name}={given}: expected true or false")
+    return given == "true"
+
+
+overwrite = flag("overwrite", False)  # consent
+gpus = flag("gpus", True)  # whether a cluster has some to ask for
 try:
     for path in workflow.config_settings.configfiles:
         loading.read(path)  # Snakemake takes the last of two equal keys

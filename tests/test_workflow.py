@@ -194,6 +194,18 @@ def test_single_values_change_the_default_study(beside_config):
     assert plan(beside_config, None, "tables", "--config", "seeds=[3, 4]") == expected(study)
 
 
+@pytest.mark.parametrize("given, gpus", [((), "gpu=1"), (("--config", "gpus=false"), "gpu=0")])
+def test_a_cluster_without_gpus_is_asked_for_none(tmp_path, given, gpus):
+    status, output = forked(tmp_path, tiny_study(), "--dry-run", "table1", *given)
+    asked = re.findall(r"rule reference:(?:.|\n)*?(gpu=\d)", output)
+    assert status == 0 and set(asked) == {gpus}
+
+
+def test_a_flag_is_true_or_false(tmp_path):
+    status, output = forked(tmp_path, tiny_study(), "--dry-run", "table1", "--config", "overwrite=maybe")
+    assert status != 0 and "overwrite=maybe: expected true or false" in output
+
+
 @pytest.mark.parametrize("target", ["tables", "verify"])
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """24 lenses of the default study, not all 30: nothing else waits for those of end-to-end design."""

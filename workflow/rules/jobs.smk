@@ -73,7 +73,7 @@ for name, study, stage in declared():  # functions of wildcards are called later
             runtime=lambda w, attempt, study=study, stage=stage: (
                 attempt * durations[study.name].limit_minutes(stage.name)
             ),
-            gpu=lambda w, plan_of=plan_of: plan_of(w).gpus,
+            gpu=lambda w, plan_of=plan_of: plan_of(w).gpus if gpus else 0,
         params:
             settings=lambda w, plan_of=plan_of: plan_of(w).settings.model_dump_json(),
             command=lambda w, study=study, stage=stage, plan_of=plan_of: (
