@@ -12,6 +12,7 @@ from examples import make_lens, materials, random_lens
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import APERTURES, FIELDS, Prescription
+from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError
 
 TENSORS = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
@@ -217,3 +218,17 @@ def test_missing_orders_are_zero():
 def test_a_lens_with_inconsistent_shapes_is_refused():
     with pytest.raises(ValueError, match="thickness"):
         make_lens([0.0, 0.0], [1.0], ("COC", "air"))
+
+
+def test_figures_are_of_the_prescription_beside_them(tmp_path):
+    """A thickness edited under old figures is refused where these are read; the lens itself is still read."""
+    path = tmp_path / "lens.yaml"
+    prescription.write(path, Prescription(random_lens(1)), {"figures": {"efl_mm": 3.0}})
+    measured = Measurements({("a", 0): path}, {})
+    assert measured.lens_file("a", 0)["figures"] == {"efl_mm": 3.0}
+    content = yaml.safe_load(path.read_text())
+    content["surfaces"][1]["thickness"] += 1e-6
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(FileError, match=r"lens\.yaml: its prescription was changed after its figures"):
+        measured.lens_file("a", 0)
+    assert float(prescription.read(path)[0].lens.thickness[1]) == content["surfaces"][1]["thickness"]

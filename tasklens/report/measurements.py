@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas
 
+from tasklens.optics.io import lens_digest
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
 from tasklens.report.optimality import Gap, gap
@@ -42,8 +43,10 @@ class Measurements:
     frozen: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
-        """Read the content of a lens file, without validation."""
-        return parse_yaml(self.lenses[lens, seed].read_text())
+        """Read the content of a lens file; raises FileError where its figures are of another prescription."""
+        content = parse_yaml(self.lenses[lens, seed].read_text())
+        lens_digest.check(content, self.lenses[lens, seed])
+        return content
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
         """Compute the function `lens_values` of a lens of the study."""

@@ -10,6 +10,7 @@ import torch
 import yaml
 
 from tasklens.materials.material import AIR, Material, from_definitions
+from tasklens.optics.io import lens_digest
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError, invalid_yaml, number, parse_yaml, positive, write_text
@@ -206,8 +207,11 @@ def _use(content: Mapping, name: str) -> dict:
 
 
 def write(path: Path, prescription: Prescription, notes: Mapping) -> None:
-    """Write a lens file; `notes` (spec, origin, figures, margins) follow the prescription."""
-    write_text(path, yaml.safe_dump(to_dict(prescription) | dict(notes), sort_keys=False, allow_unicode=True))
+    """Write a lens file; `notes` (spec, origin, figures, margins) follow the prescription, figures with its digest."""
+    content = to_dict(prescription) | dict(notes)
+    if "figures" in notes:
+        content[lens_digest.KEY] = lens_digest.digest(content)
+    write_text(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
 def read(path: Path) -> tuple[Prescription, dict]:

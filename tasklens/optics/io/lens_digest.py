@@ -1,0 +1,23 @@
+"""Digest of the prescription in a lens file, beside the figures that were computed of it; no torch here."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tasklens.runtime.files import FileError
+
+KEY = "digest"
+
+
+def digest(content: Mapping[str, Any]) -> str:
+    """Return the digest of materials, stop and surfaces."""
+    text = json.dumps([content[key] for key in ("materials", "stop", "surfaces")], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def check(content: Mapping[str, Any], path: Path) -> None:
+    """Raise FileError where the prescription was changed after its figures were computed."""
+    if KEY in content and content[KEY] != digest(content):
+        raise FileError(f"{path}: its prescription was changed after its figures; delete the file and run again")
