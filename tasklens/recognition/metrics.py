@@ -4,8 +4,30 @@ from pathlib import Path
 
 import pandas
 
+from tasklens.runtime.files import FileError
+
 
 def mean_metrics(path: Path) -> dict[str, float]:
-    """Read a metrics file, and return the mean over fields of every metric by name."""
-    means = pandas.read_csv(path).groupby("metric")["value"].mean()
-    return {str(metric): float(value) for metric, value in means.items()}
+    """Read a metrics file, and return the mean over fields of every metric by name.
+
+    Raises:
+        FileError: the file is not what a measurement writes: it has other columns, values that are no numbers, or not
+            every field of every metric.
+    """
+    try:
+        rows = pandas.read_csv(path)
+        fields, values = pandas.to_numeric(rows["field"]), pandas.to_numeric(rows["value"])
+    except (KeyError, ValueError) as error:
+        raise _damaged(path, f"not a table of metrics ({error})") from None
+    if rows.empty or values.isna().any():
+        raise _damaged(path, "a value is missing")
+    by_field = {str(metric): sorted(found) for metric, found in fields.dropna().groupby(rows["metric"])}
+    count = max(map(len, by_field.values()), default=0)
+    for metric, found in by_field.items():
+        if found != list(range(count)):
+            raise _damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in found)} of {count}")
+    return {str(metric): float(value) for metric, value in values.groupby(rows["metric"]).mean().items()}
+
+
+def _damaged(path: Path, what: str) -> FileError:
+    return FileError(f"{path}: {what}; delete it and run again")
