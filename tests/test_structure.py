@@ -472,6 +472,19 @@ def test_tensors_keep_values_and_metadata(tmp_path):
     assert notes == {"fields": [[0, 0.5]], "name": "x"}
 
 
+@pytest.mark.parametrize("keep", [0, 5, 40, -1])
+def test_a_damaged_file_of_tensors_is_named(tmp_path, keep):
+    import torch
+
+    path = tmp_path / "t.safetensors"
+    files.write_tensors(path, {"a": torch.ones(3)}, {})
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(
+        files.FileError, match=r"t\.safetensors: no complete file of tensors .*; delete it and run again"
+    ):
+        files.read_tensors(path)
+
+
 def test_an_unchanged_text_is_not_touched(tmp_path):
     """Its modification time is what a workflow would look at."""
     path = tmp_path / "study.yaml"

@@ -200,12 +200,19 @@ def map_array(path: Path) -> "torch.Tensor":
 
 
 def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]:
-    """Read tensors and metadata of a safetensors file; tensors are mapped, not copied."""
-    from safetensors import safe_open
+    """Read tensors and metadata of a safetensors file; tensors are mapped, not copied.
 
-    with safe_open(path, "pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        metadata = json.loads((file.metadata() or {}).get("json", "{}"))
+    Raises:
+        FileError: the file is not complete.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            metadata = json.loads((file.metadata() or {}).get("json", "{}"))
+    except (SafetensorError, ValueError) as error:
+        raise FileError(f"{path}: no complete file of tensors ({error}); delete it and run again") from None
     return tensors, metadata
 
 
