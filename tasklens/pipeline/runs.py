@@ -125,7 +125,7 @@ class Run:
         return "  ".join(words)
 
     def is_underestimated(self, durations: Durations) -> bool:
-        """Whether nothing is known of how long some waiting jobs take."""
+        """Return whether nothing is known of how long some waiting jobs take."""
         return any(durations.seconds(self.jobs[label].stage) is None for label in self.labels(WAITING))
 
 

@@ -1,4 +1,4 @@
-"""What YAML reads without a word and nobody means: keys that stand twice, and numbers of other bases."""
+"""Search of a text for YAML that nobody means: keys that stand twice, and numbers of other bases."""
 
 import re
 
