@@ -98,3 +98,36 @@ def test_a_large_folder_is_not_listed(folder, monkeypatch):
     monkeypatch.setattr(class_folders.os, "scandir", lambda path: Counted(scandir(path)))
     class_folders.check(images(folder, minival=20))
     assert 21 <= len(seen) < 60
+
+
+@pytest.mark.parametrize("name", ["scan.tif", "deep/PHONE.HEIC", "old.bmp"])
+def test_images_of_another_kind_are_not_skipped(folder, name):
+    write(folder / "train/dog" / name, "")
+    with pytest.raises(FileError, match=r"train/dog/.*: expected \.jpg, .*; convert it, or remove it"):
+        list(class_folders.photographs(folder / "train/dog"))
+
+
+def test_pipes_and_links_to_nothing_are_named(folder):
+    """A pipe would be waited for, for ever; a loop of links is not walked."""
+    (folder / "train/cat/loop").symlink_to(folder / "train")
+    assert len(list(class_folders.photographs(folder / "train/cat"))) == 2
+    for name, make in (("pipe.png", os.mkfifo), ("gone.png", lambda path: path.symlink_to(folder / "nowhere"))):
+        path = folder / "train/cat" / name
+        make(path)
+        with pytest.raises(FileError, match=rf"{name}: a pipe, a folder or a link to nothing; remove it"):
+            list(class_folders.photographs(folder / "train/cat"))
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    "counts, words",
+    [
+        ({"train": 2}, "train: has 4 images, train and minival of `images` ask for 5; ask for fewer, or null for all"),
+        ({"test": 3}, "test: has 2 images, test of `images` ask for 3"),
+    ],
+)
+def test_fewer_images_than_asked_for_are_refused(folder, counts, words):
+    class_folders.check(ImageSettings(size=16, minival=3, folder=folder, train=1, test=2))
+    with pytest.raises(FileError) as error:
+        class_folders.check(ImageSettings(size=16, minival=3, folder=folder, **counts))
+    assert words in str(error.value)

@@ -9,6 +9,7 @@ from tasklens.runtime.files import FileError
 from tasklens.study.settings import ImageSettings
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # images that are not read
 TRAIN, TEST = ("train",), ("test", "val")  # possible names of the folders of the splits
 
 
@@ -31,13 +32,21 @@ def classes(split: Path) -> list[str]:
 
 
 def photographs(folder: Path) -> Iterator[Path]:
-    """Yield the photographs of a class, in no order and one after the other, so that a few cost nothing."""
+    """Yield the photographs of a class, in no order and one after the other, so that a few cost nothing.
+
+    Raises:
+        FileError: an image that is not read, since it is of another kind or no file.
+    """
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.is_dir(follow_symlinks=False):
                 yield from photographs(Path(entry.path))
             elif entry.name.lower().endswith(SUFFIXES):
+                if not entry.is_file():  # to read a pipe would take for ever
+                    raise FileError(f"{entry.path}: a pipe, a folder or a link to nothing; remove it")
                 yield Path(entry.path)
+            elif entry.name.lower().endswith(OTHERS):
+                raise FileError(f"{entry.path}: expected {', '.join(SUFFIXES)}; convert it, or remove it")
 
 
 def no_image(folder: Path) -> FileError:
@@ -71,6 +80,12 @@ def check(images: ImageSettings) -> None:
     needed = images.minival + 1
     if (found := count(splits[0], needed)) < needed:
         raise too_few(images, found)
+    asked = {"train and minival": (images.train or 0) + images.minival, "test": images.test or 0}
+    for split, (keys, wanted) in zip(splits, asked.items(), strict=True):
+        if (found := count(split, wanted)) < wanted:
+            raise FileError(
+                f"{split}: has {found} images, {keys} of `images` ask for {wanted}; ask for fewer, or null for all"
+            )
 
 
 def count(split: Path, most: int) -> int:
