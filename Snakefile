@@ -156,20 +156,20 @@ def planned_jobs():
     return {name: found for name, found in planned.items() if found}
 
 
-def overwritten(study, planned):
-    """Return the finished results of a study that its planned jobs overwrite."""
-    return changes.overwritten(Path(study_file(study)), study, planned.get(study.name, {}))
+def overwritten(planned):
+    """Return the finished results that the planned jobs of each study overwrite."""
+    return {name: changes.overwritten(Path(study_file(EVERY[name])), EVERY[name], planned[name]) for name in planned}
 
 
-def refusals(planned):
+def refusals(found):
     """Return why this run must not start: changed values would overwrite finished results; else an empty text."""
     cores = at_once()
-    found = (changes.refusal(overwritten(study, planned), study, durations[study.name], cores) for study in studies)
-    return "" if overwrite else "\n\n".join(filter(None, found))
+    said = (changes.refusal(each, EVERY[name], durations[name], cores) for name, each in found.items())
+    return "" if overwrite else "\n\n".join(filter(None, said))
 
 
 if workflow.output_settings.dryrun:
-    after_dry_run(logger, lambda: refusals(planned_jobs()))
+    after_dry_run(logger, lambda: refusals(overwritten(planned_jobs())))
 elif workflow.exec_mode == ExecMode.DEFAULT:
     terminal = Terminal(EVERY.values(), logger, bool(workflow.output_settings.quiet))
 
@@ -196,13 +196,13 @@ def prepare(planned):
 
 onstart:
     planned, cores = planned_jobs(), at_once()
-    if reason := refusals(planned):
+    found = overwritten(planned)
+    if reason := refusals(found):
         sys.exit(reason)
-    found = {name: overwritten(EVERY[name], planned).otherwise for name in planned}
     prepare(planned)
     for name, jobs_of_study in planned.items():
-        if found[name]:
-            amount = changes.amount(found[name], EVERY[name], durations[name], cores)
+        if found[name].otherwise:
+            amount = changes.amount(found[name].otherwise, EVERY[name], durations[name], cores)
             print(f"Changed code or input files, or added classifiers: {amount}")
         print(durations[name].forecast([job.stage for job in jobs_of_study.values()], cores))
     terminal.begin(planned, cores)

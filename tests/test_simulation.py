@@ -252,7 +252,7 @@ def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside
 
 
 def test_a_distorted_image_is_differentiable_in_the_lens():
-    """Where a pixel's light comes from moves with the lens, too; the illumination is held."""
+    """The place that a pixel's light comes from moves with the lens, too; the illumination is held."""
     lens, view = blurred()
     lens = replace(lens, semi_diameter=cooke_triplet().semi_diameter)  # whole pupils: no jumps
     ramp = torch.linspace(0.2, 0.8, 3 * 40 * 60).reshape(3, 40, 60)
