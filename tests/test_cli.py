@@ -262,7 +262,9 @@ def test_the_first_seed_of_the_study_is_the_default(workplace, capsys):
 
 
 def test_a_training_that_is_not_finite_is_a_message_too(workplace, capsys):
-    study = changed(tiny_study(), "fine_tuning.learning_rate", 1e38)
+    study = changed(
+        tiny_study(), "fine_tuning", {"epochs": 20, "learning_rate": 10, "weight_decay": 100, "batch_size": 20}
+    )
     (workplace / "fast.yaml").write_text(yaml.safe_dump(study))
     assert main(["run", "fine-tune", "fast.yaml", "sharp", "small"]) == 2
     last = capsys.readouterr().err.splitlines()[-1]

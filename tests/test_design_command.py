@@ -108,7 +108,7 @@ MISTAKES = [
     (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as finish.steps=200"),
     (("--limit", "max_trak=6"), "constraints.max_trak = 6: unknown key; did you mean max_track?"),
     (("--field-of-view", "40"), "has room for its focus within constraints.max_track = 4.4 mm"),
-    (("--f-number", "-1"), "spec.f_number = -1.0: expected greater than 0"),
+    (("--f-number", "-1"), "spec.f_number = -1.0: expected greater than or equal to 0.5"),
     (("--kernel-size", "50"), "spec.kernel_size = 50: expected an odd number, so that the PSF has a central pixel"),
     (("--wavelengths", "2.4,0.6,0.5"), "2.4 um of lens is outside the 0.334 to 2.325 um"),
     (("--materials", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),

@@ -238,7 +238,7 @@ def test_a_material_can_be_a_key():
 def test_an_index_that_no_lens_medium_has_is_refused(coefficients, shown):
     """Not a number, infinite, below one, negative: with the name, the index and the wavelength, in a lens too."""
     odd = Material("odd", "conrady", coefficients, (0.4, 0.8))
-    words = rf"odd: .* {shown} at 0\.5893 um; expected .* at least 1"
+    words = rf"odd: .* {shown} at 0\.5893 um; expected at least 1"
     with pytest.raises(InputError, match=words):
         odd.refractive_index(0.5893)
     with pytest.raises(InputError, match=words):

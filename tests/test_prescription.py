@@ -44,8 +44,8 @@ def random_prescription(seed: int) -> Prescription:
     semi_diameter[pick(surfaces)] = math.inf
     lens = make_lens(
         awkward(surfaces),
-        awkward(surfaces),
-        [kinds[pick(len(kinds))] for _ in range(surfaces)],
+        awkward(surfaces).abs(),
+        [*(kinds[pick(len(kinds))] for _ in range(surfaces - 1)), AIR],
         conic=awkward(surfaces),
         alpha=awkward(surfaces, orders),
         semi_diameter=semi_diameter,

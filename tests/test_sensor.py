@@ -34,8 +34,8 @@ def test_moments_are_those_of_electrons(gain, light, share):
 
 
 def test_much_light_leaves_the_capture_and_its_levels():
-    """With 1e12 electrons only the rounding is left: half a level of 4 bits at most, and 16 values."""
-    sensor = SensorSettings(full_well=1e12, bits=4)
+    """With 1e9 electrons only the rounding is left: half a level of 4 bits at most, and 16 values."""
+    sensor = SensorSettings(full_well=1e9, bits=4)
     image = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
     found = expose(image, sensor, torch.ones(2), noise(image.shape))
     assert (found - image).abs().max() <= 0.5 / 15 + 1e-6

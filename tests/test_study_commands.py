@@ -255,8 +255,8 @@ def test_export_of_the_present_folder_has_its_name(results, monkeypatch):
     [
         ("absent", "absent: no such file"),
         ("folder", "folder: "),
-        ("broken.yaml", "broken.yaml, line 1: not valid YAML"),
-        ("binary.yaml", "binary.yaml: no text"),
+        ("broken.yaml", "broken.yaml, line 1, column 5: not valid YAML"),
+        ("binary.yaml", "binary.yaml, line 1: not valid YAML: no UTF-8"),
         ("list.yaml", "list.yaml: expected keys and values"),
         ("part.yaml", "part.yaml: lay it over the study"),
     ],

@@ -64,7 +64,7 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
     "sweep, words",
     [
         ({"spec.f_numbr": [2]}, ["sweep, spec.f_numbr=2", "did you mean f_number"]),
-        ({"spec.f_number": [-2]}, ["spec.f_number=-2", "greater than 0"]),
+        ({"spec.f_number": [-2]}, ["spec.f_number=-2", "equal to 0.5"]),
         ({"spec.f_number": [2, 2.0]}, ["sweep.spec.f_number", "each once"]),
         ({"spec.f_number": [2, "2"]}, ["sweep.spec.f_number", "each once"]),
         ({"designs.imaging1.method": ["spot", "least_squares"]}, ["designs.imaging1.method", "several designs"]),

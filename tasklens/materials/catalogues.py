@@ -4,11 +4,10 @@ from collections.abc import Container, Iterable
 from functools import cache
 from pathlib import Path
 
-import yaml
-
 from tasklens.materials.material import FORMULAS, Material, from_definitions
 from tasklens.materials.zemax_text import BLANK, Line, decimal, read_lines
-from tasklens.runtime.files import FileError, invalid_yaml, replacing
+from tasklens.runtime import yaml_files
+from tasklens.runtime.files import FileError, replacing
 
 PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in plastics
 _FORMULAS = [name for name in FORMULAS if name != "model"]  # in the order of Zemax's numbers, from 1
@@ -24,11 +23,7 @@ def read(path: Path) -> dict[str, Material]:
         return _read_agf(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise FileError(f"{path}: expected a file of materials, .yaml or .agf")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FileError(invalid_yaml(path, error)) from None
-    return from_definitions(content, str(path))
+    return from_definitions(yaml_files.read(path), str(path))
 
 
 def collect(paths: Iterable[Path]) -> dict[str, Material]:

@@ -13,6 +13,7 @@ from tasklens.runtime.files import FileError, number
 
 G_LINE, F_LINE, D_LINE, C_LINE = 0.4358343, 0.4861327, 0.5875618, 0.6562725  # [um]
 LEAST_INDEX = 0.9995  # indices are relative to air, in which vacuum has 0.9997: no lens is made of less
+MOST_INDEX = 6.0  # lead telluride has 5.7 in the infrared
 
 Index = Callable[[tuple[float, ...], float], float]
 
@@ -117,8 +118,8 @@ class Material:
         """Compute the refractive index at `wavelength` [um], relative to air.
 
         Raises:
-            InputError: the wavelength is outside the fitted range, or the coefficients give no index there, or one that
-                is not finite or below 1 (`LEAST_INDEX`: vacuum passes).
+            InputError: the wavelength is outside the fitted range, or the coefficients give no index there, or one
+                below 1 (`LEAST_INDEX`: vacuum passes) or of `MOST_INDEX` and more.
         """
         if not self.covers(wavelength):
             low, high = self.range_um
@@ -127,10 +128,10 @@ class Material:
             index = FORMULAS[self.formula][1](self.coefficients, wavelength)
         except (ValueError, ArithmeticError):
             raise InputError(f"{self.name}: its coefficients give no index at {wavelength} um") from None
-        if not LEAST_INDEX <= index < math.inf:
+        if not LEAST_INDEX <= index < MOST_INDEX:
             raise InputError(
-                f"{self.name}: its coefficients give the index {index:.6g} at {wavelength} um; expected a finite one of"
-                " at least 1, relative to air: correct the coefficients"
+                f"{self.name}: its coefficients give the index {index:.6g} at {wavelength} um; expected at least 1,"
+                f" relative to air, and less than {MOST_INDEX:g}: correct the coefficients"
             )
         return index
 

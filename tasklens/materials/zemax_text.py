@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from tasklens.runtime.files import FileError, number
+from tasklens.runtime.files import FileError, number, read_bytes
 
 BLANK = "___BLANK"  # name of a glass without one
 _MARKS = {  # byte order marks; that of UTF-32 begins with that of UTF-16
@@ -71,7 +71,7 @@ def read_lines(path: Path) -> list[Line]:
     Raises:
         FileError: the file is no text, or text with damaged characters; the message names the line.
     """
-    text = _decode(path.read_bytes(), path)
+    text = _decode(read_bytes(path), path)
     if control := _CONTROL.search(text):
         row = _row(text[: control.start()])
         raise FileError(

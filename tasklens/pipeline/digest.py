@@ -19,11 +19,14 @@ PACKAGES = ("tasklens", "restoration")
 DATA_ONLY = tuple(
     f"tasklens.study.{name}"
     for name in (
+        "quantities",
+        "renamed",
         "settings",
         "design_settings",
         "lens_entries",
         "ablations",
         "feasibility",
+        "consistency",
         "study",
         "loading",
         "tables",

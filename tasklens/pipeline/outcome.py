@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import mean
 
 from tasklens.pipeline.stage import STAGES
-from tasklens.runtime.files import parse_yaml
+from tasklens.runtime.files import read_yaml
 from tasklens.study.names import SHARP
 from tasklens.study.study import Study
 
@@ -30,7 +30,7 @@ def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -
 
 
 def _lens(path: Path) -> str:
-    content = parse_yaml(path.read_text(encoding="utf-8"))
+    content = read_yaml(path)
     words = [f"RMS spot {mean(content['figures']['rms_centroid_um']):.1f} um"]
     if "validation_loss" in content["origin"]:
         words.append(f"loss {content['origin']['validation_loss']:.3g}")

@@ -133,13 +133,18 @@ def check(name: str, settings: ClassifierSettings, size: int) -> None:
         InputError: timm does not know the model, or the arguments or size do not fit it; the message names the
             classifier.
     """
+    arguments = f" with {settings.arguments}" if settings.arguments else ""
     try:
         with torch.device("meta"):
             network = timm.create_model(settings.model, num_classes=10, **settings.arguments).eval()
-            network(torch.zeros(1, 3, size, size))
+            answer = network(torch.zeros(1, 3, size, size))
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
-        arguments = f" with {settings.arguments}" if settings.arguments else ""
         raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from error
+    if not isinstance(answer, Tensor) or answer.shape != (1, 10):
+        raise InputError(
+            f"classifiers.{name}: {settings.model}{arguments} answers with no logits; expected a network that "
+            "classifies, without arguments such as features_only"
+        )
 
 
 def parameters_m(classifier: Classifier) -> float:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import damaged
 
 
 def mean_metrics(path: Path) -> dict[str, float]:
@@ -18,16 +18,12 @@ def mean_metrics(path: Path) -> dict[str, float]:
         rows = pandas.read_csv(path)
         fields, values = pandas.to_numeric(rows["field"]), pandas.to_numeric(rows["value"])
     except (KeyError, ValueError) as error:
-        raise _damaged(path, f"not a table of metrics ({error})") from None
+        raise damaged(path, f"not a table of metrics ({error})") from None
     if rows.empty or values.isna().any():
-        raise _damaged(path, "a value is missing")
+        raise damaged(path, "a value is missing")
     by_field = {str(metric): sorted(found) for metric, found in fields.dropna().groupby(rows["metric"])}
     count = max(map(len, by_field.values()), default=0)
     for metric, found in by_field.items():
         if found != list(range(count)):
-            raise _damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in found)} of {count}")
+            raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in found)} of {count}")
     return {str(metric): float(value) for metric, value in values.groupby(rows["metric"]).mean().items()}
-
-
-def _damaged(path: Path, what: str) -> FileError:
-    return FileError(f"{path}: {what}; delete it and run again")

@@ -11,7 +11,7 @@ from tasklens.optics.io import lens_digest
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
 from tasklens.report.optimality import Gap, gap
-from tasklens.runtime.files import parse_yaml
+from tasklens.runtime.files import read_yaml
 from tasklens.study.claims import Claim
 
 
@@ -44,7 +44,7 @@ class Measurements:
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
         """Read the content of a lens file; raises FileError where its figures are of another prescription."""
-        content = parse_yaml(self.lenses[lens, seed].read_text())
+        content = read_yaml(self.lenses[lens, seed])
         lens_digest.check(content, self.lenses[lens, seed])
         return content
 

@@ -7,7 +7,8 @@ from pydantic import Field, TypeAdapter
 
 from tasklens.study.design_settings import DesignSettings
 from tasklens.study.lens_entries import LensEntry
-from tasklens.study.settings import CaptureSettings, Frozen, Name
+from tasklens.study.quantities import Name
+from tasklens.study.settings import CaptureSettings, Frozen
 
 _DESIGN = TypeAdapter(DesignSettings)
 
@@ -53,6 +54,23 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
         design=_DESIGN.validate_python(_merged(base.design.model_dump(), changes)),
         capture=None if other is None else CaptureSettings.model_validate(capture.model_dump() | other),
     )
+
+
+def check_differences(entries: Mapping[str, LensEntry], base: Any, capture: CaptureSettings, where: str) -> None:
+    """Check that variants differ from the design, and from each other.
+
+    Args:
+        entries: their lenses by name.
+        base, capture: settings of the design and of captures that they are variants of.
+
+    Raises:
+        ValueError: a variant changes nothing, or is another one again; the message begins with `where`.
+    """
+    known = {(base, capture): "the design itself"}
+    for name, entry in entries.items():
+        other = known.setdefault((entry.design, entry.capture or capture), f"the variant {name}")
+        if other != f"the variant {name}":
+            raise ValueError(f"{where}.{name}: has the same values as {other}; change one, or remove it")
 
 
 def _merged(base: Any, changes: Any) -> Any:

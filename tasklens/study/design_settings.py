@@ -4,17 +4,22 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from tasklens.study.settings import (
+from tasklens.study.quantities import (
+    Angle,
+    Batch,
     Count,
     Fraction,
-    Frozen,
+    LearningRate,
     Magnification,
     Name,
+    Part,
     Positive,
-    renamed,
+    Rays,
+    Small,
+    Steps,
 )
-
-Part = Annotated[float, Field(gt=0, le=1)]
+from tasklens.study.renamed import renamed
+from tasklens.study.settings import Frozen
 
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
     "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},
@@ -25,9 +30,9 @@ PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from fla
 class LearningRates(Frozen):
     """Learning rates of AdamW for the lens; in a study also the name of one of `PRESETS`."""
 
-    curvature: Positive = Field(1e-4, description="Learning rate of curvatures [1/mm].")
-    thickness: Positive = Field(1e-4, description="Learning rate of thicknesses [mm].")
-    alpha_4: Positive = Field(1e-4, description="Learning rate of alpha_4, in the units of `normalised`.")
+    curvature: LearningRate = Field(1e-4, description="Learning rate of curvatures [1/mm].")
+    thickness: LearningRate = Field(1e-4, description="Learning rate of thicknesses [mm].")
+    alpha_4: LearningRate = Field(1e-4, description="Learning rate of alpha_4, in the units of `normalised`.")
     decay: Fraction = Field(0.02, description="Ratio of learning rates of successive asphere orders (paper 3.3).")
     normalised: bool = Field(
         True,
@@ -63,12 +68,12 @@ class JointDescentSettings(Frozen):
 
     _renamed = renamed(_RENAMED_DESCENT)
 
-    steps: Count = Field(description="Number of AdamW steps.")
-    batch_size: Count = Field(64, description="Images per step, each at all nine fields.")
+    steps: Steps = Field(description="Number of AdamW steps.")
+    batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
-    rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
+    rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
     learning_rates: LearningRates = Field(LearningRates(), description="Learning rates of the lens.")
-    network_learning_rate: Positive | None = Field(
+    network_learning_rate: LearningRate | None = Field(
         1e-5, description="Learning rate of the classifier; null: frozen, the paper's plain task-driven protocol."
     )
     cold_start: ColdStart | None = Field(None, description="Coarse pixels and a small stop at first; null: none.")
@@ -81,10 +86,12 @@ class RaySpaceSettings(Frozen):
 
     _renamed = renamed({"stride": "step_size"})
 
-    steps: Count = Field(description="Number of steps.")
+    steps: Steps = Field(description="Number of steps.")
     pixels: tuple[Magnification, Magnification] = Field(description="First and last pixel pitch [sensor pixels].")
     duration: Part = Field(1.0, description="Fraction of the steps after which pixels have their last size.")
-    step_size: Positive = Field(0.5, description="RMS ray displacement per step [current pixels].")
+    step_size: Annotated[float, Field(gt=0, le=100)] = Field(
+        0.5, description="RMS ray displacement per step [current pixels]."
+    )
     final: Part = Field(0.1, description="Step size at the last step, as a fraction; cosine schedule.")
     momentum: float = Field(0.9, ge=0, lt=1, description="Momentum of the gradient's running mean.")
     damping: Positive = Field(0.1, description="Damping of the Gauss-Newton metric, times its diagonal.")
@@ -126,9 +133,9 @@ class SupervisedSettings(Frozen):
         }
     )
 
-    batch_size: Count = Field(64, description="Images per step, each at all nine fields.")
-    rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
-    restarts: Count = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
+    batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")
+    rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
+    restarts: Small = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
     restart: RaySpaceSettings | None = Field(None, description="Descent of each restart; null: none from flat plates.")
     refinement: RaySpaceSettings | None = Field(None, description="Descent that refines the best restart.")
     candidates: tuple[Name, ...] = Field(
@@ -138,7 +145,7 @@ class SupervisedSettings(Frozen):
     )
     finish: RaySpaceSettings | None = Field(None, description="Last descent; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
-    micro_batch: Count = Field(
+    micro_batch: Batch = Field(
         64, description="Captures per forward pass; with stored batch-norm statistics it affects only memory."
     )
 
@@ -199,7 +206,7 @@ class JointRaySpaceSettings(SupervisedSettings):
     """
 
     method: Literal["joint_ray_space"]
-    network_learning_rate: Positive = Field(description="Learning rate of the classifier.")
+    network_learning_rate: LearningRate = Field(description="Learning rate of the classifier.")
 
     @model_validator(mode="after")
     def _by_the_task_from_one_kind_of_start(self) -> "JointRaySpaceSettings":
@@ -241,8 +248,8 @@ class SpotSettings(Frozen):
     _renamed = renamed({"rates": "learning_rates"})
 
     method: Literal["spot"]
-    steps: Count = Field(description="Number of AdamW steps.")
-    rays: Count = Field(256, description="Rays per field and colour, sampled anew at each step.")
+    steps: Steps = Field(description="Number of AdamW steps.")
+    rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
     learning_rates: LearningRates = Field(LearningRates(), description="Learning rates of the lens.")
     stop_scale: Part = Field(0.3, description="Radius of the stop at the first step, as a fraction.")
     stop_duration: Part = Field(0.5, description="Fraction of the steps after which the stop is fully open.")
@@ -253,12 +260,12 @@ class LeastSquaresSettings(Frozen):
     """Settings of damped least squares on ray residuals, from many random paraxial starts."""
 
     method: Literal["least_squares"]
-    starts: Count = Field(150, description="Number of random paraxial starts.")
-    evaluations: Count = Field(8000, description="Budget of evaluations of all residuals, with or without derivatives.")
+    starts: Annotated[Count, Field(le=10**6)] = Field(150, description="Number of random paraxial starts.")
+    evaluations: Steps = Field(8000, description="Budget of evaluations of all residuals, with or without derivatives.")
     reference: Literal["centroid", "chief_ray"] = Field("centroid", description="Reference point of spots.")
     highest_order: Literal[4, 6, 8, 10] = Field(10, description="Highest order of the variable asphere coefficients.")
     corner_weight: Positive = Field(1.0, description="Weight of the corner field; geometric from 1 on axis.")
-    max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
+    max_chief_ray_angle_deg: Angle | None = Field(
         None, description="Largest chief ray angle on the sensor [degrees]; null: no limit."
     )
     linear_beyond_um: Positive | None = Field(

@@ -1,11 +1,12 @@
-"""Feasibility of the lenses of a specification, checked before the first job; no torch here."""
+"""Feasibility of lenses and of the steps of trainings, checked before the first job; no torch here."""
 
 from tasklens.materials.material import Material
+from tasklens.runtime.errors import InputError
 from tasklens.study.settings import Constraints, Spec
 
 
 def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
-    """Check the wavelengths of the plastics, the size of the PSF window, and the room for flat plates.
+    """Check the indices of the plastics, the size of the PSF window, the limits, and the room for flat plates.
 
     Args:
         name: name of the elements.
@@ -23,6 +24,15 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
                     f"{where}.wavelengths_um: {wavelength} um of {name} is outside the {low} to {high} um in which the "
                     f"coefficients of {material.name} hold"
                 )
+            try:
+                index = material.refractive_index(wavelength)
+            except InputError as error:
+                raise ValueError(f"materials: {error}") from None
+            if not 1 < index < 3:
+                raise ValueError(
+                    f"materials: {material.name} of {name} has the index {index:.6g} at {wavelength} um; expected "
+                    "more than 1 and less than 3: correct its coefficients"
+                )
     if spec.kernel_size // 2 >= size:
         raise ValueError(
             f"{where}.kernel_size: half of {spec.kernel_size} must be less than images.size = {size}, since borders "
@@ -32,6 +42,11 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
         raise ValueError(
             f"constraints.min_centre_thickness: {limits.min_centre_thickness} mm must be less than "
             f"max_centre_thickness = {limits.max_centre_thickness} mm"
+        )
+    if limits.min_edge_thickness >= limits.max_centre_thickness:
+        raise ValueError(
+            f"constraints.min_edge_thickness: {limits.min_edge_thickness} mm must be less than "
+            f"max_centre_thickness = {limits.max_centre_thickness} mm, or no element can be convex"
         )
     elements = len(plastics)
     least = limits.stop_distance + limits.min_back_focus
@@ -43,3 +58,10 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
             f"{available:.2f} mm of max_track = {limits.max_track} and of {limits.flat_track} focal lengths; a flat "
             "start would have a negative thickness"
         )
+
+
+def check_step(where: str, images: int, size: int) -> None:
+    """Check that the images of a step fit into the memory of a large machine; raises ValueError."""
+    if (found := images * 3 * size**2 * 4) > 1e11:
+        each = f"{size} x {size} pixels"
+        raise ValueError(f"{where}: {images} images of {each} take {found / 1e9:.0f} GB; expected at most 100 GB")

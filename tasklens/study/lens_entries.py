@@ -12,7 +12,8 @@ from tasklens.study.design_settings import (
     SupervisedSettings,
     TaskDrivenSettings,
 )
-from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Name, Spec
+from tasklens.study.quantities import Name
+from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Spec
 
 
 class ImportedLens(Frozen):

@@ -9,8 +9,9 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from tasklens.runtime.files import invalid_yaml
-from tasklens.study import strict_yaml
+from tasklens.runtime import yaml_files
+from tasklens.runtime.files import FileError
+from tasklens.study import consistency
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
@@ -27,14 +28,18 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
         StudyError: names every wrong key, its value and what was expected; or says that the only file is to be laid
             over another one.
     """
+    name = f"{', '.join(map(str, files))}: " if files else ""
     try:
-        return Study.model_validate(dict(config))
+        study = Study.model_validate(dict(config))
+        consistency.check(study)
+        return study
     except ValidationError as error:
         missing = missing_keys(error)
         if len(files) == 1 and "format" in missing and len(missing) > 1:
             raise StudyError(_layer(files[0], missing)) from None
         lines = problems(error, Study)
-    name = f"{', '.join(map(str, files))}: " if files else ""
+    except ValueError as error:
+        lines = [str(error)]
     if len(lines) == 1:
         raise StudyError(f"{name}{lines[0]}")
     raise StudyError(f"{name}the study cannot be run:\n" + "\n".join(f"  {line}" for line in lines))
@@ -53,19 +58,17 @@ def _layer(path: Path, missing: Sequence[str]) -> str:
 
 def read(path: str | Path) -> Mapping:
     """Read the keys of a study file; raises StudyError for a file that is no YAML mapping, or not what it seems."""
-    if Path(path).is_dir():
-        raise StudyError(f"{path}: is a folder; expected a study file (YAML), as those in config/")
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        if found := strict_yaml.problem(text):
-            raise StudyError(f"{path}, {found}")
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise StudyError(invalid_yaml(path, error)) from None
-    except UnicodeDecodeError:
-        raise StudyError(f"{path}: no text; expected a study file (YAML)") from None
+        content = yaml_files.read(Path(path))
+    except FileError as error:
+        raise StudyError(str(error)) from None
     if not isinstance(content, Mapping):
-        raise StudyError(f"{path}: expected keys and values, found {type(content).__name__}")
+        raise StudyError(f"{path}: expected keys and values, found {'nothing' if content is None else type(content).__name__}")
+    if "__use_yte__" in content:
+        raise StudyError(
+            f"{path}: __use_yte__: makes the file a template, whose code Snakemake runs before TaskLens sees it; "
+            "expected a study without it"
+        )
     return content
 
 

@@ -76,7 +76,7 @@ def _line(item: ErrorDetails, settings: Any) -> str:
     message = _expected(item)
     if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # it names a key itself
         return message
-    shown = "" if "[key]" in item["loc"] else _shown(value)
+    shown = "" if "[key]" in item["loc"] or kind == "invalid_key" else _shown(value)
     return f"{'.'.join(keys)}{shown}: {message}" if keys else message
 
 
@@ -87,6 +87,8 @@ def _expected(item: ErrorDetails) -> str:
         return f"expected at least {item['ctx']['min_length']}, found {item['ctx']['actual_length']}"
     if item["type"] == "too_long":
         return f"expected at most {item['ctx']['max_length']}, found {item['ctx']['actual_length']}"
+    if item["type"] == "string_too_long":
+        return f"expected at most {item['ctx']['max_length']} characters, found {len(item['input'])}"
     message = item["msg"].removeprefix("Value error, ")
     return re.sub("^Input should be (a valid )?", "expected ", message)
 

@@ -10,61 +10,28 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
-    ModelWrapValidatorHandler,
-    ValidationError,
     computed_field,
     field_validator,
     model_validator,
 )
-from pydantic_core import InitErrorDetails, PydanticCustomError
 
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
-def _no_truth(value: Any) -> Any:
-    if isinstance(value, bool):
-        raise ValueError("expected a whole number")
-    return value
-
-
-Whole = Annotated[int, BeforeValidator(_no_truth)]  # not `true`, which is 1
-Count = Annotated[Whole, Field(gt=0)]
-Seed = Annotated[Whole, Field(ge=0, lt=2**63)]
-Magnification = Annotated[float, Field(ge=1, allow_inf_nan=False)]
-Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
-StudyName = Annotated[str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?$")]  # study/key=value at a point of a sweep
-
-
-def renamed(names: dict[str, str]) -> Any:
-    """Return a validator that rejects keys of format 1 and names their replacement.
-
-    Args:
-        names: new key by old key; a sentence with the reason where the key was removed.
-    """
-
-    def refuse(cls: type[BaseModel], given: Any, handler: ModelWrapValidatorHandler) -> Any:
-        found = [old for old in names if isinstance(given, dict) and old in given]
-        if not found:
-            return handler(given)
-        problems: list[Any] = []
-        for old in found:
-            words = f"since format 2 `{old}` is {'gone: ' if ' ' in names[old] else 'now called '}{names[old]}"
-            problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
-        try:  # with the new names, to report other errors too
-            handler({names.get(key, key): value for key, value in given.items() if " " not in names.get(key, "")})
-        except ValidationError as error:
-            problems += error.errors()
-        details = [
-            InitErrorDetails(type=PydanticCustomError(p["type"], p["msg"]), loc=p["loc"], input=p["input"])
-            for p in problems
-        ]
-        raise ValidationError.from_exception_data(cls.__name__, details)
-
-    return model_validator(mode="wrap")(classmethod(refuse))  # type: ignore[arg-type]
+from tasklens.study.quantities import (
+    Angle,
+    Batch,
+    Count,
+    Fraction,
+    LearningRate,
+    Length,
+    Magnification,
+    Micrometres,
+    Seed,
+    Small,
+    Steps,
+    Whole,
+)
+from tasklens.study.renamed import renamed
 
 
 class Frozen(BaseModel):
@@ -87,13 +54,18 @@ class Spec(Frozen):
 
     _renamed = renamed({"kernel": "kernel_size"})
 
-    diagonal_mm: Positive = Field(4.0, description="Diagonal of the sensor [mm].")
-    aspect: tuple[Count, Count] = Field((16, 9), description="Width to height of the sensor.")
-    field_of_view_deg: float = Field(68.8, gt=0, lt=150, description="Full field of view on the diagonal [degrees].")
-    f_number: Positive = Field(2.8, description="Focal length over diameter of the entrance pupil.")
-    pixel_pitch_um: Positive = Field(1.8, description="Pixel pitch [um].")
+    diagonal_mm: Length = Field(4.0, description="Diagonal of the sensor [mm].")
+    aspect: tuple[Small, Small] = Field((16, 9), description="Width to height of the sensor.")
+    field_of_view_deg: float = Field(68.8, ge=0.1, lt=150, description="Full field of view on the diagonal [degrees].")
+    f_number: float = Field(
+        2.8,
+        ge=0.5,
+        le=100,
+        description="Focal length over diameter of the entrance pupil; the least is that of a sine of 1.",
+    )
+    pixel_pitch_um: Micrometres = Field(1.8, description="Pixel pitch [um].")
     kernel_size: Whole = Field(51, ge=3, description="Width of the square PSF window [pixels], odd.")
-    wavelengths_um: tuple[Positive, Positive, Positive] = Field(
+    wavelengths_um: tuple[Micrometres, Micrometres, Micrometres] = Field(
         (0.6563, 0.5893, 0.4861),
         description="Red, green and blue [um]; the middle one is the reference. C, D, F lines.",
     )
@@ -139,18 +111,20 @@ class Constraints(Frozen):
     They are our choice: the paper states none.
     """
 
-    min_centre_thickness: Positive = Field(0.25, description="Least centre thickness of an element [mm].")
-    max_centre_thickness: Positive = Field(1.5, description="Largest centre thickness of an element [mm].")
-    min_edge_thickness: Positive = Field(0.2, description="Least thickness of an element within its aperture [mm].")
-    min_air_gap: Positive = Field(0.05, description="Least air space between elements within their apertures [mm].")
-    min_back_focus: Positive = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
-    max_track: Positive = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
-    max_slope: Positive = Field(0.57, description="Largest slope d sag / d r of a surface.")
-    stop_distance: Positive = Field(0.1, description="Distance from stop to first surface of a flat start [mm].")
-    flat_track: Positive = Field(1.3, description="Distance from stop to sensor of a flat start [focal lengths].")
+    min_centre_thickness: Length = Field(0.25, description="Least centre thickness of an element [mm].")
+    max_centre_thickness: Length = Field(1.5, description="Largest centre thickness of an element [mm].")
+    min_edge_thickness: Length = Field(0.2, description="Least thickness of an element within its aperture [mm].")
+    min_air_gap: Length = Field(0.05, description="Least air space between elements within their apertures [mm].")
+    min_back_focus: Length = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
+    max_track: Length = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
+    max_slope: float = Field(0.57, gt=0, le=100, description="Largest slope d sag / d r of a surface.")
+    stop_distance: Length = Field(0.1, description="Distance from stop to first surface of a flat start [mm].")
+    flat_track: float = Field(
+        1.3, gt=0, le=100, description="Distance from stop to sensor of a flat start [focal lengths]."
+    )
     efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
     distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
-    max_chief_ray_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
+    max_chief_ray_angle_deg: Angle | None = Field(
         None, description="Largest chief ray angle on the sensor [degrees]; null: no limit, as in the paper."
     )
 
@@ -161,20 +135,20 @@ RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports tor
 class ImageSettings(Frozen):
     """Settings of labelled images: rendered, or read from `folder`: train/<class>/* and test/<class>/* (or val)."""
 
-    size: Whole = Field(64, ge=16, description="Side of the square images [pixels].")
+    size: Whole = Field(64, ge=16, le=8192, description="Side of the square images [pixels].")
     train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
     minival: Count = Field(500, description="Number of images for selection, taken from the training images.")
     test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
     seed: Seed = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
     folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")
-    periods: tuple[Annotated[float, Field(ge=3)], float] = Field(
+    periods: tuple[Annotated[float, Field(ge=3)], Annotated[float, Field(le=10_000)]] = Field(
         (5.0, 16.0), description="Shortest and longest period of rendered textures [pixels]; shorter ones are harder."
     )
 
     @field_validator("periods")
     @classmethod
     def _rising(cls, periods: tuple[float, float]) -> tuple[float, float]:
-        if not periods[0] < periods[1] < math.inf:
+        if not periods[0] < periods[1]:
             raise ValueError("expected a shorter and a longer period")
         return periods
 
@@ -184,6 +158,10 @@ class ImageSettings(Frozen):
             return self
         if self.train is None or self.test is None:
             raise ValueError("rendered images need the counts `train` and `test`")
+        if (count := self.train + self.minival + self.test) * 3 * self.size**2 > 1e12:
+            raise ValueError(
+                f"expected rendered images of at most 1 TB, got {count} of {self.size} x {self.size} pixels"
+            )
         if min(self.train + self.minival, self.test) < RENDERED_CLASSES:
             raise ValueError(f"expected at least {RENDERED_CLASSES} rendered images of each split, one per class")
         return self
@@ -196,11 +174,12 @@ class TrainingSettings(Frozen):
 
     epochs: float = Field(
         ge=0,
+        le=10_000,
         description="Passes over the training images, not necessarily whole; 0: no training, as in a zero-shot study.",
     )
-    learning_rate: Positive = Field(description="Largest learning rate, after the warm-up.")
-    batch_size: Count = Field(64, description="Images per step.")
-    weight_decay: float = Field(0.05, ge=0, description="Weight decay of matrices and convolutions.")
+    learning_rate: LearningRate = Field(description="Largest learning rate, after the warm-up.")
+    batch_size: Batch = Field(64, description="Images per step.")
+    weight_decay: float = Field(0.05, ge=0, le=100, description="Weight decay of matrices and convolutions.")
     warmup: Fraction = Field(0.05, description="Fraction of the steps in which the learning rate rises linearly.")
 
 
@@ -222,7 +201,7 @@ class ClassifierSettings(Frozen):
         "or wrong.",
     )
     training: TrainingSettings | None = Field(None, description="Training on the sharp images; null: none.")
-    processes: Count = Field(
+    processes: Small = Field(
         1,
         description="Size of the process group for fine-tuning on one machine; each process takes its share of every "
         "batch, and its own GPU if there are GPUs.",
@@ -242,14 +221,16 @@ class RestorationSettings(Frozen):
 
     _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
 
-    width: Count = Field(32, description="Channels at full resolution; each encoder level doubles them.")
-    encoder: tuple[Count, ...] = Field((1, 1, 1, 8), description="Blocks of each encoder level.")
-    middle: Count = Field(1, description="Blocks between encoder and decoder.")
-    decoder: tuple[Count, ...] = Field((1, 1, 1, 1), description="Blocks of each decoder level.")
-    steps: Count = Field(description="Maximum number of steps; training ends earlier when it has converged.")
-    check: Count = Field(200, description="Steps between validations on the minival.")
-    batch_size: Count = Field(32, description="Captures per step.")
-    learning_rate: Positive = Field(1e-3, description="Learning rate of AdamW before it drops to a tenth.")
+    width: Annotated[Whole, Field(gt=0, le=4096)] = Field(
+        32, description="Channels at full resolution; each encoder level doubles them."
+    )
+    encoder: tuple[Small, ...] = Field((1, 1, 1, 8), max_length=8, description="Blocks of each encoder level.")
+    middle: Small = Field(1, description="Blocks between encoder and decoder.")
+    decoder: tuple[Small, ...] = Field((1, 1, 1, 1), max_length=8, description="Blocks of each decoder level.")
+    steps: Steps = Field(description="Maximum number of steps; training ends earlier when it has converged.")
+    check: Steps = Field(200, description="Steps between validations on the minival.")
+    batch_size: Batch = Field(32, description="Captures per step.")
+    learning_rate: LearningRate = Field(1e-3, description="Learning rate of AdamW before it drops to a tenth.")
 
     @model_validator(mode="after")
     def _symmetric(self) -> "RestorationSettings":
@@ -266,9 +247,9 @@ class RestorationSettings(Frozen):
 class SensorSettings(Frozen):
     """Settings of a sensor's noise and levels; the defaults are our choice, about those of a phone in daylight."""
 
-    full_well: Positive = Field(6000, description="Electrons of a pixel at white with gain 1.")
+    full_well: float = Field(6000, ge=1, le=1e9, description="Electrons of a pixel at white with gain 1.")
     gain: Magnification = Field(1, description="Gain: white is at full_well / gain electrons; about 16 indoors.")
-    read_noise: float = Field(2, ge=0, description="Standard deviation of the read noise [electrons].")
+    read_noise: float = Field(2, ge=0, le=1e6, description="Standard deviation of the read noise [electrons].")
     bits: Annotated[Whole, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
 
 

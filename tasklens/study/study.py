@@ -5,39 +5,31 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
-from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator
 
 from tasklens.materials.catalogues import collect
 from tasklens.materials.material import Material, from_definitions
 from tasklens.runtime.errors import InputError
-from tasklens.study import feasibility
 from tasklens.study.ablations import Ablation, variant_entry
 from tasklens.study.design_settings import (
     DesignSettings,
-    EndToEndSettings,
     ImageQualitySettings,
-    JointRaySpaceSettings,
     LeastSquaresSettings,
     SpotSettings,
-    SupervisedSettings,
-    TaskDrivenSettings,
 )
 from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.messages import in_words
+from tasklens.study.quantities import Name, Rays, Seed, StudyName
+from tasklens.study.renamed import renamed
 from tasklens.study.settings import (
     CaptureSettings,
     ClassifierSettings,
     Constraints,
-    Count,
     Frozen,
     ImageSettings,
-    Name,
     RestorationSettings,
-    Seed,
     Spec,
-    StudyName,
     TrainingSettings,
-    renamed,
 )
 from tasklens.study.sweep import Sweep
 
@@ -50,7 +42,7 @@ class StudyError(InputError):
 
 
 class Study(Frozen):
-    """The configuration of a study.
+    """The configuration of a study; `loading.parse` checks in addition that its sections fit each other.
 
     Its lenses are all combinations of `elements` and `designs`, and those of `imported`. `materials` is given as a list
     of files (YAML or AGF) or as definitions; only the definitions of the plastics in `elements` are stored, so that a
@@ -66,7 +58,9 @@ class Study(Frozen):
 
     format: Literal[2] = Field(description="Version of the keys of a study file.")
     name: StudyName = Field(description="Name of the study; results are in results/<name>.")
-    seeds: tuple[Seed, ...] = Field((0,), min_length=1, description="Seeds of design, fine-tuning and data order.")
+    seeds: tuple[Seed, ...] = Field(
+        (0,), min_length=1, max_length=1000, description="Seeds of design, fine-tuning and data order."
+    )
     images: ImageSettings = Field(description="The labelled images.")
     spec: Spec = Field(Spec(), description="Specification of all lenses.")
     specs: dict[Name, dict[str, Any]] = Field(
@@ -74,7 +68,7 @@ class Study(Frozen):
     )
     constraints: Constraints = Field(Constraints(), description="Limits of every design.")
     capture: CaptureSettings = Field(CaptureSettings(), description="Settings of captures.")
-    evaluation_rays: Count = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
+    evaluation_rays: Rays = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
     elements: dict[Name, tuple[str, ...]] = Field(min_length=1, description="Plastics from front to back, by name.")
     materials: dict[str, Material] = Field(
         default_factory=dict, validate_default=True, description="Files of further plastics (.yaml, .agf)."
@@ -136,97 +130,8 @@ class Study(Frozen):
     def _defined(self, materials: dict[str, Material]) -> dict:
         return {name: material.definition() for name, material in materials.items()}
 
-    @model_validator(mode="after")
-    def _names_are_known(self) -> "Study":
-        if self.supervisor not in self.classifiers:
-            raise ValueError(f"supervisor: {self.supervisor!r} is not one of {', '.join(self.classifiers)}")
-        for name in self.imported:
-            if name in self.designs:
-                raise ValueError(f"imported.{name}: one of the designs is called {name} too; rename one")
-        known = dict.fromkeys([*self.elements, *(lens.elements for lens in self.imported.values())])
-        for name in self.specs:
-            if name not in known:
-                raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
-        for name in self.restored or ():
-            if name not in known:
-                raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")
-        for name in self.ablations:
-            self._check_ablation(name)
-        return self
-
-    @model_validator(mode="after")
-    def _networks_fit(self) -> "Study":
-        if self.images.minival < 2:
-            raise ValueError("images.minival: expected 2 or more, from which errors are computed")
-        for name, classifier in self.classifiers.items():
-            if self.fine_tuning.batch_size % classifier.processes:
-                raise ValueError(
-                    f"classifiers.{name}.processes: {classifier.processes} processes cannot share "
-                    f"fine_tuning.batch_size = {self.fine_tuning.batch_size} equally"
-                )
-        if self.images.size % self.restoration.multiple:
-            raise ValueError(
-                f"images.size: {self.images.size} is not a multiple of {self.restoration.multiple}, which the "
-                f"restoration network of {len(self.restoration.encoder)} levels needs"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _lenses_are_feasible(self) -> "Study":
-        for name, plastics in self.elements.items():
-            materials = tuple(self.materials[plastic] for plastic in plastics)
-            where = f"specs.{name}" if name in self.specs else "spec"
-            spec = self.spec_of(name)
-            feasibility.check(name, where, materials, spec, self.constraints, self.images.size)
-        places = [(f"designs.{lens.design_name}", lens) for lens in self.lenses.values()]
-        for name, item in self.ablations.items():
-            places += [(f"ablations.{name}.variants.{other}", self._variant(name, other)) for other in item.variants]
-        for where, lens in places:
-            self._check_design(where, lens)
-        return self
-
-    def _check_design(self, where: str, lens: LensEntry) -> None:
-        kernel_size = self.spec_of(lens.elements).kernel_size
-        parts: dict[str, Any] = {"size": lens.design, "polish.size": getattr(lens.design, "polish", None)}
-        if isinstance(lens.design, SupervisedSettings):
-            parts |= {f"{name}.size": descent for name, descent in lens.design.descents.items()}
-        for key, part in parts.items():
-            size = getattr(part, "size", None)
-            if size is not None and not kernel_size // 2 < size <= self.images.size:
-                raise ValueError(
-                    f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
-                    f"and at most images.size = {self.images.size}, got {size}"
-                )
-        if isinstance(lens.design, SupervisedSettings):
-            known = self.imaging_starts
-            if isinstance(lens.design, ImageQualitySettings):
-                known = tuple(name for name in known if not isinstance(self.designs[name], ImageQualitySettings))
-            elif isinstance(lens.design, JointRaySpaceSettings):
-                known += tuple(name for name, other in self.designs.items() if isinstance(other, TaskDrivenSettings))
-            for name in lens.design.candidates:
-                if name not in known:
-                    raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")
-        start = lens.design.start if isinstance(lens.design, EndToEndSettings) else None
-        if start == "best_imaging" and not self.imaging_starts:
-            raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_quality")
-
-    def _check_ablation(self, name: str) -> None:
-        ablation = self.ablations[name]
-        for key, known in (("elements", self.elements), ("design", self.designs)):
-            if getattr(ablation, key) not in known:
-                raise ValueError(f"ablations.{name}.{key}: {getattr(ablation, key)!r} is not one of {', '.join(known)}")
-        for variant in ablation.variants:
-            try:
-                lens = self._variant(name, variant)
-            except ValidationError as error:
-                changed: Any = CaptureSettings if error.title == CaptureSettings.__name__ else DesignSettings
-                raise ValueError(in_words(f"ablations.{name}.variants.{variant}", error, changed)) from None
-            named = [*self.designs, *self.imported]
-            named += [item.name(key, other) for key, item in self.ablations.items() for other in item.variants]
-            if named.count(lens.design_name) > 1:
-                raise ValueError(f"ablations.{name}: {lens.design_name} is the name of another design too; rename one")
-
-    def _variant(self, name: str, variant: str) -> LensEntry:
+    def variant(self, name: str, variant: str) -> LensEntry:
+        """Return the lens of a variant of the ablation `name`; raises ValueError."""
         ablation = self.ablations[name]
         return variant_entry(self._designed(ablation.elements, ablation.design), self.capture, name, ablation, variant)
 
@@ -265,7 +170,7 @@ class Study(Frozen):
     @property
     def variants(self) -> dict[str, LensEntry]:
         """Lenses of the variants of all ablations, by name."""
-        found = [self._variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
+        found = [self.variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
         return {lens.name: lens for lens in found}
 
     @property

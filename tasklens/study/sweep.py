@@ -1,11 +1,13 @@
 """Sweeps: the grid of values over which a study is run, each point in a folder of its own."""
 
+import math
 import re
 from itertools import product
 from typing import Annotated, Any
 
 from pydantic import AfterValidator
 
+_MOST = 1000  # points, each with a folder and rules of its own
 _FIXED = ("format", "name", "sweep")  # the same at all points
 _VALUE = re.compile(r"[\w.+-]+")  # as part of a folder's name
 
@@ -21,6 +23,8 @@ def _checked(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
                 raise ValueError(f"sweep.{key}: expected numbers, names, true or false, found {value!r}")
         if not values or min(len(set(values)), len(set(map(_word, values)))) < len(values):
             raise ValueError(f"sweep.{key} = {list(values)}: expected values, each once")
+    if (count := math.prod(map(len, sweep.values()))) > _MOST:
+        raise ValueError(f"sweep: {count} points; expected at most {_MOST}")
     return sweep
 
 

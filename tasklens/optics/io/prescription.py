@@ -1,7 +1,7 @@
 """Lens prescriptions, and their YAML files, which restore every float64 exactly."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ from tasklens.materials.material import AIR, Material, from_definitions
 from tasklens.optics.io import lens_digest
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.runtime.files import FileError, invalid_yaml, number, parse_yaml, positive, write_text
+from tasklens.runtime import yaml_files
+from tasklens.runtime.files import FileError, number, positive, write_text
 
 FORMAT = 2
 APERTURES = ("entrance_pupil_diameter_mm", "f_number")
@@ -127,6 +128,7 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
             known = ", ".join([AIR.name, *materials])
             raise FileError(f"{name}: surface {i}: unknown medium {medium!r}; the file defines {known}")
         media.append(AIR if medium == AIR.name else materials[medium])
+    _check_order(media, [surface["thickness"] for surface in read], name)
 
     def tensor(values: list) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float64)
@@ -143,6 +145,17 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
     comments = tuple(str(surface.get("comment", "")) for surface in surfaces)
     title = str(content.get("title", ""))
     return Prescription(lens, title, comments if any(comments) else None, **_use(content, name))
+
+
+def _check_order(media: Sequence[Material], thickness: Sequence[float], where: str) -> None:
+    """Refuse glass of negative thickness, air of negative thickness between two glasses, and glass at the image."""
+    if media[-1] != AIR:
+        last = len(media) - 1
+        raise FileError(f"{where}: surface {last}: {media[-1].name} behind the last surface; expected air, or one more")
+    for i, (medium, found) in enumerate(zip(media, thickness, strict=True)):
+        between = 0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR  # no stop beside it, nor plane
+        if found < 0 and (medium != AIR or between):
+            raise FileError(f"{where}: surface {i}: thickness: {found:g} mm of {medium.name}; expected 0 or more")
 
 
 def _part(content: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
@@ -216,10 +229,7 @@ def write(path: Path, prescription: Prescription, notes: Mapping) -> None:
 
 def read(path: Path) -> tuple[Prescription, dict]:
     """Read a lens file: its prescription, and its whole content; raises FileError as `from_dict` does."""
-    try:
-        content = parse_yaml(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FileError(invalid_yaml(path, error)) from None
+    content = yaml_files.read(path)
     return from_dict(content, str(path)), content
 
 

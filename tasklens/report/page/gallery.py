@@ -9,7 +9,7 @@ import pandas
 
 from tasklens.report.measurements import lens_values
 from tasklens.report.page import pictures
-from tasklens.runtime.files import Files, parse_yaml
+from tasklens.runtime.files import Files, read_yaml
 from tasklens.study.settings import Slice
 
 _HEADING = "## Manufacturability\n\n"
@@ -54,8 +54,7 @@ def entries(settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> 
 
 
 def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> Entry:
-    text = inputs.lenses[lens].read_text(encoding="utf-8")
-    content = parse_yaml(text)
+    content = read_yaml(inputs.lenses[lens])
     figures, margins = content["figures"], content["margins"]
     groups = vars(inputs)
     page = groups["page"][lens].read_text(encoding="utf-8") if lens in groups["page"] else ""

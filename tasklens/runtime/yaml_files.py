@@ -1,0 +1,101 @@
+"""Reading of YAML files that people write: what is no YAML, or is not what it seems, is refused; no torch here."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tasklens.runtime.files import FileError, read_bytes
+
+_LARGEST = 10_000_000  # bytes; ours have some thousands
+_NODES = 1_000_000  # with aliases written out: a few lines of them can stand for more than fits into the memory
+_OTHER_BASE = re.compile(r"[-+]?(0[0-7_]+|[0-9_]+(:[0-5]?[0-9])+)")  # 05 is octal, 1:30 sexagesimal
+
+
+def read(path: Path) -> Any:
+    """Read a YAML file.
+
+    Raises:
+        FileError: no regular file, no UTF-8, no YAML, keys that stand twice, numbers of other bases, or too much; the
+            message has line and column.
+    """
+    text = _text(path)
+    try:
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _check(node, path)
+        return loader.construct_document(node)
+    except yaml.YAMLError as error:
+        where = _place(path, getattr(error, "problem_mark", None))
+        raise FileError(f"{where}: not valid YAML: {_why(error)}") from None
+    except RecursionError:
+        raise FileError(f"{path}: keys within keys, too many of them") from None
+    except FileError:
+        raise
+    except ValueError as error:  # a number of thousands of digits, or a date that is none
+        raise FileError(f"{path}: not valid YAML: {error}") from None
+
+
+def _text(path: Path) -> str:
+    content = read_bytes(path, _LARGEST)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = content[: error.start].count(b"\n") + 1
+        raise FileError(f"{path}, line {row}: not valid YAML: no UTF-8; save it as UTF-8") from None
+
+
+def _place(path: Path, mark: yaml.Mark | None) -> str:
+    return f"{path}, line {mark.line + 1}, column {mark.column + 1}" if mark else str(path)
+
+
+def _why(error: yaml.YAMLError) -> str:
+    found = getattr(error, "problem", None) or str(error).splitlines()[0]
+    if found.startswith("but "):
+        found = f"{getattr(error, 'context', '')}, {found}"
+    return "a tab; indent by spaces" if r"'\t'" in found else found
+
+
+def _check(node: yaml.Node, path: Path) -> None:
+    """Refuse keys that stand twice, numbers of other bases, and aliases that stand for too much or hold themselves."""
+    sizes: dict[int, int] = {}  # nodes below a node, by its identity; 0 while they are counted
+
+    def count(node: yaml.Node) -> int:
+        if id(node) in sizes:
+            if not sizes[id(node)]:
+                raise FileError(f"{_place(path, node.start_mark)}: holds itself; write it out")
+            return sizes[id(node)]
+        sizes[id(node)] = 0
+        below: list[yaml.Node] = []
+        if isinstance(node, yaml.MappingNode):
+            _check_keys(node, path)
+            below = [each for pair in node.value for each in pair]
+        elif isinstance(node, yaml.SequenceNode):
+            below = node.value
+        elif isinstance(node, yaml.ScalarNode) and _is_plain_integer(node) and _OTHER_BASE.fullmatch(node.value):
+            found = yaml.safe_load(node.value)
+            raise FileError(
+                f"{_place(path, node.start_mark)}: YAML reads {node.value} as {found}; write {found}, or another number"
+            )
+        sizes[id(node)] = 1 + sum(map(count, below))
+        if sizes[id(node)] > _NODES:
+            raise FileError(f"{_place(path, node.start_mark)}: stands for more than {_NODES} values; write fewer")
+        return sizes[id(node)]
+
+    count(node)
+
+
+def _is_plain_integer(node: yaml.ScalarNode) -> bool:
+    return node.tag == "tag:yaml.org,2002:int" and not node.style
+
+
+def _check_keys(node: yaml.MappingNode, path: Path) -> None:
+    seen: set[str] = set()
+    for key, _ in node.value:
+        if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+            if key.value in seen:
+                raise FileError(f"{_place(path, key.start_mark)}: {key.value} stands twice; remove one")
+            seen.add(key.value)

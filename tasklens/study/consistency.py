@@ -1,0 +1,138 @@
+"""Checks of a study across its sections: names, networks, lenses and ablations; no torch here."""
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from tasklens.study import ablations, feasibility
+from tasklens.study.design_settings import (
+    DesignSettings,
+    EndToEndSettings,
+    ImageQualitySettings,
+    JointRaySpaceSettings,
+    SupervisedSettings,
+    TaskDrivenSettings,
+)
+from tasklens.study.lens_entries import LensEntry
+from tasklens.study.messages import in_words
+from tasklens.study.settings import CaptureSettings
+from tasklens.study.study import Study
+
+_TAKEN = {  # names by section, and what has them
+    "elements": dict.fromkeys(("figure3", "figure4"), "files of comparisons"),
+    "designs": {"reference": "the sharp images in tables"},
+    "imported": {"reference": "the sharp images in tables"},
+}
+
+
+def check(study: Study) -> None:
+    """Check what the sections of a study say of each other; raises ValueError with the key."""
+    _check_names(study)
+    for name in study.ablations:
+        _check_ablation(study, name)
+    _check_networks(study)
+    _check_lenses(study)
+
+
+def _check_names(study: Study) -> None:
+    for section, taken in _TAKEN.items():
+        for name, by in taken.items():
+            if name in getattr(study, section):
+                raise ValueError(f"{section}.{name}: {by} are called {name}; rename these {section}")
+    for name in study.ablations:
+        if name.isdecimal() and study.sweep:
+            raise ValueError(f"ablations.{name}: the points of the sweep have such numbers; expected a name")
+    if study.supervisor not in study.classifiers:
+        raise ValueError(f"supervisor: {study.supervisor!r} is not one of {', '.join(study.classifiers)}")
+    for name in study.imported:
+        if name in study.designs:
+            raise ValueError(f"imported.{name}: one of the designs is called {name} too; rename one")
+    known = dict.fromkeys([*study.elements, *(lens.elements for lens in study.imported.values())])
+    for name in study.specs:
+        if name not in known:
+            raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
+    for name in study.restored or ():
+        if name not in known:
+            raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")
+
+
+def _check_ablation(study: Study, name: str) -> None:
+    ablation = study.ablations[name]
+    for key, known in (("elements", study.elements), ("design", study.designs)):
+        if getattr(ablation, key) not in known:
+            raise ValueError(f"ablations.{name}.{key}: {getattr(ablation, key)!r} is not one of {', '.join(known)}")
+    lenses = {}
+    for variant in ablation.variants:
+        try:
+            lenses[variant] = study.variant(name, variant)
+        except ValidationError as error:
+            changed: Any = CaptureSettings if error.title == CaptureSettings.__name__ else DesignSettings
+            raise ValueError(in_words(f"ablations.{name}.variants.{variant}", error, changed)) from None
+        named = [*study.designs, *study.imported]
+        named += [item.name(key, other) for key, item in study.ablations.items() for other in item.variants]
+        if named.count(lenses[variant].design_name) > 1:
+            other = lenses[variant].design_name
+            raise ValueError(f"ablations.{name}: {other} is the name of another design too; rename one")
+    ablations.check_differences(lenses, study.designs[ablation.design], study.capture, f"ablations.{name}.variants")
+
+
+def _check_networks(study: Study) -> None:
+    if study.images.minival < 2:
+        raise ValueError("images.minival: expected 2 or more, from which errors are computed")
+    batches = {"fine_tuning": study.fine_tuning.batch_size, "restoration": study.restoration.batch_size}
+    batches |= {f"classifiers.{k}.training": v.training.batch_size for k, v in study.classifiers.items() if v.training}
+    for where, images in batches.items():
+        feasibility.check_step(f"{where}.batch_size", images, study.images.size)
+    for name, classifier in study.classifiers.items():
+        if study.fine_tuning.batch_size % classifier.processes:
+            raise ValueError(
+                f"classifiers.{name}.processes: {classifier.processes} processes cannot share "
+                f"fine_tuning.batch_size = {study.fine_tuning.batch_size} equally"
+            )
+    if study.images.size % study.restoration.multiple:
+        raise ValueError(
+            f"images.size: {study.images.size} is not a multiple of {study.restoration.multiple}, which the "
+            f"restoration network of {len(study.restoration.encoder)} levels needs"
+        )
+
+
+def _check_lenses(study: Study) -> None:
+    for name, plastics in study.elements.items():
+        materials = tuple(study.materials[plastic] for plastic in plastics)
+        where = f"specs.{name}" if name in study.specs else "spec"
+        spec = study.spec_of(name)
+        feasibility.check(name, where, materials, spec, study.constraints, study.images.size)
+    places = [(f"designs.{lens.design_name}", lens) for lens in study.lenses.values()]
+    for name, item in study.ablations.items():
+        places += [(f"ablations.{name}.variants.{other}", study.variant(name, other)) for other in item.variants]
+    for where, lens in places:
+        _check_design(study, where, lens)
+
+
+def _check_design(study: Study, where: str, lens: LensEntry) -> None:
+    design = lens.design
+    kernel_size = study.spec_of(lens.elements).kernel_size
+    parts: dict[str, Any] = {"size": design, "polish.size": getattr(design, "polish", None)}
+    if isinstance(design, SupervisedSettings):
+        parts |= {f"{name}.size": descent for name, descent in design.descents.items()}
+    for key, part in parts.items():
+        size = getattr(part, "size", None)
+        if size is not None and not kernel_size // 2 < size <= study.images.size:
+            raise ValueError(
+                f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
+                f"and at most images.size = {study.images.size}, got {size}"
+            )
+    if batch := getattr(design, "batch_size", None):
+        feasibility.check_step(f"{where}.batch_size", batch, study.images.size)
+    if isinstance(design, SupervisedSettings):
+        known = study.imaging_starts
+        if isinstance(design, ImageQualitySettings):
+            known = tuple(name for name in known if not isinstance(study.designs[name], ImageQualitySettings))
+        elif isinstance(design, JointRaySpaceSettings):
+            known += tuple(name for name, other in study.designs.items() if isinstance(other, TaskDrivenSettings))
+        for name in design.candidates:
+            if name not in known:
+                raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")
+    start = design.start if isinstance(design, EndToEndSettings) else None
+    if start == "best_imaging" and not study.imaging_starts:
+        raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_quality")

@@ -1,0 +1,37 @@
+"""Kinds of numbers and names in study files; no torch here.
+
+Their bounds are far from anything that one designs or trains with. They refuse, before the first job, what would fail
+hours later, fill the memory, or never end.
+"""
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+
+def _no_truth(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError("expected a whole number")
+    return value
+
+
+Whole = Annotated[int, BeforeValidator(_no_truth)]  # not `true`, which is 1
+Count = Annotated[Whole, Field(gt=0, le=10**9)]
+Small = Annotated[Whole, Field(gt=0, le=1000)]  # levels, blocks, processes: each is an object
+Batch = Annotated[Whole, Field(gt=0, le=2**16)]  # images at once: 10 GB with 224 pixels
+Rays = Annotated[Whole, Field(gt=0, le=2**20)]  # per field and colour: 10 GB
+Steps = Annotated[Whole, Field(gt=0, le=10**8)]  # ten days at 10 ms each
+Seed = Annotated[Whole, Field(ge=0, lt=2**63)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Part = Annotated[float, Field(gt=0, le=1)]
+Positive = Annotated[float, Field(gt=0, le=1e12)]
+Length = Annotated[float, Field(gt=0, le=1000)]  # [mm]
+Micrometres = Annotated[float, Field(ge=0.01, le=1000)]
+LearningRate = Annotated[float, Field(gt=0, le=10)]
+Magnification = Annotated[float, Field(ge=1, le=1000)]
+Angle = Annotated[float, Field(gt=0, lt=90)]  # [degrees]
+LONGEST_NAME = 40  # a lens has up to four in its name, and file systems take 255 bytes
+Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$", max_length=LONGEST_NAME)]
+StudyName = Annotated[  # study/key=value at a point of a sweep
+    str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?$", max_length=200)
+]
