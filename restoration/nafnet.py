@@ -3,11 +3,14 @@
 Parameter names are those of the original, so that published weights can be loaded.
 """
 
+from pathlib import Path
+
 import torch
 from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
 from tasklens.runtime.devices import half_precision
+from tasklens.runtime.files import damaged, read_tensors
 from tasklens.study.settings import RestorationSettings
 
 
@@ -96,3 +99,13 @@ class NAFNet(nn.Module):
 def build(settings: RestorationSettings) -> NAFNet:
     """Build the untrained network of `settings`."""
     return NAFNet(settings.width, settings.encoder, settings.middle, settings.decoder)
+
+
+def load(settings: RestorationSettings, path: Path) -> NAFNet:
+    """Read a trained network, to be evaluated; raises FileError if the file does not have the weights of `settings`."""
+    network = build(settings)
+    try:
+        network.load_state_dict(read_tensors(path)[0])
+    except RuntimeError as error:  # which lists the tensors
+        raise damaged(path, f"not the weights of this network ({str(error).splitlines()[0]})") from None
+    return network.eval().requires_grad_(False)

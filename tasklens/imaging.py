@@ -16,7 +16,7 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from tasklens.study.settings import SensorSettings
+from tasklens.study.settings import CaptureSettings, SensorSettings
 
 _IMAGES = 16  # images that a CPU prepares at once
 _PLANE_BYTES = 2**20  # spectra that a CPU transforms at once, so that they stay in its cache
@@ -150,6 +150,11 @@ class Camera:
         self.sensor = sensor
         self.illumination = (psf.new_ones(len(psf)) if illumination is None else illumination).to(self.psf)
         self._kernels: dict[tuple[int, int], list[Tensor]] = {}
+
+    @classmethod
+    def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "Camera":
+        """Return the camera of capture settings, through PSFs and at the relative illumination of their file."""
+        return cls(psf, capture.outside_window, capture.colour, capture.sensor, illumination)
 
     def grid(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).

@@ -90,11 +90,11 @@ def test_a_file_of_images_that_is_cut_is_named(tmp_path, kept):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("", "no complete file of labels"),
-        ('{"classes": ["a"], "labels": [0, 0', "no complete file of labels"),
-        ('{"classes": ["a"]}', "no complete file of labels"),
-        ('{"classes": ["a"], "labels": ["cat"]}', "no complete file of labels"),
-        ("[]", "no complete file of labels"),
+        ("", "no JSON"),
+        ('{"classes": ["a"], "labels": [0, 0', "no JSON"),
+        ('{"classes": ["a"]}', "no labels of images"),
+        ('{"classes": ["a"], "labels": ["cat"]}', "no labels of images"),
+        ("[]", "no labels of images"),
         ('{"classes": ["a"], "labels": [0, 0]}', "2 labels for the 6 images of"),
     ],
 )

@@ -6,10 +6,12 @@ import pytest
 import torch
 from examples import finish, tiny_study, write
 
+from tasklens.optics.io import psf_files
+from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.report import merit_function
 from tasklens.report.merit_function import BANDS, fit, left_out, modulation
-from tasklens.runtime.files import FileError, write_tensors
+from tasklens.runtime.files import FileError
 from tasklens.study.loading import parse
 
 KERNEL = 51
@@ -69,7 +71,9 @@ def planted(study) -> None:
         psf = gaussians(random.uniform(0.4, 3, 9).tolist())
         path = jobs.design.output(study, "psf", lens=lens, seed=0)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_tensors(path, {"psf": torch.from_numpy(psf).float()}, {})
+        psf_files.write(
+            path, FieldPsfs(torch.from_numpy(psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
+        )
         for name, band in (("small", 2), ("other", 5)):
             loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
             losses = {"image": range(2), "label": ["cat", "dog"]}

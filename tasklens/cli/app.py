@@ -49,6 +49,12 @@ def _sentence(command: typer.main.TyperCommand) -> str:
     return (command.help or "").split("\n\n")[0].replace("\n", " ").removesuffix(".")
 
 
+def _is_of_memory(error: Exception) -> bool:
+    """Return whether memory is lacking: Python's, torch's, or that of a GPU; without torch."""
+    kinds = [kind.__name__ for kind in type(error).__mro__]
+    return bool({"MemoryError", "OutOfMemoryError"} & set(kinds)) or "can't allocate memory" in str(error)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command; return exit status 2 for a user error, 1 for a failed verification, else 0.
 
@@ -68,6 +74,11 @@ def main(argv: list[str] | None = None) -> int:
         if error.filename is None:
             raise
         print(f"tasklens: {error.filename}: {(error.strerror or 'cannot be used').lower()}", file=sys.stderr)
+        status = 2
+    except (MemoryError, RuntimeError) as error:
+        if not _is_of_memory(error):
+            raise
+        print(f"tasklens: not enough memory ({error}); run fewer jobs at once, or lower batch_size", file=sys.stderr)
         status = 2
     if argv is None:
         sys.stdout.flush()

@@ -11,7 +11,7 @@ from torch import Tensor
 from tasklens.recognition import class_folders, folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import CPU, send
-from tasklens.runtime.files import FileError, map_array, write_text, writing_array
+from tasklens.runtime.files import FileError, damaged, map_array, read_json, write_text, writing_array
 from tasklens.study.names import SPLITS
 from tasklens.study.settings import ImageSettings
 
@@ -132,12 +132,12 @@ def read(images: Path, labels: Path, *, device: torch.device = CPU) -> ImageData
         FileError: a file is not complete, or the numbers of images and labels differ.
     """
     array = map_array(images)
+    content = read_json(labels)
     try:
-        content = json.loads(labels.read_text())
         found = torch.tensor(content["labels"], dtype=torch.long)
         classes = tuple(content["classes"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise FileError(f"{labels}: no complete file of labels; remove it ({error})") from error
+    except (RuntimeError, ValueError, KeyError, TypeError) as error:
+        raise damaged(labels, f"no labels of images ({error})") from error
     if len(array) != len(found):
         raise FileError(f"{labels}: {len(found)} labels for the {len(array)} images of {images}; remove both")
     return ImageDataset(array, found, classes, device)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import damaged
+from tasklens.runtime.files import damaged, read_table
 
 
 def mean_metrics(path: Path) -> dict[str, float]:
@@ -15,7 +15,7 @@ def mean_metrics(path: Path) -> dict[str, float]:
             every field of every metric.
     """
     try:
-        rows = pandas.read_csv(path)
+        rows = read_table(path)
         fields, values = pandas.to_numeric(rows["field"]), pandas.to_numeric(rows["value"])
     except (KeyError, ValueError) as error:
         raise damaged(path, f"not a table of metrics ({error})") from None

@@ -18,13 +18,13 @@ from torch import Tensor
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, ray_fans, trace_fields
-from tasklens.optics.io import prescription
+from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.report import curves, spot_panels
 from tasklens.report.cross_section import cross_section
-from tasklens.runtime.files import read_tensors, replacing
+from tasklens.runtime.files import replacing
 
 SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
 COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
@@ -67,7 +67,7 @@ def panel(title: str, path: Path, psf: Path) -> Panel:
     """Read what a panel shows from the files of a lens and its PSFs; raises FileError."""
     found, content = prescription.read(path)
     view = view_of(found.lens, content, str(path))
-    return panel_of(title, found.lens, view, read_tensors(psf)[0]["psf"], content["figures"])
+    return panel_of(title, found.lens, view, psf_files.read(psf).psf, content["figures"])
 
 
 def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) -> Panel:

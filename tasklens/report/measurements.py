@@ -11,7 +11,7 @@ from tasklens.optics.io import lens_digest
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
 from tasklens.report.optimality import Gap, gap
-from tasklens.runtime.files import read_yaml
+from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.study.claims import Claim
 
 
@@ -69,9 +69,16 @@ class Measurements:
         return self._frozen(lens, classifier, seed).mean()
 
     def _frozen(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
-        """Read the losses of the frozen classifier: a row per minival image, a column per field."""
-        frame = pandas.read_csv(self.frozen[lens, classifier, seed], dtype={"label": str}, keep_default_na=False)
-        return frame.set_index(["image", "label"])
+        """Read the losses of the frozen classifier: a row per minival image, a column per field; raises FileError."""
+        path = self.frozen[lens, classifier, seed]
+        frame = read_table(path, dtype={"label": str}, keep_default_na=False)
+        try:
+            losses = frame.set_index(["image", "label"]).astype(float)
+        except (KeyError, ValueError) as error:
+            raise damaged(path, f"no losses of images ({error})") from None
+        if losses.empty or losses.isna().any(axis=None):
+            raise damaged(path, "a loss is missing")
+        return losses
 
     def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> Gap:
         """Return the optimality gap of a lens beside other lenses."""

@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import nnls
 
+from tasklens.optics.io import psf_files
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import FileError, Files, read_tensors, replacing
+from tasklens.runtime.files import FileError, Files, replacing
 from tasklens.study.settings import Slice
 
 _LEAST_LENSES = 3
@@ -80,7 +81,7 @@ def make(settings: Slice, inputs: Files, outputs: Files) -> None:
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
-    psfs = (read_tensors(path)[0]["psf"] for path in inputs.psfs.values())
+    psfs = (psf_files.read(path).psf for path in inputs.psfs.values())
     seen = numpy.concatenate([modulation(psf.double().numpy()) for psf in psfs])
     fields = len(seen) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together

@@ -4,23 +4,23 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import FileError, damaged, read_table
 
 Labelled = pandas.DataFrame | pandas.Series  # with a row per image
 
 
-def read(path: str | Path) -> pandas.DataFrame:
+def read(path: Path) -> pandas.DataFrame:
     """Read predictions: 1 where an image is classified correctly, else 0; a row per (image, label), a column per field.
 
     Raises:
         FileError: the file has other contents.
     """
     try:
-        frame = pandas.read_csv(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])
-    except (KeyError, ValueError) as error:
-        raise FileError(f"{path}: not a table of predictions: {error}") from error
+        frame = read_table(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])
+    except KeyError as error:
+        raise damaged(path, f"not a table of predictions ({error})") from error
     if frame.empty or not frame.isin([0, 1]).all(axis=None):
-        raise FileError(f"{path}: expected a row per image, with 0 or 1 for each field")
+        raise damaged(path, "expected a row per image, with 0 or 1 for each field")
     return frame
 
 

@@ -14,7 +14,7 @@ import pandas
 
 from tasklens.report import predictions
 from tasklens.report.measurements import Measurements
-from tasklens.runtime.files import Files
+from tasklens.runtime.files import Files, read_table
 from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents, VerificationContents
@@ -111,7 +111,7 @@ def differences(
     """
     stored = measurements.correct(lens, classifier, seed)
     alike = stored.index.equals(anew.index) and stored.columns.equals(anew.columns)
-    rows = pandas.read_csv(measurements.metrics[lens, classifier, seed])
+    rows = read_table(measurements.metrics[lens, classifier, seed])
     metrics = rows[rows["metric"] == "accuracy"].set_index("field")["value"].to_numpy()
     by_field = pandas.Series(predictions.accuracy_by_field(anew)).sub(pandas.Series(metrics)).abs()
     return {
@@ -123,7 +123,7 @@ def differences(
 def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], path: Path) -> list[Failure]:
     """Return failures for the rows of a table whose accuracy is not reproduced."""
     failures = []
-    for row in pandas.read_csv(path, keep_default_na=False).to_dict("records"):
+    for row in read_table(path, keep_default_na=False).to_dict("records"):
         sharp = row["elements"] == ""
         lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
         classifier = row.get("classifier", contents.classifiers[0])

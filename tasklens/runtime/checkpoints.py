@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from tasklens.runtime.devices import random_state, set_random_state
-from tasklens.runtime.files import FileError, replacing
+from tasklens.runtime.files import FileError, damaged, replacing
 
 INTERVAL = 60.0  # least time between writing files [s]
 
@@ -51,7 +51,7 @@ class Checkpoint:
             try:
                 self.records = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:  # of pickle, zip or torch
-                raise FileError(f"{path}: no checkpoint of this program; remove it ({error})") from error
+                raise damaged(path, f"no checkpoint ({error})") from error
 
     def part(self, name: str, **holders: Any) -> "Part":
         """Return the part of this name; if it was saved, load the states of `holders` and torch's random state.
@@ -71,10 +71,13 @@ class Checkpoint:
         return self.path is not None and time.monotonic() - self.written >= INTERVAL
 
     def write(self) -> None:
-        """Write all parts to the file."""
+        """Write all parts to the file; raises FileError on a full disk."""
         assert self.path is not None  # only a checkpoint with a path is due
         with replacing(self.path) as temporary:
-            torch.save(self.records, temporary)
+            try:
+                torch.save(self.records, temporary)
+            except RuntimeError as error:
+                raise FileError(f"{self.path}: cannot be written ({error}); make room, and run again") from error
         self.written = time.monotonic()
 
     def remove(self) -> None:

@@ -1,6 +1,7 @@
 """Atomic writing of files, under a temporary name that is renamed; and reading."""
 
 import glob
+import io
 import json
 import math
 import os
@@ -20,6 +21,7 @@ from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
     import numpy
+    import pandas
     import torch
 
 
@@ -83,6 +85,31 @@ def read_yaml(path: Path) -> Any:
     return content
 
 
+def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
+    """Read a CSV file that a job wrote; `options` are of `pandas.read_csv`.
+
+    Raises:
+        FileError: it is cut off, or no table.
+    """
+    import pandas
+
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if not text.endswith("\n"):
+        raise damaged(path, "cut off")
+    try:
+        return pandas.read_csv(io.StringIO(text), **options)
+    except ValueError as error:  # of pandas too
+        raise damaged(path, f"no table ({str(error).splitlines()[0]})") from None
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file that a job wrote; raises FileError if it is damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise damaged(path, f"no JSON ({error})") from None
+
+
 def damaged(path: Path, what: str) -> FileError:
     """Return the error of a result that is not what a job writes."""
     return FileError(f"{path}: {what}; delete it and run again")
@@ -107,6 +134,9 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
 
     Args:
         temporary: in place of a name of this process alone.
+
+    Raises:
+        OSError: what an operation of the block raises; it names `path` where the system names none.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_abandoned(path)
@@ -117,6 +147,10 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
         os.replace(temporary, path)
         if os.name == "posix":  # elsewhere folders cannot be opened
             _synchronise(path.parent, os.O_RDONLY)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # of writing: no space is left, for instance
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -146,11 +180,15 @@ def write_text(path: Path, text: str) -> None:
 
 def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: Mapping[str, Any]) -> None:
     """Write a safetensors file; metadata are one JSON text, since the order of several entries is random."""
+    from safetensors import SafetensorError
     from safetensors.torch import save_file
 
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
-        save_file(contiguous, temporary, {"json": json.dumps(metadata)})
+        try:
+            save_file(contiguous, temporary, {"json": json.dumps(metadata)})
+        except SafetensorError as error:
+            raise FileError(f"{path}: cannot be written ({error}); make room, and run again") from None
         temporary.chmod(path.parent.stat().st_mode & 0o666)  # safetensors shuts out everybody but the owner
 
 

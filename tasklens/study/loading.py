@@ -63,7 +63,8 @@ def read(path: str | Path) -> Mapping:
     except FileError as error:
         raise StudyError(str(error)) from None
     if not isinstance(content, Mapping):
-        raise StudyError(f"{path}: expected keys and values, found {'nothing' if content is None else type(content).__name__}")
+        found = "nothing" if content is None else type(content).__name__
+        raise StudyError(f"{path}: expected keys and values, found {found}")
     if "__use_yte__" in content:
         raise StudyError(
             f"{path}: __use_yte__: makes the file a template, whose code Snakemake runs before TaskLens sees it; "

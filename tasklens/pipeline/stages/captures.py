@@ -7,13 +7,14 @@ from safetensors.numpy import save_file
 from timm.data import ImageNetInfo
 from torch import Tensor
 
-from restoration.nafnet import build
+from restoration import nafnet
 from tasklens.imaging import Camera, psnr
+from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset
 from tasklens.recognition.classifiers import Classifier
 from tasklens.report.chosen_images import choose
 from tasklens.runtime.devices import claim
-from tasklens.runtime.files import Files, read_tensors, replacing, write_rows
+from tasklens.runtime.files import Files, replacing, write_rows
 from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Slice
@@ -34,14 +35,12 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
     known = _class_names()
     seen: dict[tuple[str, bool], Tensor] = {(SHARP, False): images[:, None]}  # (image, field, 3, H, W)
     for lens, path in inputs.psfs.items():
-        capture = settings.captures[lens]
-        tensors = {name: tensor[list(FIELDS)].to(device) for name, tensor in read_tensors(path)[0].items()}
-        camera = Camera(tensors["psf"], capture.outside_window, capture.colour, capture.sensor, tensors["illumination"])
+        seen_fields = (tensor[list(FIELDS)].to(device) for tensor in psf_files.read(path))
+        camera = Camera.of(settings.captures[lens], *seen_fields)
         seen[lens, False] = camera.grid(images).transpose(0, 1)
         if lens in inputs.restorations:
-            network = build(settings.restoration).eval().requires_grad_(False)
-            network.load_state_dict(read_tensors(inputs.restorations[lens])[0])
-            restored = network.to(device)(seen[lens, False].flatten(0, 1))
+            network = nafnet.load(settings.restoration, inputs.restorations[lens]).to(device)
+            restored = network(seen[lens, False].flatten(0, 1))
             seen[lens, True] = restored.unflatten(0, (len(chosen), -1))
     rows = []
     for (lens, measured_name), path in inputs.weights.items():

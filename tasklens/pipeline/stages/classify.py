@@ -4,14 +4,15 @@ from collections.abc import Mapping
 
 import torch
 
-from restoration.nafnet import build
+from restoration import nafnet
 from tasklens.imaging import Camera
+from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset, evaluation, training
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.distributed import process_group
-from tasklens.runtime.files import Files, read_tensors, write_rows, write_tensors
+from tasklens.runtime.files import Files, write_rows, write_tensors
 from tasklens.study.settings import Slice
 
 _OUTPUTS = ("weights", "metrics", "predictions", "frozen")
@@ -83,11 +84,7 @@ def _capture_pipeline(settings: Slice, inputs: Files, device: torch.device) -> C
     """Build the capture pipeline from cached PSFs, if any, and the trained restoration, if any."""
     camera = network = None
     if settings.capture is not None:
-        tensors = {name: tensor.to(device) for name, tensor in read_tensors(inputs.psf)[0].items()}
-        capture = settings.capture
-        camera = Camera(tensors["psf"], capture.outside_window, capture.colour, capture.sensor, tensors["illumination"])
+        camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(inputs.psf)))
     if settings.restoration is not None:
-        network = build(settings.restoration).eval().requires_grad_(False)
-        network.load_state_dict(read_tensors(inputs.restoration)[0])
-        network.to(device)
+        network = nafnet.load(settings.restoration, inputs.restoration).to(device)
     return CapturePipeline(camera, network)

@@ -3,13 +3,14 @@
 from tasklens.design import methods
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
-from tasklens.optics.io import prescription
+from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.optics.psf import psf_notes
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
-from tasklens.runtime.files import Files, write_rows, write_tensors
+from tasklens.runtime.files import Files, write_rows
 from tasklens.study.lens_entries import LensDesign
 
 
@@ -36,5 +37,5 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
     view = view_of_spec(settings.spec)
     lens = prescription.read(outputs.lens)[0].lens
     grid = evaluation_psf(lens, view, settings.rays)
-    tensors = {"psf": grid.float(), "illumination": relative_illumination(lens, view).float()}
-    write_tensors(outputs.psf, tensors, psf_notes(view, grid) | {"rays": settings.rays})
+    found = FieldPsfs(grid, relative_illumination(lens, view))
+    psf_files.write(outputs.psf, found, psf_notes(view, grid) | {"rays": settings.rays})

@@ -7,12 +7,12 @@ from torch import Tensor
 
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.datasheet import view_of
-from tasklens.optics.io import prescription
+from tasklens.optics.io import prescription, psf_files
 from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import frames, predictions
 from tasklens.report.measurements import Measurements
-from tasklens.runtime.files import Files, read_tensors
+from tasklens.runtime.files import Files
 from tasklens.simulation.charts import resolution_chart
 from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
 from tasklens.simulation.sensor import capture
@@ -82,6 +82,5 @@ def _disagreements(settings: Slice, inputs: Files, test: ImageDataset, lenses: S
 
 def _single(settings: Slice, inputs: Files, lens: str, images: Tensor) -> Tensor:
     """Return the capture (3, H, W) of one image at the middle field."""
-    how, tensors = settings.captures[lens], read_tensors(inputs.psfs[lens])[0]
-    psf, illumination = tensors["psf"][[_FIELD]], tensors["illumination"][[_FIELD]]
-    return Camera(psf, how.outside_window, how.colour, how.sensor, illumination).grid(images)[0, 0]
+    of_field = (tensor[[_FIELD]] for tensor in psf_files.read(inputs.psfs[lens]))
+    return Camera.of(settings.captures[lens], *of_field).grid(images)[0, 0]

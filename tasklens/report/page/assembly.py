@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 from tasklens.report.headings import STD
 from tasklens.report.measurements import Measurements
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
-from tasklens.runtime.files import FileError, Files, write_text
+from tasklens.runtime.files import FileError, Files, read_table, write_text
 from tasklens.study.settings import Slice
 
 LARGEST_MB = 15.0
@@ -45,8 +45,8 @@ def make(settings: Slice, inputs: Files, outputs: Files) -> None:
 
 def render(settings: Slice, inputs: Files) -> str:
     """Return the page as HTML."""
-    frames = {name: pandas.read_csv(path) for name, path in (inputs.tables | inputs.others).items()}
-    frames |= {name: pandas.read_csv(path) for name, path in settings.optional.items() if path.exists()}
+    frames = {name: read_table(path) for name, path in (inputs.tables | inputs.others).items()}
+    frames |= {name: read_table(path) for name, path in settings.optional.items() if path.exists()}
     table1 = frames.get("table1")
     shown = captures.shown(inputs.captures, settings.supervisor)
     time = machine.durations(settings.benchmarks)
@@ -178,7 +178,7 @@ def _histories(settings: Slice, inputs: Files) -> list[charts.Chart]:
 
 def _read(path: Path) -> pandas.DataFrame:
     """Read a history, which is empty for an imported lens."""
-    return pandas.read_csv(path) if path.read_text().strip() else pandas.DataFrame()
+    return read_table(path) if path.read_text().strip() else pandas.DataFrame()
 
 
 def _last_part(history: pandas.DataFrame) -> pandas.DataFrame:

@@ -9,6 +9,7 @@ import pandas
 from safetensors.numpy import load_file
 
 from tasklens.report.page import pictures
+from tasklens.runtime.files import read_table
 from tasklens.study.names import SHARP, restored
 
 
@@ -48,7 +49,7 @@ def shown(files: Mapping[str, Path], supervisor: str) -> list[Shown]:
         return []
     arrays = load_file(files["images"])
     texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
-    answers = pandas.read_csv(files["answers"], keep_default_na=False, dtype=texts)
+    answers = read_table(files["answers"], keep_default_na=False, dtype=texts)
     answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
     images = answers[["image", "label"]].drop_duplicates()
     images = images.set_index("image").loc[list(dict.fromkeys(_in_order(files["answers"])))]
@@ -70,7 +71,7 @@ def shown(files: Mapping[str, Path], supervisor: str) -> list[Shown]:
 
 
 def _in_order(path: Path) -> list[int]:
-    return pandas.read_csv(path, usecols=["image"])["image"].tolist()
+    return read_table(path, usecols=["image"])["image"].tolist()
 
 
 def _truth(column: pandas.Series) -> pandas.Series:

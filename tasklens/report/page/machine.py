@@ -1,6 +1,5 @@
 """Where and how long a study ran: time and memory by kind of job, machine, commit, versions."""
 
-import json
 import math
 import os
 import platform
@@ -10,6 +9,7 @@ from pathlib import Path
 import pandas
 
 from tasklens.runtime.benchmarks import benchmarks
+from tasklens.runtime.files import read_json
 
 
 def durations(folder: Path) -> pandas.DataFrame:
@@ -39,7 +39,7 @@ def facts(provenance: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("machine", f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"),
         ("Python", platform.python_version()),
     ]
-    contents = {name: json.loads(path.read_text()) for name, path in provenance.items()}
+    contents = {name: read_json(path) for name, path in provenance.items()}
     commits = dict.fromkeys(content["commit"] for content in contents.values())
     versions: dict[str, dict[str, None]] = {}
     for content in contents.values():
