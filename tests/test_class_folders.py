@@ -5,6 +5,7 @@ import os
 import pytest
 from examples import write
 
+from tasklens.pipeline.digest import folder_digest
 from tasklens.recognition import class_folders
 from tasklens.runtime.files import FileError
 from tasklens.study.settings import ImageSettings
@@ -131,3 +132,14 @@ def test_fewer_images_than_asked_for_are_refused(folder, counts, words):
     with pytest.raises(FileError) as error:
         class_folders.check(ImageSettings(size=16, minival=3, folder=folder, **counts))
     assert words in str(error.value)
+
+
+def test_links_in_circles_end(folder):
+    """Two of them in each class would stand for more folders than a walk ever ends with."""
+    for name in ("cat", "dog"):
+        for link in ("here", "there"):
+            (folder / "train" / name / link).symlink_to(folder, target_is_directory=True)
+    class_folders.check(images(folder))
+    first = folder_digest(folder)
+    write(folder / "train/cat/2.png", "new")
+    assert len({first, folder_digest(folder)}) == 2

@@ -223,3 +223,24 @@ def test_batch_norms_of_a_frozen_network_by_the_batch():
     assert images.grad.abs().max() > 0 and all(p.grad is None for p in frozen.parameters())
     state = frozen.state_dict()
     assert all(torch.equal(v, before[k]) for k, v in state.items() if "num_batches" not in k)
+
+
+def test_a_hub_out_of_reach_is_said_at_once(monkeypatch):
+    """Without its library's minute of trying again; with the weights in the cache nobody asks."""
+    asked = []
+
+    def refuse(address, timeout):
+        asked.append(address)
+        raise OSError("Name or service not known")
+
+    monkeypatch.setattr(classifiers.socket, "create_connection", refuse)
+    monkeypatch.setattr(classifiers.urllib.request, "getproxies", dict)
+    monkeypatch.setattr(classifiers.huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    settings = ClassifierSettings(model="resnet18.a1_in1k", pretrained=True, outputs="imagenet")
+    with pytest.raises(InputError, match=r"resnet18\.a1_in1k: .* not within reach .*not known.*`weights`") as error:
+        classifiers.build(settings, ["n01440764"])
+    assert len(asked) == 1 and asked[0][0] in str(error.value)
+    monkeypatch.setattr(classifiers.huggingface_hub, "try_to_load_from_cache", lambda *_: "there")
+    classifiers.check_published("resnet18.a1_in1k")
+    classifiers.check_published("test_resnet")  # has none
+    assert len(asked) == 1

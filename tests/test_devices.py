@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from tasklens.runtime import devices
+from tasklens.runtime import devices, waiting
 from tasklens.runtime.distributed import process_group
 from tasklens.runtime.errors import InputError
 
@@ -42,7 +42,7 @@ def hold(name: str, ready, done) -> None:
 @pytest.fixture
 def elsewhere(monkeypatch, tmp_path):
     """A function that has another process hold the lock of a name, and returns that process."""
-    monkeypatch.setattr(devices.tempfile, "gettempdir", lambda: tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr(devices, "_locked", {})
 
     def held(name: str) -> multiprocessing.Process:
@@ -63,9 +63,20 @@ def test_a_gpu_has_one_job(monkeypatch, elsewhere):
     assert devices.claim() == devices.claim() == torch.device("cuda", 1)
     waited = []
     monkeypatch.setattr(devices, "_locked", {}), pretend(monkeypatch, names[:1])
-    monkeypatch.setattr(devices.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
+    monkeypatch.setattr(waiting.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
     assert devices.claim() == torch.device("cuda", 0)
     assert len(waited) == 1
+
+
+def test_locks_are_nobody_elses(monkeypatch, tmp_path):
+    """In the user's home, with whatever TMPDIR, and under an umask that would shut out the user's other jobs."""
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "mine"))
+    monkeypatch.setattr(devices, "_locked", {})
+    pretend(monkeypatch, ["one"])
+    assert devices.claim() == torch.device("cuda", 0)
+    (lock,) = (path for path in tmp_path.rglob("*") if path.is_file())
+    assert lock.parent == tmp_path / "home/.cache/tasklens/gpus" and lock.parent.stat().st_mode & 0o077 == 0
 
 
 def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
@@ -83,7 +94,7 @@ def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
         seen.append(second.exitcode)
         other.kill(), other.join()
 
-    monkeypatch.setattr(devices.time, "sleep", wait)
+    monkeypatch.setattr(waiting.time, "sleep", wait)
     assert devices.claim_several(2) == [torch.device("cuda", 0), torch.device("cuda", 1)]
     assert seen == [1] and set(devices._locked) == set(names)
 

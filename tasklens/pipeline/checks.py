@@ -38,6 +38,8 @@ def _check_networks(study: Study) -> None:
 
     for name, classifier in study.classifiers.items():
         classifiers.check(name, classifier, study.images.size)
+        if classifier.pretrained:
+            classifiers.check_published(classifier.model)
         if classifier.outputs != "classes" and study.images.folder is not None:
             train = class_folders.split_folder(study.images.folder, class_folders.TRAIN)
             classifiers.imagenet_outputs(class_folders.classes(train))

@@ -11,6 +11,7 @@ errors may be imported from them, and nothing computes with their constants, fun
 import ast
 import hashlib
 import os
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -90,11 +91,28 @@ def code_digest(function: str) -> str:
 
 def folder_digest(folder: Path) -> str:
     """Compute the digest of names, sizes and modification times of all files below a folder, which may be absent."""
-    entries = []
+    entries, seen = [], set()
     for root, folders, files in os.walk(folder, followlinks=True):
+        status = os.stat(root)
+        if (status.st_dev, status.st_ino) in seen:  # a link to a folder around it: there is no end
+            folders.clear()
+            continue
+        seen.add((status.st_dev, status.st_ino))
         folders.sort()
         for name in sorted(files):
             path = os.path.join(root, name)
             status = os.stat(path) if os.path.exists(path) else os.lstat(path)  # a broken link
             entries.append(f"{os.path.relpath(path, folder)} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(entries).encode()).hexdigest()[:16]
+
+
+def digest_of(*parts: str, inputs: Sequence[Path] = ()) -> str:
+    """Compute the digest of what a job computes: texts such as its settings and its code digest, and input files.
+
+    Input files are identified by size and modification time, since images can be hundreds of gigabytes.
+    """
+    texts = list(parts)
+    for path in inputs:
+        status = path.stat()
+        texts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tasklens.runtime.files import FileError, replacing
 
-_LEFT_OUT = {"checkpoints", "images", "progress"}  # what is made anew, or is for the running jobs alone
+_LEFT_OUT = {"checkpoints", "images", "locks", "progress"}  # what is made anew, or is for the running jobs alone
 _WEIGHTS = {"classifiers", "restoration"}
 
 

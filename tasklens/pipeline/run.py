@@ -8,9 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tasklens.pipeline.digest import code_digest
+from tasklens.pipeline import job_lock
+from tasklens.pipeline.digest import code_digest, digest_of
 from tasklens.pipeline.progress_file import progress_file
-from tasklens.pipeline.stage import Plan, Stage, flatten, results
+from tasklens.pipeline.stage import Stage, flatten, results
 from tasklens.runtime.files import FileError, Files
 from tasklens.study.study import Study
 
@@ -38,13 +39,20 @@ def run(stage: Stage, study: Study, wildcards: Mapping[str, str | int], partial:
         raise FileError(f"{label}: missing input {missing[0]}{more}; `snakemake` makes what a job needs")
     first = os.environ.get("RANK", "0") == "0"  # of a process group, the first process writes
     reported = progress_file(results(study), label) if first else nullcontext()
-    with reported, _imported(stage.function) as function:
-        if not stage.resumable:
-            return function(plan.settings, Files(**inputs), Files(**outputs))
-        checkpoint = _checkpoint(stage, plan, Path(results(study), "checkpoints", label.replace("/", "-", 1)))
-        function(plan.settings, Files(**inputs), Files(**outputs), checkpoint)
-    if first:
-        checkpoint.remove()
+    arguments = plan.settings, Files(**inputs), Files(**outputs)
+    if not stage.resumable:
+        with reported, _imported(stage.function) as function:
+            return function(*arguments)
+    folder, file = Path(results(study)), label.replace("/", "-", 1)
+    key = digest_of(plan.settings.model_dump_json(), code_digest(stage.function), inputs=list(flatten(plan.inputs)))
+    lock = job_lock.alone(folder / "locks" / f"{file}.lock", key, outputs.values()) if first else nullcontext(True)
+    with lock as work:
+        if work:
+            with reported, _imported(stage.function) as function:
+                checkpoint = _checkpoint(key, folder / "checkpoints" / file)
+                function(*arguments, checkpoint)
+            if first:
+                checkpoint.remove()
     return None
 
 
@@ -79,11 +87,10 @@ def _imported(function: str) -> Iterator[Callable[..., Any]]:
         gc.unfreeze()
 
 
-def _checkpoint(stage: Stage, plan: Plan, name: Path) -> Any:
+def _checkpoint(digest: str, name: Path) -> Any:
     """Return the checkpoint of a job; outdated checkpoints of the same job are removed."""
-    from tasklens.runtime.checkpoints import Checkpoint, key
+    from tasklens.runtime.checkpoints import Checkpoint
 
-    digest = key(plan.settings.model_dump_json(), code_digest(stage.function), inputs=list(flatten(plan.inputs)))
     path = name.with_name(f"{name.name}-{digest}.pt")
     for other in name.parent.glob(f"{name.name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:

@@ -1,11 +1,15 @@
 """Classifiers: timm networks for images or captures in [0, 1]."""
 
 import copy
+import socket
+import urllib.parse
+import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import Literal
 
+import huggingface_hub
 import timm
 import torch
 from timm.data import ImageNetInfo
@@ -19,6 +23,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study.settings import ClassifierSettings
 
+_REACH_S = 5.0  # to reach the hub
 _LONGEST = 300  # characters of an error of a reader of weights, some of which are a page
 
 
@@ -74,6 +79,8 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
                 f"{settings.model}: published with {published.num_classes} outputs, {count} are wanted: "
                 "its new head needs `training`, or its own outputs `outputs: imagenet`"
             )
+    if pretrained:
+        check_published(settings.model)
     network = timm.create_model(settings.model, pretrained=pretrained, num_classes=count, **settings.arguments)
     path = weights or settings.weights
     if path is not None:
@@ -91,6 +98,33 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         asked = set(outputs.tolist())
         outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in asked])])
     return Classifier(network, outputs)
+
+
+def check_published(model: str) -> None:
+    """Check that published weights are in the cache of timm's hub, or the hub within reach.
+
+    Without a connection the hub's library would try again for most of a minute, and not name the network.
+
+    Raises:
+        InputError: neither; the message names the network.
+    """
+    config = timm.get_pretrained_cfg(model)
+    if config is None or not config.hf_hub_id or urllib.request.getproxies():  # elsewhere, or behind a proxy
+        return
+    files = ("model.safetensors", "pytorch_model.bin")
+    if any(isinstance(huggingface_hub.try_to_load_from_cache(config.hf_hub_id, file), str) for file in files):
+        return
+    address = urllib.parse.urlsplit(huggingface_hub.constants.ENDPOINT)
+    host, port = str(address.hostname), address.port or (80 if address.scheme == "http" else 443)
+    try:
+        if huggingface_hub.constants.HF_HUB_OFFLINE:
+            raise OSError("HF_HUB_OFFLINE is set")
+        socket.create_connection((host, port), timeout=_REACH_S).close()
+    except OSError as error:
+        raise InputError(
+            f"{model}: its published weights are not in the cache, and {host} is not within reach ({error}); connect, "
+            "or name a file in `weights`"
+        ) from error
 
 
 def imagenet_outputs(classes: Sequence[str]) -> Tensor:

@@ -15,7 +15,7 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.files import FileError, resumable_of, writing_array
 from tasklens.runtime.progress import Progress
 
-Image.MAX_IMAGE_PIXELS = None  # no limit of Pillow's: the files are trusted, and may be of any size
+Image.MAX_IMAGE_PIXELS = 250_000_000  # twice as many, 1.5 GB, are refused: a small file can claim any number
 _BLOCK = 64  # photographs per task of a thread
 
 

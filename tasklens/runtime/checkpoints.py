@@ -7,9 +7,8 @@ outputs, which Snakemake deletes when a job fails.
 """
 
 import copy
-import hashlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,6 @@ from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.runtime.files import FileError, damaged, replacing
 
 INTERVAL = 60.0  # least time between writing files [s]
-
-
-def key(*parts: str, inputs: Sequence[Path] = ()) -> str:
-    """Compute the digest of what a job computes: texts such as its settings and its code digest, and input files.
-
-    Input files are identified by size and modification time, since images can be hundreds of gigabytes.
-    """
-    texts = list(parts)
-    for path in inputs:
-        status = path.stat()
-        texts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
-    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
 
 
 class Checkpoint:

@@ -1,7 +1,5 @@
 """Devices of jobs: a GPU that no other job of ours on this machine uses, or the CPU."""
 
-import tempfile
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +8,7 @@ from filelock import FileLock, Timeout
 from torch import Tensor
 
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.waiting import wait_until
 
 CPU = torch.device("cpu")
 _locked: dict[str, FileLock] = {}  # by GPU; a lock is released when its process ends
@@ -37,18 +36,21 @@ def claim_several(wanted: int) -> list[torch.device]:
         return wanted * [CPU]
     if wanted > count:
         raise InputError(f"{wanted} processes need a GPU each; visible are {count}: lower `processes`")
-    while wanted > 1 and not _lock("several"):  # two groups that claim GPUs at once could deadlock
-        time.sleep(1.0)
-    while True:
-        found: list[torch.device] = []
+    if wanted > 1:  # two groups that claim GPUs at once could deadlock
+        wait_until(lambda: _lock("several"), "another process group, which claims GPUs")
+    found: list[torch.device] = []
+
+    def claimed() -> bool:
+        found.clear()
         for index in range(count):
             if len(found) < wanted and _lock(str(torch.cuda.get_device_properties(index).uuid)):
                 found.append(torch.device("cuda", index))
-        if len(found) == wanted:
-            if wanted > 1:
-                _locked.pop("several").release()
-            return found
-        time.sleep(1.0)
+        return len(found) == wanted
+
+    wait_until(claimed, f"{wanted} of {count} GPUs, which other jobs of yours hold")
+    if wanted > 1:
+        _locked.pop("several").release()
+    return found
 
 
 def send(tensor: Tensor, device: torch.device) -> Tensor:
@@ -77,10 +79,16 @@ def half_precision(device: torch.device) -> torch.autocast:
 
 
 def _lock(name: str) -> bool:
-    """Try to lock a name; return whether this process now holds the lock."""
+    """Try to lock a name; return whether this process now holds the lock.
+
+    Locks are in the user's home, where nobody else can put a link, and which containers and jobs with a TMPDIR of their
+    own have in common. Between users, whoever runs the jobs gives out the GPUs: Snakemake's resource `gpu`, a cluster.
+    """
     if name in _locked:
         return True
-    lock = FileLock(Path(tempfile.gettempdir()) / f"tasklens-{name}.lock", mode=0o666)  # of all users of the machine
+    folder = Path.home() / ".cache" / "tasklens" / "gpus"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    lock = FileLock(folder / f"{name}.lock")
     try:
         lock.acquire(timeout=0)
     except Timeout:

@@ -1,0 +1,55 @@
+"""One process at a time for each job: when Snakemake is killed, its jobs go on, and the next run starts them again."""
+
+import json
+import os
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from tasklens.runtime.files import write_text
+from tasklens.runtime.waiting import wait_until
+
+
+@contextmanager
+def alone(path: Path, key: str, outputs: Iterable[Path]) -> Iterator[bool]:
+    """Let no other process run a job while the block runs; waits for one that does.
+
+    Args:
+        path: path of the lock; beside it the last process that had it leaves its name, as JSON.
+        key: digest of what the job computes.
+        outputs: outputs of the job.
+
+    Yields:
+        Whether there is work: not if the process that was waited for has computed the same, and its outputs are there.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock, record = FileLock(path), path.with_suffix(".json")
+
+    def acquire() -> bool:
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            return False
+        return True
+
+    waited = not acquire()
+    if waited:
+        other = _read(record)
+        wait_until(acquire, f"process {other.get('pid')} on {other.get('host')}, which runs this job")
+    try:
+        done = waited and _read(record).get("key") == key and all(output.exists() for output in outputs)
+        if not done:
+            write_text(record, json.dumps({"key": key, "pid": os.getpid(), "host": socket.gethostname()}))
+        yield not done
+    finally:
+        lock.release()
+
+
+def _read(record: Path) -> dict[str, str]:
+    try:
+        return json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # not written yet, or by a killed process
+        return {}

@@ -1,0 +1,74 @@
+"""A job runs in one process at a time; who waits, says for whom, and takes what the other has made."""
+
+import json
+import multiprocessing
+import time
+
+import pytest
+
+from tasklens.pipeline import job_lock
+from tasklens.runtime import waiting
+
+CONTEXT = multiprocessing.get_context("fork")
+
+
+def job(folder, key: str, begun, go_on) -> None:
+    with job_lock.alone(folder / "job.lock", key, [folder / "output"]) as work:
+        begun.set()
+        go_on.wait()
+        if work:
+            (folder / "output").write_text(key)
+
+
+@pytest.fixture
+def other(tmp_path, monkeypatch):
+    """A function that starts a job in another process; it ends at the first second of waiting here, or is killed."""
+
+    def start(key: str, kill: bool = False):
+        begun, go_on = CONTEXT.Event(), CONTEXT.Event()
+        process = CONTEXT.Process(target=job, args=(tmp_path, key, begun, go_on), daemon=True)
+        process.start()
+        begun.wait()
+
+        def sleep(_: float) -> None:
+            process.kill() if kill else go_on.set()
+            process.join()
+
+        monkeypatch.setattr(waiting.time, "sleep", sleep)
+        return process
+
+    return start
+
+
+def work_of(folder, key: str) -> bool:
+    with job_lock.alone(folder / "job.lock", key, [folder / "output"]) as work:
+        return work
+
+
+def test_a_job_alone_works_every_time(tmp_path):
+    (tmp_path / "output").write_text("old")
+    assert work_of(tmp_path, "a") and work_of(tmp_path, "a")
+    assert json.loads((tmp_path / "job.json").read_text())["key"] == "a"
+
+
+def test_what_the_other_has_made_is_taken(tmp_path, other, capsys):
+    process = other("a")
+    assert not work_of(tmp_path, "a") and (tmp_path / "output").read_text() == "a"
+    assert f"waiting for process {process.pid} on " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("key, kill", [("b", False), ("a", True)])
+def test_the_work_is_done_again_where_the_other_computes_something_else_or_is_killed(tmp_path, other, key, kill):
+    other("a", kill)
+    assert work_of(tmp_path, key)
+
+
+def test_a_line_at_once_and_every_half_minute(monkeypatch, capsys):
+    now = [100.0]
+    monkeypatch.setattr(waiting.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(waiting.time, "sleep", lambda seconds: now.append(now.pop() + seconds))
+    waiting.wait_until(lambda: now[0] >= 165, "a GPU")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"waiting for a GPU, {seconds} s" for seconds in (0, 30, 60)]
+    waiting.wait_until(lambda: True, "nothing")
+    assert not capsys.readouterr().err and time.monotonic() == now[0]
