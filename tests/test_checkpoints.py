@@ -3,6 +3,7 @@
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -181,6 +182,16 @@ def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     assert not lens.exists()
     assert run(*JOBS["task"]) == 0
     assert lens.read_bytes() == expected
+
+
+def test_a_process_that_is_killed_while_it_writes_leaves_nothing_for_ever(tmp_path):
+    """Its half file goes with the checkpoint, also if that is never written again."""
+    process = subprocess.Popen(["true"])
+    process.wait()
+    half = tmp_path / f".job.pt.{socket.gethostname()}-{process.pid}.part"
+    half.write_bytes(b"half")
+    Checkpoint(tmp_path / "job.pt").remove()
+    assert not half.exists()
 
 
 def test_a_job_killed_in_its_evaluation_keeps_what_it_learned(monkeypatch, tmp_path):

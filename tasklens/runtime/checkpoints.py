@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from tasklens.runtime.devices import random_state, set_random_state
-from tasklens.runtime.files import FileError, damaged, replacing
+from tasklens.runtime.files import FileError, damaged, remove_abandoned, replacing
 
 INTERVAL = 60.0  # least time between writing files [s]
 
@@ -71,6 +71,7 @@ class Checkpoint:
         """Delete the file, after the outputs of the job are complete."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
+            remove_abandoned(self.path)  # of a process that was killed while it wrote
 
 
 NO_CHECKPOINT = Checkpoint()

@@ -139,7 +139,7 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
         OSError: what an operation of the block raises; it names `path` where the system names none.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    _remove_abandoned(path)
+    remove_abandoned(path)
     temporary = temporary or temporary_of(path)
     try:
         yield temporary
@@ -155,7 +155,8 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _remove_abandoned(path: Path) -> None:
+def remove_abandoned(path: Path) -> None:
+    """Remove the temporary files of `path` that killed processes of this machine have left."""
     begin = f".{path.name}.{socket.gethostname()}-"
     for other in path.parent.glob(f"{glob.escape(begin)}*.part"):
         number = other.name.removeprefix(begin).removesuffix(".part")
