@@ -1,0 +1,199 @@
+"""Kill whole runs of a small study at random, go on as the documentation says, and compare all results to the byte.
+
+    python tests/harness/kills.py --kills 30 --seed 0
+
+On two cores half a minute a kill, and two minutes before the first. The study makes its tables by every kind of job
+that they need, with a copy of the code that writes checkpoints every half second in place of every minute, so that most
+kills meet one. Exit status 1, and the folder is kept, if a result differs, or a checkpoint or temporary file is left.
+"""
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import yaml
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tests"))
+from examples import changed, tiny_study  # noqa: E402
+
+TARGETS = ["table1", "table3", "table4", "verdicts", "psf_tail", "effort"]
+KINDS = ["group killed", "Snakemake killed", "job killed", "Snakemake terminated", "interrupted twice"]
+MEASURED = ("run.json", "effort.csv", "effort.md", "benchmarks", "logs", "studies")  # they differ by times
+SESSIONS: set[int] = set()  # of all processes that were started here
+
+
+def small_study() -> dict:
+    """The study of the tests with loops of several seconds, and one network."""
+    study = tiny_study()
+    del study["classifiers"]["other"], study["designs"]["end_to_end_from_flat"]
+    for key, value in {
+        "images.train": 200,
+        "classifiers.small.training.epochs": 10,
+        "designs.tasklens.restart.steps": 15,
+        "designs.image_error.refinement.steps": 30,
+        "designs.imaging1.steps": 300,
+        "designs.imaging2.evaluations": 60,
+        "designs.end_to_end_from_imaging.steps": 30,
+        "fine_tuning.epochs": 4,
+        "restoration.steps": 30,
+        "tables": TARGETS[:3],
+    }.items():
+        study = changed(study, key, value)
+    return study
+
+
+def copy_code(folder: Path) -> None:
+    """Copy the workflow and the code, with frequent checkpoints."""
+    for name in ("workflow", "profiles", "config", "tasklens", "restoration"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "Snakefile", folder)
+    path = folder / "tasklens/runtime/checkpoints.py"
+    text = path.read_text()
+    assert text.count("INTERVAL = 60.0") == 1
+    path.write_text(text.replace("INTERVAL = 60.0", "INTERVAL = 0.5"))
+
+
+def processes() -> list[psutil.Process]:
+    """All that were started here and live, with their children, also those whose parent was killed."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.NoSuchProcess, OSError):  # it has just ended
+            if os.getsid(process.pid) in SESSIONS and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+def jobs() -> dict[int, str]:
+    """The jobs that run, by process."""
+    found = {}
+    for process in processes():
+        with suppress(psutil.NoSuchProcess):
+            words = process.cmdline()  # python, tasklens, run, stage, study file, names, --plan, digest
+            if words[2:3] == ["run"] and words[1].endswith("/tasklens"):
+                found[process.pid] = " ".join([words[3], *words[5:-2]])
+    return found
+
+
+def start(folder: Path, *arguments: str) -> psutil.Popen:
+    """Start Snakemake on the study in a folder, in a session of its own."""
+    code = folder.parent / "code"
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(code / "Snakefile"), "--directory", str(folder)]
+    command += ["-j2", *(arguments or TARGETS), "--configfile", "study.yaml"]
+    variables = os.environ | {"PYTHONPATH": str(code), "NUMBA_CACHE_DIR": str(code / "compiled")}
+    with (folder / "output.txt").open("a") as out:
+        run = psutil.Popen(command, cwd=folder, env=variables, stdout=out, stderr=out, start_new_session=True)
+    SESSIONS.add(run.pid)
+    return run
+
+
+def ends(run: psutil.Popen, seconds: float) -> bool:
+    """Whether a run ends within so many seconds."""
+    return bool(psutil.wait_procs([run], seconds)[0])
+
+
+def kill(run: psutil.Popen, kind: str, chance: random.Random) -> None:
+    """Kill what the kind says; while no job runs, Snakemake in place of it."""
+    if kind == "group killed":
+        os.killpg(run.pid, signal.SIGKILL)
+    elif kind == "job killed" and (running := sorted(jobs())):
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.kill(chance.choice(running), signal.SIGKILL)
+    elif kind == "interrupted twice":  # as by Ctrl-C in a terminal
+        os.killpg(run.pid, signal.SIGINT)
+        if not ends(run, 0.5):
+            os.killpg(run.pid, signal.SIGINT)
+    else:
+        os.kill(run.pid, signal.SIGTERM if kind == "Snakemake terminated" else signal.SIGKILL)
+
+
+def run_to_the_end(folder: Path, kinds: list[str], length: float, chance: random.Random) -> int:
+    """Run the study in a new folder, with a kill of each kind until it is complete; returns how many there were."""
+    folder.mkdir()
+    (folder / "study.yaml").write_text(yaml.safe_dump(small_study()))
+    count = failures = 0
+    while failures < 2:
+        if any((folder / ".snakemake/locks").glob("*")):
+            assert ends(start(folder, "--unlock"), 120)
+        run, began, before = start(folder), time.monotonic(), count
+        while count < len(kinds) and not ends(run, chance.uniform(0, length / 3)):
+            running = ", ".join(jobs().values()) or "no job"
+            print(f"{folder.name}  {time.monotonic() - began:5.1f} s  {kinds[count]}: {running}", flush=True)
+            kill(run, kinds[count], chance)
+            count += 1
+            if kinds[count - 1] != "job killed":  # which Snakemake starts again
+                assert ends(run, 120), f"{folder}: Snakemake goes on"
+        assert ends(run, 20 * length), f"{folder}: Snakemake does not end"
+        if run.returncode == 0 and (count == before or kinds[count - 1] == "job killed"):
+            return count
+        failures = failures + 1 if count == before else 0
+        if failures:  # a job of an earlier run writes the same file, perhaps
+            print(f"{folder.name}  failed without a kill", flush=True)
+            psutil.wait_procs(processes(), 120)
+    raise SystemExit(f"{folder}: fails; see output.txt")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All results of a study but those with measured times."""
+    results = folder / "results/tiny"
+    paths = [path for path in results.rglob("*") if path.is_file() and path.suffix != ".lock"]
+    found = {str(path.relative_to(results)): path.read_bytes() for path in paths}
+    return {name: content for name, content in found.items() if name.split("/")[0] not in MEASURED}
+
+
+def differences(found: dict[str, bytes], expected: dict[str, bytes]) -> list[str]:
+    """Which files differ, are missing (-), or are left over (+), such as checkpoints and temporary files."""
+    names = [name for name in sorted(expected | found) if found.get(name) != expected.get(name)]
+    return [("-" if name not in found else "+" if name not in expected else "") + name for name in names]
+
+
+def compare(parent: Path, kills: int, chance: random.Random) -> bool:
+    """Run the study uninterrupted, then again and again until there were so many kills; whether all are equal."""
+    copy_code(parent / "code")
+    began = time.monotonic()
+    run_to_the_end(parent / "uninterrupted", [], 100, chance)
+    length, expected = time.monotonic() - began, contents(parent / "uninterrupted")
+    print(f"uninterrupted: {length:.0f} s, {len(expected)} files to compare", flush=True)
+    done = studies = unequal = 0
+    while done < kills:
+        studies += 1
+        folder, kinds = parent / f"study{studies}", [KINDS[k % len(KINDS)] for k in range(done, kills)]
+        count = run_to_the_end(folder, kinds, length, chance)
+        done += count
+        psutil.wait_procs(processes(), 120)  # jobs that outlive their Snakemake
+        said = ", ".join(differences(contents(folder), expected))
+        unequal += bool(said)
+        print(f"{folder.name}  complete after {count} kills: {said or 'equal'}", flush=True)
+    minutes = (time.monotonic() - began) / 60
+    print(f"{done} kills, {studies} studies, {minutes:.0f} minutes: {f'{unequal} differ' if unequal else 'all equal'}")
+    return unequal == 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=30, help="how many (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments and jobs (default: %(default)s)")
+    given, parent = parser.parse_args(), Path(tempfile.mkdtemp(prefix="kills-"))
+    print(f"in {parent}", flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        equal = compare(parent, given.kills, random.Random(given.seed))
+    finally:
+        for process in processes():
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
+    if equal:
+        shutil.rmtree(parent)
+    return int(not equal)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
