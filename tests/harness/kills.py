@@ -57,9 +57,8 @@ def copy_code(folder: Path) -> None:
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "Snakefile", folder)
     path = folder / "tasklens/runtime/checkpoints.py"
-    text = path.read_text()
-    assert text.count("INTERVAL = 60.0") == 1
-    path.write_text(text.replace("INTERVAL = 60.0", "INTERVAL = 0.5"))
+    assert "INTERVAL = 60.0" in path.read_text()
+    path.write_text(path.read_text().replace("INTERVAL = 60.0", "INTERVAL = 0.5"))
 
 
 def processes() -> list[psutil.Process]:
@@ -124,7 +123,7 @@ def run_to_the_end(folder: Path, kinds: list[str], length: float, chance: random
         if any((folder / ".snakemake/locks").glob("*")):
             assert ends(start(folder, "--unlock"), 120)
         run, began, before = start(folder), time.monotonic(), count
-        while count < len(kinds) and not ends(run, chance.uniform(0, length / 3)):
+        while count < len(kinds) and not ends(run, chance.uniform(0, length / 4)):
             running = ", ".join(jobs().values()) or "no job"
             print(f"{folder.name}  {time.monotonic() - began:5.1f} s  {kinds[count]}: {running}", flush=True)
             kill(run, kinds[count], chance)
@@ -161,7 +160,7 @@ def compare(parent: Path, kills: int, chance: random.Random) -> bool:
     began = time.monotonic()
     run_to_the_end(parent / "uninterrupted", [], 100, chance)
     length, expected = time.monotonic() - began, contents(parent / "uninterrupted")
-    print(f"uninterrupted: {length:.0f} s, {len(expected)} files to compare", flush=True)
+    print(f"uninterrupted: {length:.0f} s, {len(expected)} files to compare, in {parent}", flush=True)
     done = studies = unequal = 0
     while done < kills:
         studies += 1
@@ -182,7 +181,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=30, help="how many (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the moments and jobs (default: %(default)s)")
     given, parent = parser.parse_args(), Path(tempfile.mkdtemp(prefix="kills-"))
-    print(f"in {parent}", flush=True)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell ignores in the background
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         equal = compare(parent, given.kills, random.Random(given.seed))
