@@ -27,7 +27,7 @@ from examples import changed, tiny_study  # noqa: E402
 
 TARGETS = ["table1", "table3", "table4", "verdicts", "psf_tail", "effort"]
 KINDS = ["group killed", "Snakemake killed", "job killed", "Snakemake terminated", "interrupted twice"]
-MEASURED = ("run.json", "effort.csv", "effort.md", "benchmarks", "logs", "studies")  # they differ by times
+MEASURED = ("run.json", "effort.csv", "effort.md", "benchmarks", "logs", "studies", "locks")  # they differ by times
 SESSIONS: set[int] = set()  # of all processes that were started here
 
 
