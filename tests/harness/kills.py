@@ -20,45 +20,10 @@ from pathlib import Path
 
 import psutil
 import yaml
+from small_study import TARGETS, contents, copy_code, differences, small_study
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests"))
-from examples import changed, tiny_study  # noqa: E402
-
-TARGETS = ["table1", "table3", "table4", "verdicts", "psf_tail", "effort"]
 KINDS = ["group killed", "Snakemake killed", "job killed", "Snakemake terminated", "interrupted twice"]
-MEASURED = ("run.json", "effort.csv", "effort.md", "benchmarks", "logs", "studies", "locks")  # they differ by times
 SESSIONS: set[int] = set()  # of all processes that were started here
-
-
-def small_study() -> dict:
-    """The study of the tests with loops of several seconds, and one network."""
-    study = tiny_study()
-    del study["classifiers"]["other"], study["designs"]["end_to_end_from_flat"]
-    for key, value in {
-        "images.train": 200,
-        "classifiers.small.training.epochs": 10,
-        "designs.tasklens.restart.steps": 15,
-        "designs.image_error.refinement.steps": 30,
-        "designs.imaging1.steps": 300,
-        "designs.imaging2.evaluations": 60,
-        "designs.end_to_end_from_imaging.steps": 30,
-        "fine_tuning.epochs": 4,
-        "restoration.steps": 30,
-        "tables": TARGETS[:3],
-    }.items():
-        study = changed(study, key, value)
-    return study
-
-
-def copy_code(folder: Path) -> None:
-    """Copy the workflow and the code, with frequent checkpoints."""
-    for name in ("workflow", "profiles", "config", "tasklens", "restoration"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "Snakefile", folder)
-    path = folder / "tasklens/runtime/checkpoints.py"
-    assert "INTERVAL = 60.0" in path.read_text()
-    path.write_text(path.read_text().replace("INTERVAL = 60.0", "INTERVAL = 0.5"))
 
 
 def processes() -> list[psutil.Process]:
@@ -138,20 +103,6 @@ def run_to_the_end(folder: Path, kinds: list[str], length: float, chance: random
             print(f"{folder.name}  failed without a kill", flush=True)
             psutil.wait_procs(processes(), 120)
     raise SystemExit(f"{folder}: fails; see output.txt")
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """All results of a study but those with measured times."""
-    results = folder / "results/tiny"
-    paths = [path for path in results.rglob("*") if path.is_file() and path.suffix != ".lock"]
-    found = {str(path.relative_to(results)): path.read_bytes() for path in paths}
-    return {name: content for name, content in found.items() if name.split("/")[0] not in MEASURED}
-
-
-def differences(found: dict[str, bytes], expected: dict[str, bytes]) -> list[str]:
-    """Which files differ, are missing (-), or are left over (+), such as checkpoints and temporary files."""
-    names = [name for name in sorted(expected | found) if found.get(name) != expected.get(name)]
-    return [("-" if name not in found else "+" if name not in expected else "") + name for name in names]
 
 
 def compare(parent: Path, kills: int, chance: random.Random) -> bool:

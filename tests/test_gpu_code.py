@@ -1,0 +1,104 @@
+"""Code for GPUs, walked through on a GPU that is not there: no devices mix, and the numbers are those of the CPU."""
+
+from dataclasses import replace
+
+import pytest
+import test_design
+import torch
+from examples import random_images, small_network
+from pretend_gpu import CPU, GPU, OnGpu, pretend_gpu
+
+from restoration import training as restoration
+from tasklens.design import end_to_end
+from tasklens.design.criteria import Classification
+from tasklens.design.problem import Problem
+from tasklens.design.supervision import Supervisor
+from tasklens.imaging import Camera
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.recognition import evaluation, training
+from tasklens.recognition.classifiers import frozen
+from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.runtime.checkpoints import NO_CHECKPOINT
+from tasklens.study.design_settings import EndToEndSettings
+from tasklens.study.settings import CaptureSettings, RestorationSettings, SensorSettings, TrainingSettings
+
+pytestmark = [
+    pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),
+    pytest.mark.filterwarnings("ignore:.*CUDA is not available.*Disabling autocast"),
+]
+CAPTURE = CaptureSettings(sensor=SensorSettings())
+NAFNET = RestorationSettings(width=4, encoder=(1,), decoder=(1,), steps=4, check=2, batch_size=4)
+
+
+def data(device):
+    return replace(random_images(40, 16, 3, 0), device=device)
+
+
+def camera(device) -> Camera:
+    psf = torch.rand(9, 3, 5, 5, generator=torch.Generator().manual_seed(0))
+    psf = psf / psf.sum((-2, -1), keepdim=True)
+    return Camera.of(CAPTURE, psf.to(device), torch.linspace(1, 0.5, 9).to(device))
+
+
+def fine_tuning(device, start) -> list[float]:
+    """Accuracies and losses of a network that is trained and measured on captures."""
+    network, pipeline = small_network(0).to(device), CapturePipeline(camera(device))
+    settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10)
+    training.fit({"network": network}, data(device), settings, 0, "test", pipeline.one_field)
+    correct, quality = evaluation.evaluate([network], data(device), pipeline)
+    losses = evaluation.losses(network, data(device), pipeline, "losses")
+    assert {each.device for each in (correct, quality, losses)} == {CPU}  # they are written
+    return [*correct.flatten().float().tolist(), *quality.flatten().tolist(), *losses.flatten().tolist()]
+
+
+def restoring(device, start) -> list[float]:
+    """PSNRs of the validations."""
+    _, history = restoration.train(NAFNET, data(device), data(device), camera(device), 0)
+    return [row["psnr_db"] for row in history]
+
+
+def design(device, start) -> list[float]:
+    """A lens after steps of joint descent; rays stay on the CPU."""
+    problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
+    given = {"steps": 3, "batch_size": 4, "rays": 16, "learning_rates": test_design.RATES, "augment": False}
+    settings = EndToEndSettings(method="end_to_end", start="flat", **given)
+    lens, history = end_to_end.design(start, small_network(0).to(device), problem, settings, "test", NO_CHECKPOINT)
+    assert lens.curvature.device == CPU
+    return [*lens.curvature.tolist(), *lens.thickness.tolist(), *(row["loss"] for row in history)]
+
+
+def supervision(device, start) -> list[float]:
+    """Losses of a lens by a frozen network, and their gradient at the PSFs."""
+    problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
+    supervisor = Supervisor(Classification(frozen(small_network(0)).to(device)), problem, None, False, 7)
+    _, grid = supervisor.trace(start, sobol_disc(64, seed=0), 2.0)
+    losses, gradient = supervisor.loss(torch.arange(4), grid, start, seed=0)
+    assert losses.device == gradient.device == CPU and gradient.dtype == grid.dtype
+    return [*losses.tolist(), *gradient.flatten().tolist(), supervisor.validation_loss(start, 2.0)]
+
+
+@pytest.mark.parametrize("walk", [fine_tuning, restoring, design, supervision])
+def test_the_code_for_gpus_gives_the_same_numbers(monkeypatch, start, walk):
+    expected = walk(CPU, start)
+    with pretend_gpu(monkeypatch) as gpu:
+        found = walk(GPU, start)
+    assert found == expected and gpu.operations > 100
+
+
+def test_the_pretended_gpu_refuses_what_a_real_one_refuses(monkeypatch):
+    """Tensors of two devices, a generator of the CPU; numbers and indices of the CPU it takes."""
+    with pretend_gpu(monkeypatch):
+        here, there = torch.ones(3), torch.ones(3).to(GPU)
+        assert isinstance(there, OnGpu) and there.device == GPU and there.cpu().device == CPU
+        for call in (
+            lambda: here + there,
+            lambda: torch.cat([here, there]),
+            lambda: torch.nn.Linear(3, 1)(there),
+            lambda: there.normal_(generator=torch.Generator()),
+        ):
+            with pytest.raises(RuntimeError, match="expected"):
+                call()
+        assert (there * torch.tensor(2.0)).tolist() == [2, 2, 2]
+        assert there[torch.tensor([0, 1])].shape == (2,) and there[[0, 2]].device == GPU
+        there[1] = 5
+        assert there.cpu().tolist() == [1, 5, 1] and here.tolist() == [1, 1, 1]
