@@ -30,8 +30,8 @@ Micrometres = Annotated[float, Field(ge=0.01, le=1000)]
 LearningRate = Annotated[float, Field(gt=0, le=10)]
 Magnification = Annotated[float, Field(ge=1, le=1000)]
 Angle = Annotated[float, Field(gt=0, lt=90)]  # [degrees]
-LONGEST_NAME = 40  # a lens has up to four in its name, and file systems take 255 bytes
-Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$", max_length=LONGEST_NAME)]
+# A lens has up to four names in that of its files, and file systems take 255 bytes.
+Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$", max_length=40)]
 StudyName = Annotated[  # study/key=value at a point of a sweep
     str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?$", max_length=200)
 ]

@@ -57,11 +57,8 @@ class Spec(Frozen):
     diagonal_mm: Length = Field(4.0, description="Diagonal of the sensor [mm].")
     aspect: tuple[Small, Small] = Field((16, 9), description="Width to height of the sensor.")
     field_of_view_deg: float = Field(68.8, ge=0.1, lt=150, description="Full field of view on the diagonal [degrees].")
-    f_number: float = Field(
-        2.8,
-        ge=0.5,
-        le=100,
-        description="Focal length over diameter of the entrance pupil; the least is that of a sine of 1.",
+    f_number: float = Field(  # at 0.5 the marginal ray of a lens free of coma is at right angles to the axis
+        2.8, ge=0.5, le=100, description="Focal length over diameter of the entrance pupil."
     )
     pixel_pitch_um: Micrometres = Field(1.8, description="Pixel pitch [um].")
     kernel_size: Whole = Field(51, ge=3, description="Width of the square PSF window [pixels], odd.")
