@@ -16,7 +16,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 from tasklens.cli.app import main
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.run import run
-from tasklens.runtime.files import read_tensors, write_tensors
+from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.study.loading import parse
 from tasklens.study.names import split
 from tasklens.study.study import TABLES
@@ -247,3 +247,15 @@ def test_nothing_is_wider_than_the_screen(opened, width):
     with contextlib.suppress(TimeoutException):  # charts follow the width after a moment
         WebDriverWait(opened, 5).until(lambda _: opened.execute_script(widths) == [width, width])
     assert opened.execute_script(widths) == [width, width]
+
+
+def test_half_a_table_of_tails_is_named(finished):
+    """Rows that are lost as a whole, too."""
+    path = report_jobs.psf_tail.output(STUDY, "csv")
+    whole = path.read_text()
+    path.write_text("".join(whole.splitlines(keepends=True)[:3]))
+    try:
+        with pytest.raises(FileError, match=r"psf_tail\.csv: without .*; delete it and run again"):
+            run(report_jobs.report, STUDY, {}, partial=True)
+    finally:
+        path.write_text(whole)

@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 from tasklens.report.headings import STD
 from tasklens.report.measurements import Measurements
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
-from tasklens.runtime.files import FileError, Files, read_table, write_text
+from tasklens.runtime.files import FileError, Files, damaged, read_table, write_text
 from tasklens.study.settings import Slice
 
 LARGEST_MB = 15.0
@@ -47,6 +47,7 @@ def render(settings: Slice, inputs: Files) -> str:
     """Return the page as HTML."""
     frames = {name: read_table(path) for name, path in (inputs.tables | inputs.others).items()}
     frames |= {name: read_table(path) for name, path in settings.optional.items() if path.exists()}
+    _check_tails(settings, inputs, frames)
     table1 = frames.get("table1")
     shown = captures.shown(inputs.captures, settings.supervisor)
     time = machine.durations(settings.benchmarks)
@@ -97,6 +98,14 @@ def missing(settings: Slice, inputs: Files) -> list[str]:
     if "images" not in inputs.captures:
         found.append("captures have not been rendered")
     return found
+
+
+def _check_tails(settings: Slice, inputs: Files, frames: Mapping[str, pandas.DataFrame]) -> None:
+    """Raise FileError where the table of tails lacks a lens, unless it is one of what is there."""
+    if "psf_tail" not in frames or inputs.others["psf_tail"].stem.endswith("-partial"):
+        return
+    if lost := set(settings.elements) - set(frames["psf_tail"]["lens"]):
+        raise damaged(inputs.others["psf_tail"], f"without {', '.join(sorted(lost))}")
 
 
 def _summary(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> list[words.Sentence]:
