@@ -34,7 +34,7 @@ def node(state: str, seconds: float) -> None:
     name = subprocess.run(["sinfo", "-h", "-o", "%n"], check=True, capture_output=True, text=True).stdout.split()[0]
     scontrol(f"NodeName={name}", f"State={state}", "Reason=test")
     time.sleep(seconds)
-    scontrol(f"NodeName={name}", "State=RESUME")
+    subprocess.run(["scontrol", "update", f"NodeName={name}", "State=RESUME"])  # one that was down may be up by itself
 
 
 FAULTS: dict[str, tuple[str, Callable[[str], object]]] = {  # by what is done, the job that must run, and how
