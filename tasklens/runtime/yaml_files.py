@@ -10,6 +10,8 @@ from tasklens.runtime.files import FileError, read_bytes
 
 _LARGEST = 10_000_000  # bytes; ours have some thousands
 _NODES = 1_000_000  # with aliases written out: a few lines of them can stand for more than fits into the memory
+_INTEGER = "tag:yaml.org,2002:int"
+_LONGEST_INTEGER = 1000  # characters; Python neither reads nor shows decimals of more than 4300
 _OTHER_BASE = re.compile(r"[-+]?(0[0-7_]+|[0-9_]+(:[0-5]?[0-9])+)")  # 05 is octal, 1:30 sexagesimal
 
 
@@ -75,6 +77,8 @@ def _check(node: yaml.Node, path: Path) -> None:
             below = [each for pair in node.value for each in pair]
         elif isinstance(node, yaml.SequenceNode):
             below = node.value
+        elif node.tag == _INTEGER and len(node.value) > _LONGEST_INTEGER:
+            raise FileError(f"{_place(path, node.start_mark)}: not valid YAML: a number of {len(node.value)} digits")
         elif isinstance(node, yaml.ScalarNode) and _is_plain_integer(node) and _OTHER_BASE.fullmatch(node.value):
             found = yaml.safe_load(node.value)
             raise FileError(
@@ -89,7 +93,7 @@ def _check(node: yaml.Node, path: Path) -> None:
 
 
 def _is_plain_integer(node: yaml.ScalarNode) -> bool:
-    return node.tag == "tag:yaml.org,2002:int" and not node.style
+    return node.tag == _INTEGER and not node.style
 
 
 def _check_keys(node: yaml.MappingNode, path: Path) -> None:
