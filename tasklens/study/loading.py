@@ -1,7 +1,9 @@
 """Reading and writing of study files (YAML)."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
+from datetime import date
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,7 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     try:
         study = Study.model_validate(dict(config))
         consistency.check(study)
+        _check_plain(config, "")
         return study
     except ValidationError as error:
         missing = missing_keys(error)
@@ -43,6 +46,23 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     if len(lines) == 1:
         raise StudyError(f"{name}{lines[0]}")
     raise StudyError(f"{name}the study cannot be run:\n" + "\n".join(f"  {line}" for line in lines))
+
+
+def _check_plain(value: Any, where: str) -> None:
+    """Refuse what a resolved study cannot hold, where any value may stand; raises ValueError with the key."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            name = f"{where}.{key}" if where else str(key)
+            if not isinstance(key, str):
+                raise ValueError(f"{name}: expected a key that is text, found {key!r}; write it in quotes")
+            _check_plain(inner, name)
+    elif isinstance(value, list | tuple):
+        for index, inner in enumerate(value):
+            _check_plain(inner, f"{where}.{index}")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{where} = {value}: expected a finite number")
+    elif isinstance(value, date | bytes | set):
+        raise ValueError(f"{where} = {value!s}: expected a number, text, true, false or null; write text in quotes")
 
 
 def _layer(path: Path, missing: Sequence[str]) -> str:
