@@ -186,6 +186,9 @@ class Study(Frozen):
 
     def lens(self, name: str) -> LensEntry:
         """Return the lens `name`; raises StudyError with the known names."""
+        elements, _, design = name.partition("-")
+        if elements in self.elements and design in self.designs:
+            return self._designed(elements, design)  # alone: planning asks for lenses tens of thousands of times
         return pick(self.lenses | self.variants, name, "lens")
 
     def classifier(self, name: str) -> ClassifierSettings:
