@@ -128,7 +128,7 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
             known = ", ".join([AIR.name, *materials])
             raise FileError(f"{name}: surface {i}: unknown medium {medium!r}; the file defines {known}")
         media.append(AIR if medium == AIR.name else materials[medium])
-    _check_order(media, [surface["thickness"] for surface in read], name)
+    check_order(media, [surface["thickness"] for surface in read], name)
 
     def tensor(values: list) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float64)
@@ -147,15 +147,23 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
     return Prescription(lens, title, comments if any(comments) else None, **_use(content, name))
 
 
-def _check_order(media: Sequence[Material], thickness: Sequence[float], where: str) -> None:
-    """Refuse glass of negative thickness, air of negative thickness between two glasses, and glass at the image."""
+def check_order(media: Sequence[Material], thickness: Sequence[float], where: str, first: int = 0) -> None:
+    """Refuse glass of negative thickness, air of negative thickness between two glasses, and glass at the image.
+
+    Args:
+        first: number of the first surface in the file.
+
+    Raises:
+        FileError: names the surface; the message begins with `where`.
+    """
     if media[-1] != AIR:
-        last = len(media) - 1
+        last = first + len(media) - 1
         raise FileError(f"{where}: surface {last}: {media[-1].name} behind the last surface; expected air, or one more")
     for i, (medium, found) in enumerate(zip(media, thickness, strict=True)):
         between = 0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR  # no stop beside it, nor plane
         if found < 0 and (medium != AIR or between):
-            raise FileError(f"{where}: surface {i}: thickness: {found:g} mm of {medium.name}; expected 0 or more")
+            surface = f"{where}: surface {first + i}"
+            raise FileError(f"{surface}: thickness: {found:g} mm of {medium.name}; expected 0 or more")
 
 
 def _part(content: Mapping[str, Any], key: str, kind: type, where: str) -> Any:

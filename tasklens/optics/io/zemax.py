@@ -16,7 +16,7 @@ from tasklens.materials.catalogues import collect, in_zemax, write_agf
 from tasklens.materials.material import AIR, Material
 from tasklens.materials.zemax_text import Line, decimal, read_lines
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.io.prescription import FIELDS, Prescription
+from tasklens.optics.io.prescription import FIELDS, Prescription, check_order
 from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_configuration, check_surface, check_system
 from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
 from tasklens.optics.io.zemax_system import (
@@ -84,6 +84,7 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
             glasses[name] = replace(material, zemax="")
     searched = ", ".join([*(file.name for file in ranked), "the built-in plastics"])
     lens = to_lens(inner, stops[0], unit, glasses, searched)
+    check_order(lens.media, lens.thickness.tolist(), str(path), first=1)
 
     wavelengths, primary = read_wavelengths(system, path)
     object_distance = read_object_distance(blocks[0].line("DISZ"), unit)
