@@ -84,9 +84,12 @@ def main() -> int:
         print(f"run {attempt} on SLURM: exit status {status}", flush=True)
         if status == 0 and not faults:
             break
+    failed = [line.strip() for line in (parent / "slurm/output.txt").read_text().splitlines() if "FAILED" in line]
+    print(*failed, sep="\n")
+    unhurt = [name for name in (*(rule for rule, _ in FAULTS.values()), "restore") if name not in " ".join(failed)]
     found = differences(contents(parent / "slurm"), contents(parent / "here"))
-    print(", ".join(found) if found else "equal")
-    if status or faults or found:
+    print(", ".join(found) if found else "equal", *(f"{name}: nothing happened to it" for name in unhurt), sep="\n")
+    if status or faults or found or unhurt:
         return 1
     shutil.rmtree(parent)
     return 0
