@@ -10,8 +10,9 @@ import pytest
 import torch
 from examples import tiny_study, write
 from PIL import Image
-from safetensors.torch import save_file
 
+from tasklens.optics.io import psf_files
+from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stages import frames as stage
@@ -57,7 +58,7 @@ def study(tmp_path, monkeypatch):
         shutil.copy(LENSES / f"{lens}.yaml", made(files["lens"]))
         psf = torch.zeros(FIELDS, 3, 5, 5)
         psf[..., 2, 2] = 1
-        save_file({"psf": psf, "illumination": torch.ones(FIELDS, 3)}, files["psf"])
+        psf_files.write(files["psf"], FieldPsfs(psf, torch.ones(FIELDS)), {"fields_mm": FIELDS * [[0, 0]]})
         tuned = jobs.fine_tune.outputs(study, lens=lens, measured_name="small", seed=0)
         columns = {f"field{k}": correct if k == 4 else [0] * IMAGES for k in range(FIELDS)}
         rows = {"image": range(IMAGES), "label": ["cat", "dog"] * (IMAGES // 2)} | columns
