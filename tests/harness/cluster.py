@@ -37,11 +37,11 @@ def node(state: str, seconds: float) -> None:
     subprocess.run(["scontrol", "update", f"NodeName={name}", "State=RESUME"])  # one that was down may be up by itself
 
 
-def down(job: str) -> None:
-    """Let the node go down under a job, which SLURM puts into its queue again, or gives up."""
+def down(job: str) -> bool:
+    """Let the node go down under a job; whether SLURM put it into its queue again, and it had not just ended."""
     node("DOWN", 5)
     said = subprocess.run(["scontrol", "show", "job", job], check=True, capture_output=True, text=True).stdout
-    assert "Restarts=0" not in said or "NODE_FAIL" in said, said
+    return "Restarts=0" not in said
 
 
 FAULTS: dict[str, tuple[str, Callable[[str], object]]] = {  # by what is done, the job that must run, and how
@@ -70,10 +70,11 @@ def run(folder: Path, code: Path, faults: list[str], *arguments: str) -> int:
         time.sleep(1)
         if faults and (found := [name for name in running() if name.startswith(FAULTS[faults[0]][0])]):
             time.sleep(4)  # so that it is at work
-            name, what = found[0], faults.pop(0)
-            print(f"{what}: {name}", flush=True)
-            if job := running().get(name):
-                FAULTS[what][1](job)
+            name, what = found[0], faults[0]
+            job = running().get(name)
+            if job is not None and FAULTS[what][1](job) is not False:
+                print(f"{what}: {name}", flush=True)
+                faults.remove(what)
     return process.returncode
 
 
