@@ -102,7 +102,7 @@ def test_results_of_other_kinds_are_named(tmp_path):
 
 
 def in_a_fork(call) -> str:
-    """What a call raises in a process that may write no more than 4 kB to a file, as on a full disk."""
+    """Return the error of a call in a process that may write no more than 4 kB to a file, as on a full disk."""
     read, write = os.pipe()
     if not (process := os.fork()):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -60,7 +60,7 @@ def start(folder: Path, *arguments: str) -> psutil.Popen:
 
 
 def ends(run: psutil.Popen, seconds: float) -> bool:
-    """Whether a run ends within so many seconds."""
+    """Return whether a run ends within so many seconds."""
     return bool(psutil.wait_procs([run], seconds)[0])
 
 

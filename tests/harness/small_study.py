@@ -51,6 +51,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def differences(found: dict[str, bytes], expected: dict[str, bytes]) -> list[str]:
-    """Which files differ, are missing (-), or are left over (+), such as checkpoints and temporary files."""
+    """Return the files that differ, are missing (-), or are left over (+), such as checkpoints and temporary files."""
     names = [name for name in sorted(expected | found) if found.get(name) != expected.get(name)]
     return [("-" if name not in found else "+" if name not in expected else "") + name for name in names]
