@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from tasklens.runtime import devices, waiting
+from tasklens.runtime import devices, locks
 from tasklens.runtime.distributed import process_group
 from tasklens.runtime.errors import InputError
 
@@ -63,7 +63,7 @@ def test_a_gpu_has_one_job(monkeypatch, elsewhere):
     assert devices.claim() == devices.claim() == torch.device("cuda", 1)
     waited = []
     monkeypatch.setattr(devices, "_locked", {}), pretend(monkeypatch, names[:1])
-    monkeypatch.setattr(waiting.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
+    monkeypatch.setattr(locks.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
     assert devices.claim() == torch.device("cuda", 0)
     assert len(waited) == 1
 
@@ -94,7 +94,7 @@ def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
         seen.append(second.exitcode)
         other.kill(), other.join()
 
-    monkeypatch.setattr(waiting.time, "sleep", wait)
+    monkeypatch.setattr(locks.time, "sleep", wait)
     assert devices.claim_several(2) == [torch.device("cuda", 0), torch.device("cuda", 1)]
     assert seen == [1] and set(devices._locked) == set(names)
 

@@ -261,7 +261,7 @@ def bounded() -> Iterator[None]:
 
 
 def accepted(path: Path, content: bytes | str, read: Callable, error: type[InputError] = FileError):
-    """Return what `read` makes of the file; None where it is refused with an error of the right kind, which names it."""
+    """Return what `read` makes of the file; None where it is refused with the right kind of error, which names it."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
     try:
         with bounded():

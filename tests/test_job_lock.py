@@ -7,7 +7,7 @@ import time
 import pytest
 
 from tasklens.pipeline import job_lock
-from tasklens.runtime import waiting
+from tasklens.runtime import locks
 
 CONTEXT = multiprocessing.get_context("fork")
 
@@ -34,7 +34,7 @@ def other(tmp_path, monkeypatch):
             process.kill() if kill else go_on.set()
             process.join()
 
-        monkeypatch.setattr(waiting.time, "sleep", sleep)
+        monkeypatch.setattr(locks.time, "sleep", sleep)
         return process
 
     return start
@@ -65,10 +65,21 @@ def test_the_work_is_done_again_where_the_other_computes_something_else_or_is_ki
 
 def test_a_line_at_once_and_every_half_minute(monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr(waiting.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(waiting.time, "sleep", lambda seconds: now.append(now.pop() + seconds))
-    waiting.wait_until(lambda: now[0] >= 165, "a GPU")
+    monkeypatch.setattr(locks.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(locks.time, "sleep", lambda seconds: now.append(now.pop() + seconds))
+    locks.wait_until(lambda: now[0] >= 165, "a GPU")
     lines = capsys.readouterr().err.splitlines()
     assert lines == [f"waiting for a GPU, {seconds} s" for seconds in (0, 30, 60)]
-    waiting.wait_until(lambda: True, "nothing")
+    locks.wait_until(lambda: True, "nothing")
     assert not capsys.readouterr().err and time.monotonic() == now[0]
+
+
+def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch, capsys):
+    """The job runs, as it did before there were locks."""
+
+    def refuse(self, **_):
+        raise NotImplementedError("flock")
+
+    monkeypatch.setattr(locks.FileLock, "acquire", refuse)
+    assert work_of(tmp_path, "a")
+    assert "job.lock: no locks on this file system" in capsys.readouterr().err

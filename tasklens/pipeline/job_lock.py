@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from tasklens.runtime.files import write_text
-from tasklens.runtime.waiting import wait_until
+from tasklens.runtime.locks import acquire, wait_until
 
 
 @contextmanager
@@ -27,18 +27,10 @@ def alone(path: Path, key: str, outputs: Iterable[Path]) -> Iterator[bool]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     lock, record = FileLock(path), path.with_suffix(".json")
-
-    def acquire() -> bool:
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            return False
-        return True
-
-    waited = not acquire()
+    waited = not acquire(lock)
     if waited:
         other = _read(record)
-        wait_until(acquire, f"process {other.get('pid')} on {other.get('host')}, which runs this job")
+        wait_until(lambda: acquire(lock), f"process {other.get('pid')} on {other.get('host')}, which runs this job")
     try:
         done = waited and _read(record).get("key") == key and all(output.exists() for output in outputs)
         if not done:

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from filelock import FileLock, Timeout
+from filelock import FileLock
 from torch import Tensor
 
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.waiting import wait_until
+from tasklens.runtime.locks import acquire, wait_until
 
 CPU = torch.device("cpu")
 _locked: dict[str, FileLock] = {}  # by GPU; a lock is released when its process ends
@@ -89,9 +89,7 @@ def _lock(name: str) -> bool:
     folder = Path.home() / ".cache" / "tasklens" / "gpus"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     lock = FileLock(folder / f"{name}.lock")
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
+    if not acquire(lock):
         return False
     _locked[name] = lock
     return True

@@ -221,14 +221,14 @@ def writing_array(
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
     """Let no other process write `path` while the block runs; raises FileError where one does."""
-    from filelock import FileLock, Timeout
+    from filelock import FileLock
+
+    from tasklens.runtime.locks import acquire
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path.with_name(f".{path.name.lstrip('.')}.lock"), timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise FileError(f"{path}: another process is writing it; wait for it, or end it") from None
+    lock = FileLock(path.with_name(f".{path.name.lstrip('.')}.lock"))
+    if not acquire(lock):
+        raise FileError(f"{path}: another process is writing it; wait for it, or end it")
     try:
         yield
     finally:
