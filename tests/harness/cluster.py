@@ -60,7 +60,7 @@ def running() -> dict[str, str]:
 
 
 def run(folder: Path, code: Path, faults: list[str], *arguments: str) -> int:
-    """Run Snakemake in a folder, with faults one after the other; returns its exit status."""
+    """Run Snakemake in a folder, with faults when their jobs run; returns its exit status."""
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(code / "Snakefile"), "--directory", str(folder)]
     command += [*TARGETS, "--configfile", "study.yaml", *arguments]
     variables = os.environ | {"PYTHONPATH": str(code), "NUMBA_CACHE_DIR": str(code / "compiled")}
@@ -68,11 +68,10 @@ def run(folder: Path, code: Path, faults: list[str], *arguments: str) -> int:
         process = subprocess.Popen(command, cwd=folder, env=variables, stdout=out, stderr=out)
     while process.poll() is None:
         time.sleep(1)
-        if faults and (found := [name for name in running() if name.startswith(FAULTS[faults[0]][0])]):
+        for what, name in [(what, name) for what in faults for name in running() if name.startswith(FAULTS[what][0])]:
             time.sleep(4)  # so that it is at work
-            name, what = found[0], faults[0]
             job = running().get(name)
-            if job is not None and FAULTS[what][1](job) is not False:
+            if what in faults and job is not None and FAULTS[what][1](job) is not False:
                 print(f"{what}: {name}", flush=True)
                 faults.remove(what)
     return process.returncode
