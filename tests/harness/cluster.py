@@ -50,7 +50,8 @@ FAULTS: dict[str, tuple[str, Callable[[str], object]]] = {  # by what is done, t
     "drained": ("design", lambda job: node("DRAIN", 10)),
     "down": ("fine_tune", down),
 }
-FAILING = ("reference small", "design singlet-imaging1", "restore")  # cancelled, over their time and their memory
+# Cancelled, and over their memory. SLURM counts time in minutes, and looks at it every half minute: a job may end before.
+FAILING = ("reference small", "restore")
 
 
 def running() -> dict[str, str]:
@@ -81,7 +82,7 @@ def main() -> int:
     parent = Path(tempfile.mkdtemp(prefix="cluster-"))
     code, faults = parent / "code", list(FAULTS)
     copy_code(code)
-    study = changed(small_study(), "designs.imaging1.steps", 8000)  # limits of time are looked at every half a minute
+    study = changed(small_study(), "designs.imaging1.steps", 16000)  # a minute and a half
     for name in ("here", "slurm"):
         (parent / name).mkdir()
         (parent / name / "study.yaml").write_text(yaml.safe_dump(study))
