@@ -50,7 +50,7 @@ FAULTS: dict[str, tuple[str, Callable[[str], object]]] = {  # by what is done, t
     "drained": ("design", lambda job: node("DRAIN", 10)),
     "down": ("fine_tune", down),
 }
-# Cancelled, and over their memory. SLURM counts time in minutes, and looks at it every half minute: a job may end before.
+# Cancelled, and over their memory. SLURM looks at limits of time every half minute: a job may have ended by then.
 FAILING = ("reference small", "restore")
 
 
