@@ -48,7 +48,7 @@ def work_of(folder, key: str) -> bool:
 def test_a_job_alone_works_every_time(tmp_path):
     (tmp_path / "output").write_text("old")
     assert work_of(tmp_path, "a") and work_of(tmp_path, "a")
-    assert json.loads((tmp_path / "job.json").read_text())["key"] == "a"
+    assert json.loads((tmp_path / "job.json").read_text())["done"] == "a"
 
 
 def test_what_the_other_has_made_is_taken(tmp_path, other, capsys):
@@ -59,6 +59,7 @@ def test_what_the_other_has_made_is_taken(tmp_path, other, capsys):
 
 @pytest.mark.parametrize("key, kill", [("b", False), ("a", True)])
 def test_the_work_is_done_again_where_the_other_computes_something_else_or_is_killed(tmp_path, other, key, kill):
+    (tmp_path / "output").write_text("old")
     other("a", kill)
     assert work_of(tmp_path, key)
 

@@ -6,6 +6,7 @@ import socket
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock
 
@@ -32,15 +33,18 @@ def alone(path: Path, key: str, outputs: Iterable[Path]) -> Iterator[bool]:
         other = _read(record)
         wait_until(lambda: acquire(lock), f"process {other.get('pid')} on {other.get('host')}, which runs this job")
     try:
-        done = waited and _read(record).get("key") == key and all(output.exists() for output in outputs)
+        done = waited and _read(record).get("done") == key and all(output.exists() for output in outputs)
+        mine = {"pid": os.getpid(), "host": socket.gethostname()}
         if not done:
-            write_text(record, json.dumps({"key": key, "pid": os.getpid(), "host": socket.gethostname()}))
+            write_text(record, json.dumps(mine))
         yield not done
+        if not done:  # not reached by a job that fails or is killed, beside whose outputs older ones may lie
+            write_text(record, json.dumps(mine | {"done": key}))
     finally:
         lock.release()
 
 
-def _read(record: Path) -> dict[str, str]:
+def _read(record: Path) -> dict[str, Any]:
     try:
         return json.loads(record.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # not written yet, or by a killed process
