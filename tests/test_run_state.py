@@ -12,7 +12,7 @@ import pytest
 from examples import tiny_study, write
 
 from tasklens.cli.app import main
-from tasklens.pipeline import progress_file, report_jobs, runs  # noqa: F401  declares the stages
+from tasklens.pipeline import closing, progress_file, report_jobs, runs  # noqa: F401  declares the stages
 from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.terminal import Terminal
@@ -223,6 +223,18 @@ def test_a_job_without_a_log_says_why(snakemake, capsys):
     snakemake.job("job_info", 3, DESIGN, LENS)
     snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
     assert "the job was killed, or did not start" in capsys.readouterr().err
+
+
+def test_a_job_ended_by_the_user_has_not_failed(snakemake, capsys):
+    """Ctrl-C ends the jobs that run: they wait for the next run, and nothing is called a failure."""
+    snakemake.begin()
+    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.say("Terminating processes on user request, this might take some time.")
+    snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
+    assert capsys.readouterr().err.splitlines()[1:] == ["stopped  design singlet-imaging1-seed0"]
+    assert runs.read(Path(FOLDER)).labels(runs.WAITING) == [DESIGN, TUNE]
+    said = closing.failure(STUDY, snakemake.terminal.runs)
+    assert "FAILED" not in said and "--keep-going" not in said and "The same command goes on from here." in said
 
 
 def test_warnings_are_shown_and_chatter_is_not(snakemake, capsys):

@@ -87,7 +87,9 @@ def failure(study: Study, found: Mapping[str, runs.Run]) -> str:
         for label in run.labels(runs.FAILED):
             lines.append(f"FAILED  {runs.title(label)}: {run.jobs[label].result or 'no word in its log'}")
             lines.append(f"        {run.folder}/logs/{label}.log")
-    lines.append("The same command goes on from here; with --keep-going it does all that needs no failed job.")
+    failed = any(run.labels(runs.FAILED) for run in found.values())
+    others = "; with --keep-going it does all that needs no failed job" if failed else ""
+    lines.append(f"The same command goes on from here{others}.")
     for each in at_points(study):
         if not study.sweep or (each.name in found and found[each.name].labels(runs.FAILED)):
             partial = report_jobs.table.command(each, {"table": each.tables[0]})

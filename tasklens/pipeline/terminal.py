@@ -30,7 +30,8 @@ _SHOWN = 8  # running jobs below the bar
 _LOG_LINES = 12  # of a failed job
 _DEFAULT_HANDLER = "DefaultStreamHandler"  # Snakemake's name
 _NOTHING = "Nothing to be done"
-_TOLD = ("Terminating processes", "Will exit after", "Unlock")
+_STOPPING = "Terminating processes"  # on Ctrl-C; its jobs then end with errors
+_TOLD = (_STOPPING, "Will exit after", "Unlock")
 _KNOWN = (
     "Exiting because a job execution failed",
     "At least one job did not complete",
@@ -48,6 +49,7 @@ class Terminal(logging.Handler):
         self.runs: dict[str, runs.Run] = {}  # by name of the study; more than one of a sweep
         self.live: Live | None = None
         self.stopped = threading.Event()
+        self.stopping = False  # by the user
         self.jobs: dict[int, tuple[runs.Run, str, Mapping[str, Any]]] = {}  # label, wildcards by Snakemake's number
         default = next((handler for handler in logger.handlers if handler.name == _DEFAULT_HANDLER), None)
         self.console = Console(stderr=True, quiet=quiet or default is None, highlight=False)
@@ -105,6 +107,7 @@ class Terminal(logging.Handler):
             elif event == "job_error":
                 self._fail_job(record)
             elif record.levelno >= logging.WARNING or str(record.msg).startswith(_TOLD):
+                self.stopping |= str(record.msg).startswith(_STOPPING)
                 text = self.format(record)
                 if not any(known in text for known in _KNOWN):
                     self._print(text)
@@ -153,6 +156,9 @@ class Terminal(logging.Handler):
         if found is None:
             return self._print(self.format(record))
         run, label = found
+        if self.stopping:
+            run.end(label, runs.WAITING)
+            return self._print(f"stopped  {self._title(run, label)}")
         log = self._log(run, label)
         lines = last_lines(log, _LOG_LINES)
         run.end(label, runs.FAILED, result=lines[-1] if lines else "")
