@@ -109,7 +109,7 @@ if given.sweep:  # of which stages are named by point
     TARGETS["tables"].append(report_jobs.sweep.output(given, "csv"))
     for stage in (report_jobs.verdicts, report_jobs.psf_tail, report_jobs.effort, report_jobs.report):
         TARGETS[stage.name] = [next(iter(stage.outputs(study).values())) for study in studies]
-    for stage in (report_jobs.regimes, report_jobs.merit_function):
+    for stage in (report_jobs.regimes, report_jobs.merit_function, report_jobs.tolerances):
         TARGETS[stage.name] = [stage.output(study, "csv") for study in studies]
 
 for target, paths in TARGETS.items():

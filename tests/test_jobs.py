@@ -104,21 +104,24 @@ READERS = [
     ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] in ("fine_tune", "fine_tune_others")),
     ("images.seed", 5, lambda job: job == ("images",)),
     ("evaluation_rays", 128, lambda job: job[0] in ("psf_tail", "design")),
-    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design")),
+    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design", "production")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.steps", 4, lambda job: job in (("design", "singlet-imaging1"), ("effort",))),
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measured(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",), ("captures",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] in ("restore", "captures", "frames")
+     lambda job: job[0] in ("restore", "captures", "frames", "production")
      or (job[0] in ("fine_tune", "fine_tune_others", "reproduce") and job[1] != SHARP)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,
      lambda job: job in (("reference", "small"), ("captures",)) or measured("small", "small-restored")(job)
-     or (job[0] == "design" and job[1] in CLASSIFIED)),
+     or job[0] == "production" or (job[0] == "design" and job[1] in CLASSIFIED)),
     ("classifiers.other.model", "test_vit2",
      lambda job: job in (("reference", "other"), ("captures",)) or measured("other", "other-restored")(job)),
+    ("tolerances.grade", "phone_moulding", lambda job: job[0] in ("certificate", "production", "tolerances")),
+    ("tolerances.images", 10, lambda job: job[0] in ("production", "tolerances")),
+    ("tolerances.designs", ["imaging1"], lambda job: job == ("tolerances",)),
     ("elements.singlet", ["PMMA"], lambda job: job[0] == "design"),
 ]  # fmt: skip
 
@@ -225,7 +228,8 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
     before, after = slices(tiny_study()), slices(with_imported())
     rows = {("table", name) for name in ("table1", "table2", "table4")}
-    rows |= {("psf_tail",), ("effort",), ("merit_function",), ("verify",), ("captures",), ("report",)}
+    told = ("psf_tail", "effort", "merit_function", "tolerances", "verify", "captures", "report")
+    rows |= {(stage,) for stage in told}
     assert {job for job in before if before[job] != after[job]} == rows
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())
     study = parse(with_imported())
@@ -303,7 +307,7 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     found = {job for job in before if before[job] != after[job]}
-    doublets = {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
+    doublets = {job for job in before if job[0] in ("design", "production") and job[1].startswith("doublet")}
     assert found == doublets | {("psf_tail",), ("verdicts",), ("verify",), ("report",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     efl_mm = report_jobs.verify.plan(both).settings.efl_mm

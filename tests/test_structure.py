@@ -31,6 +31,7 @@ FLOORS = [
     ("tasklens.optics",),  # rays, aspheres, surface, lens, view, psf
     ("tasklens.optics.tracing",),
     ("tasklens.optics.analysis",),
+    ("tasklens.optics.tolerancing",),
     ("tasklens.optics.io",),
     ("tasklens.imaging",),
     ("tasklens.simulation",),
@@ -150,6 +151,7 @@ NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
         ("psf_tail", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib")),
         ("certificate", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot")),
         ("restore", ("numba", "pandas", "matplotlib")),
+        ("production", ("torchvision.transforms.v2", "matplotlib")),
         ("reference", ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2")),
         ("classify", ("numba", "pandas", "matplotlib", "torchvision.transforms.v2")),
     ],
@@ -317,15 +319,16 @@ READ_IMAGES = {
     "fine_tune",
     "fine_tune_others",
     "reproduce",
+    "production",
     "captures",
     "frames",
 }
 JUDGE = {"verdicts", "regimes", "ablation", "report"}
-TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate"}
+TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate", "production", "tolerances"}
 FIGURES = {"certificate", "comparison", "frames"}
 MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function", *JUDGE}
 PSFS = {"design", "diffraction"}
-OPTICS = {*PSFS, "psf_tail", *FIGURES}
+OPTICS = {*PSFS, "psf_tail", "production", *FIGURES}
 SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
 
 
@@ -348,7 +351,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
     "path, old, new, touched",
     [
         ("tasklens/optics/psf.py", "kernel_size // 2", "kernel_size // 3", OPTICS),
-        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames"} | SEE),
+        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames", "production"} | SEE),
         ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
@@ -373,7 +376,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail", *FIGURES}),
         ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
         ("tasklens/report/page/words.py", '"hold"', '"are true"', {"report"}),
-        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE),
+        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE | {"tolerances"}),
         ("tasklens/study/settings.py", "Field(68.8,", "Field(68.9,", set()),  # such a value is in the slice
         ("tasklens/pipeline/jobs.py", "priority=1", "priority=2", set()),
     ],

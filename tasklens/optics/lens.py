@@ -13,6 +13,21 @@ from tasklens.optics.surface import Surface
 
 
 @dataclass(frozen=True)
+class Melt:
+    """Difference of the media of a built lens from their catalogues: n + shift + spread (n - n(reference)).
+
+    Attributes:
+        shift: (S,) of the index of the medium behind each surface.
+        spread: (S,) relative change of its dispersion.
+        reference: wavelength of `shift` [um].
+    """
+
+    shift: Tensor
+    spread: Tensor
+    reference: float
+
+
+@dataclass(frozen=True)
 class Lens:
     """A rotationally symmetric sequential lens of S surfaces with even aspheres; the stop is one of them.
 
@@ -26,6 +41,7 @@ class Lens:
         stop: index of the stop; its semi-diameter is the radius of the stop.
         pose: poses of the surfaces; None: all are nominal. Rays are traced with it; first-order data, the entrance
             pupil and analyses that turn a field into the meridian are of the nominal lens.
+        melt: difference of its media from their catalogues; None: there is none.
     """
 
     curvature: Tensor
@@ -36,6 +52,7 @@ class Lens:
     media: tuple[Material, ...]
     stop: int
     pose: Pose | None = None
+    melt: Melt | None = None
 
     def __post_init__(self) -> None:
         surfaces = len(self.media)
@@ -75,7 +92,12 @@ class Lens:
         Raises:
             InputError: a medium has no index at a wavelength, or one that is not finite or below 1.
         """
-        return torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
+        found = torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
+        if self.melt is None:
+            return found
+        at_reference = torch.tensor(_indices(self.media, (self.melt.reference,)), dtype=self.dtype)
+        shift, spread = (torch.cat([v.new_zeros(1), v])[:, None] for v in (self.melt.shift, self.melt.spread))
+        return found + shift + spread * (found - at_reference)
 
     def with_stop_scaled(self, scale: float) -> "Lens":
         """Return the lens with the radius of its stop multiplied by `scale`."""
@@ -120,7 +142,8 @@ class Lens:
         """Return the lens detached from autograd."""
         tensors: dict[str, Any] = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
         pose = self.pose and Pose(self.pose.rotation.detach(), self.pose.position.detach())
-        return replace(self, **tensors, pose=pose)
+        melt = self.melt and replace(self.melt, shift=self.melt.shift.detach(), spread=self.melt.spread.detach())
+        return replace(self, **tensors, pose=pose, melt=melt)
 
 
 @lru_cache(maxsize=256)

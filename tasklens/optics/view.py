@@ -56,6 +56,14 @@ class View:
         """Return the view with every field rotated onto +y, equivalent for a rotationally symmetric lens."""
         return replace(self, fields=torch.stack([torch.zeros_like(self.radii), self.radii], -1))
 
+    def in_all_quadrants(self) -> "View":
+        """Return the view with every field mirrored about both axes, each once; a built lens is not symmetric."""
+        signs = torch.tensor([[1, 1], [-1, 1], [1, -1], [-1, -1]], dtype=self.fields.dtype)
+        mirrored = (self.fields[:, None] * signs).reshape(-1, 2) + 0.0  # no negative zeros
+        return replace(
+            self, fields=torch.tensor(list(dict.fromkeys(map(tuple, mirrored.tolist()))), dtype=self.fields.dtype)
+        )
+
 
 def view_of_spec(spec: Spec) -> View:
     """Return the nine fields, three wavelengths and the pixels of a specification."""

@@ -23,6 +23,7 @@ DATA_ONLY = tuple(
         "quantities",
         "renamed",
         "settings",
+        "tolerance_settings",
         "design_settings",
         "lens_entries",
         "ablations",

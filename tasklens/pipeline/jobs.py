@@ -101,7 +101,7 @@ def psf_file(study: Study, lens: str, seed: int) -> Path | None:
     return made.output(study, "psf", lens=lens, seed=seed)
 
 
-# ---- restorations and accuracies
+# ---- restorations, accuracies and tolerances
 
 
 @stage(
@@ -205,3 +205,32 @@ def measurement(study: Study, lens: str, measured_name: str, seed: int, output: 
     if measured_name in others(study):
         return fine_tune_others.output(study, f"{output}_{measured_name}", lens=lens, seed=seed)
     return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
+
+
+@stage(
+    f"{STAGES}.production.run",
+    {
+        "lenses": f"{LENS_FOLDER}/built-lenses.csv",
+        "errors": f"{LENS_FOLDER}/errors.csv",
+        "page": f"{LENS_FOLDER}/tolerances.md",
+    },
+    resumable=True,
+)
+def production(study: Study, lens: str, seed: int) -> Plan:
+    """Build lenses of a design in simulation, with errors of manufacture, and measure them."""
+    settings = Slice(
+        lens=lens,
+        seed=seed,
+        spec=study.spec_of(study.lens(lens).elements),
+        capture=study.capture_of(lens).model_copy(update={"diffraction": False}),
+        classifier=study.classifier(study.supervisor),
+        tolerances=study.tolerances.model_copy(update={"designs": None}),
+    )
+    inputs = {
+        "lens": lens_file(study, lens, seed),
+        "psf": design.output(study, "psf", lens=lens, seed=seed),
+        "weights": measurement(study, lens, study.supervisor, seed, "weights"),
+        "test": split(study, "test"),
+        "minival": split(study, "minival"),
+    }
+    return Plan(settings, inputs, gpus=1)

@@ -10,6 +10,7 @@ from tasklens.pipeline.jobs import (
     design,
     lens_file,
     measurement,
+    production,
     psf_file,
     reproduce,
     restore,
@@ -106,6 +107,18 @@ def ablation(study: Study, ablation: str) -> Plan:
     return Plan(compared, _claimed(study, compared.claims))
 
 
+@stage(f"{REPORT}.tolerances.make", _published("tolerances") | {"compared_csv": "tables/tolerances-compared.csv"})
+def tolerances(study: Study) -> Plan:
+    """Make the table of built lenses: what each design loses in manufacture, compared with imaging lenses."""
+    contents = paper_tables.built(study)
+    lenses = {
+        (lens, seed): production.output(study, "lenses", lens=lens, seed=seed)
+        for lens in contents.lenses
+        for seed in study.seeds
+    }
+    return Plan(contents, {"lenses": lenses})
+
+
 @stage(f"{REPORT}.merit_function.make", _published("merit_function") | {"figure": "figures/merit_function.png"})
 def merit_function(study: Study) -> Plan:
     """Make the table and figure of what each classifier wants of a lens: its loss as a function of the MTF."""
@@ -131,7 +144,8 @@ def merit_function(study: Study) -> Plan:
 )
 def certificate(study: Study, lens: str, seed: int) -> Plan:
     """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
-    return Plan(Slice(lens=lens, seed=seed), {"lens": lens_file(study, lens, seed), "psf": psf_file(study, lens, seed)})
+    settings = Slice(lens=lens, seed=seed, grade=study.tolerances.grade)
+    return Plan(settings, {"lens": lens_file(study, lens, seed), "psf": psf_file(study, lens, seed)})
 
 
 @stage(f"{STAGES}.comparison.run", _drawn("figure3-{elements}-seed{seed}"))

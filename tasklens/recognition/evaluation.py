@@ -143,6 +143,23 @@ def losses(
     return torch.cat(found, 1)
 
 
+@torch.no_grad()
+def classify(
+    classifier: Callable[[Tensor], Tensor], pipeline: CapturePipeline, images: Tensor, labels: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Classify images (N, 3, H, W) with labels (N,) at F fields.
+
+    Returns:
+        Whether each is classified correctly, (F, N) bool, and the cross-entropy (F, N).
+    """
+    captures = pipeline.all_fields(images)
+    logits = torch.cat([classifier(part) for part in captures.flatten(0, 1).split(_BATCH)])
+    repeated = labels.repeat(len(captures))
+    losses = F.cross_entropy(logits, repeated, reduction="none")
+    shape = len(captures), len(labels)
+    return (logits.argmax(-1) == repeated).reshape(shape).cpu(), losses.reshape(shape).cpu()
+
+
 def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
     """Return a row per image: its index in the split, its label, and the value of each field.
 

@@ -1,4 +1,4 @@
-"""Manufacturability of a lens: limits, surfaces, and sensitivity of its rays to moulding errors."""
+"""Manufacturability of a lens: limits, surfaces, and sensitivity of its rays to errors of manufacture."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import pandas
 
 from tasklens.optics.analysis.shapes import Shape
-from tasklens.optics.analysis.tolerances import RADIUS, THICKNESS
+from tasklens.optics.tolerancing.errors import DEVIATION
 from tasklens.report.publish import right_aligned
 
 _SHOWN = 3  # number of most sensitive parts in the page
@@ -14,17 +14,23 @@ UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chie
 
 
 def markdown(
-    margins: Mapping[str, float], shapes: Sequence[Shape], errors_um: Mapping[str, float], pixel_um: float
+    margins: Mapping[str, float],
+    shapes: Sequence[Shape],
+    errors_um: Mapping[str, float],
+    grade: str,
+    pixel_um: float,
 ) -> str:
     """Return the section of a lens' page: a verdict in words, and its tables.
 
     Args:
         margins: margin of each limit [mm, slopes and fractions without unit], negative where it is violated.
         shapes: shapes of the surfaces.
-        errors_um: displacement of the rays of the core by each moulding error, to be added as squares [um].
+        errors_um: displacement of the rays of the core by each error as large as its tolerance [um].
+        grade: name of the grade of manufacture.
         pixel_um: pixel pitch [um].
     """
-    moved_um = math.hypot(*errors_um.values())
+    words = grade.replace("_", " ")
+    moved_um = DEVIATION * math.hypot(*errors_um.values())
     worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SHOWN]
     limits = pandas.DataFrame(
         [(name.replace("_", " "), f"{value:.4f} {UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
@@ -45,14 +51,13 @@ def markdown(
     )
     sensitive = ", ".join(f"{part} ({errors_um[part]:.1f} um)" for part in worst)
     tolerances = (
-        f"Moulded to +- {100 * RADIUS:g} % in radius and +- {1e3 * THICKNESS:g} um in thickness (precision moulding, "
-        "apollooptical.com/manufacturing-tolerances), and as much in air, then focused: the rays of the core, the "
-        f"half of each field's rays nearest to its chief ray, move by {moved_um:.1f} um (RMS). Most sensitive: "
-        f"{sensitive}. Tilt and decentre come on top."
+        f"With errors of {words} of radii, form, thicknesses, index, decentres and tilts, then focused, the rays of "
+        f"the core, the half of each field's rays nearest to its chief ray, move by {moved_um:.1f} um (RMS of many "
+        f"lenses). Most sensitive, by errors as large as their tolerances: {sensitive}."
     )
     parts = [
         "## Manufacturability",
-        verdict(margins, moved_um, pixel_um),
+        verdict(margins, moved_um, words, pixel_um),
         tolerances,
         right_aligned(limits),
         right_aligned(surfaces),
@@ -60,12 +65,12 @@ def markdown(
     return "\n\n".join(parts) + "\n"
 
 
-def verdict(margins: Mapping[str, float], moved_um: float, pixel_um: float) -> str:
+def verdict(margins: Mapping[str, float], moved_um: float, grade: str, pixel_um: float) -> str:
     """Describe the manufacturability in a sentence: errors may move the core's rays [um] by a pixel."""
     violated = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
     if violated:
         return f"Not manufacturable: it violates {', '.join(violated)}."
     moved = f"move the rays of the core by {moved_um:.1f} um; a pixel has {pixel_um:.1f}."
     if moved_um <= pixel_um:
-        return f"Within precision moulding: all limits are kept, and its errors {moved}"
-    return f"Needs tighter tolerances than precision moulding states: all limits are kept, but those errors {moved}"
+        return f"Within {grade}: all limits are kept, and its errors {moved}"
+    return f"Needs tighter tolerances than {grade}: all limits are kept, but those errors {moved}"

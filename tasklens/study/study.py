@@ -32,6 +32,7 @@ from tasklens.study.settings import (
     TrainingSettings,
 )
 from tasklens.study.sweep import Sweep
+from tasklens.study.tolerance_settings import ToleranceSettings
 
 TableName = Literal["table1", "table2", "table3", "table4"]
 TABLES: tuple[TableName, ...] = get_args(TableName)
@@ -86,6 +87,9 @@ class Study(Frozen):
     fine_tuning: TrainingSettings = Field(description="Fine-tuning of classifiers on lenses, and on the sharp images.")
     restoration: RestorationSettings = Field(description="The restoration network of table 4.")
     restored: tuple[Name, ...] | None = Field(None, description="Elements in table 4; null: all.")
+    tolerances: ToleranceSettings = Field(
+        ToleranceSettings(), description="Lenses that are built in simulation, with errors of manufacture."
+    )
     sweep: Sweep = Field(
         {}, description="Values of keys such as `spec.f_number`: a study for each, below results/<name>."
     )

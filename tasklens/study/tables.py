@@ -125,6 +125,50 @@ def candidates(study: Study, lens: str) -> tuple[str, ...]:
     return tuple(f"{entry.elements}-{name}" for name in entry.design.candidates)
 
 
+class BuiltContents(Frozen):
+    """Contents of the table of built lenses.
+
+    Attributes:
+        study: name of the study.
+        lenses: names of the lenses.
+        pairs: task-driven lens and imaging lens of the same elements.
+        seeds: seeds of the study.
+        grade: name of the grade of manufacture.
+        built, images: numbers of built lenses of each design, and of images that measure each, at most.
+    """
+
+    study: str
+    lenses: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    seeds: tuple[int, ...]
+    grade: str
+    built: int
+    images: int
+
+
+def built(study: Study) -> BuiltContents:
+    """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for."""
+    wanted = study.tolerances.designs
+    lenses = [study.lens(name) for name in table(study, "table1").lenses]
+    if wanted is not None:
+        lenses = [lens for lens in study.lenses.values() if lens.design_name in wanted]
+    pairs = (
+        (lens.name, other.name)
+        for lens in lenses
+        for other in lenses
+        if lens.task_driven and not other.classified and lens.elements == other.elements
+    )
+    return BuiltContents(
+        study=study.name,
+        lenses=tuple(lens.name for lens in lenses),
+        pairs=tuple(pairs),
+        seeds=study.seeds,
+        grade=study.tolerances.grade.name,
+        built=study.tolerances.lenses,
+        images=study.tolerances.images,
+    )
+
+
 class VerificationContents(Frozen):
     """Contents of the verification of a study: its tables, their lenses and their measurements.
 

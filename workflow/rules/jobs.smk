@@ -19,6 +19,7 @@ REPORTED = {
     "regimes": (["csv"], "Tables"),
     "ablation": (["csv"], "Tables"),
     "merit_function": (["csv", "figure"], "Merit function"),
+    "tolerances": (["csv", "compared_csv"], "Tables"),
     "comparison": (["figure"], "Comparisons"),
     "frames": (["figure"], "Comparisons"),
     "certificate": (["figure"], "Lenses"),

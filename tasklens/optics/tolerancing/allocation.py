@@ -1,0 +1,42 @@
+"""Allocation of tolerances to the errors of a lens: loose where they cost little, so that most lenses are good."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+_LOOSEST = 4.0  # times the tolerance of the grade: looser ones save nothing
+_RANGE = (1 / 64, 64.0)  # of the common factor
+_HALVINGS = 7  # of the logarithm of the range: the factor is within 7 %
+TRIALS = 1 + _HALVINGS  # of `widest`
+
+
+def cheapest(displacements: Tensor, factor: float) -> Tensor:
+    """Return tolerances (P,) over those of the grade, at the least cost for their mean square displacement.
+
+    With a cost that is the tolerance of the grade over that allotted, summed over errors, cost is least for tolerances
+    t = factor (s / rms(s))^(-2/3) (Lagrange), s the displacement by an error of the size of the grade's tolerance.
+
+    Args:
+        displacements: (P,) s [um].
+    """
+    relative = displacements / displacements.square().mean().sqrt().clamp(min=1e-12)
+    return (factor * relative.clamp(min=1e-9) ** (-2 / 3)).clamp(max=_LOOSEST)
+
+
+def widest(displacements: Tensor, passes: Callable[[Tensor], bool]) -> Tensor | None:
+    """Find the widest tolerances (P,) over those of the grade that pass, by bisection of their common factor.
+
+    Args:
+        passes: whether enough lenses with these tolerances (P,) are good.
+
+    Returns:
+        None if even the tightest do not pass.
+    """
+    if not passes(cheapest(displacements, _RANGE[0])):
+        return None
+    low, high = (torch.log2(torch.tensor(_RANGE))).tolist()
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if passes(cheapest(displacements, 2**middle)) else (low, middle)
+    return cheapest(displacements, 2**low)

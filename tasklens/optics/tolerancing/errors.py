@@ -1,0 +1,154 @@
+"""Errors of a lens as it is built, and the lens with them.
+
+Elements are the bodies between air; a cemented group is one. The first surface of an element is its seat: it moves with
+the element, and the others are off it besides. The stop and the image plane stay where they are.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from tasklens.materials.material import AIR
+from tasklens.optics.lens import Lens, Melt
+from tasklens.study.tolerance_settings import Grade
+
+_FRINGE_MM = 0.6328e-3 / 2  # height of a fringe in reflection
+_TEST_DIAMETER_MM = 25.0  # over which fringes are counted
+_QUANTILE = math.erf(math.sqrt(2))  # of a normal variable within two standard deviations
+# Standard deviation of an error over its tolerance: 1/2 of a normal variable that is cut at two deviations.
+DEVIATION = 0.5 * math.sqrt(1 - 4 * math.exp(-2) / (math.sqrt(2 * math.pi) * _QUANTILE))
+
+# Form errors that leave the vertex where it is, in rho = r / semi-diameter: Zernike's spherical aberrations of fourth
+# and sixth order, powers rho^2, rho^4, rho^6, over their range on the disc.
+_FORMS = {4: (-6 / 1.5, 6 / 1.5, 0.0), 6: (12 / 2, -30 / 2, 20 / 2)}
+
+
+@dataclass(frozen=True)
+class Error:
+    """One error of a lens.
+
+    Attributes:
+        kind: what is off; `Grade` has the tolerance of each kind.
+        surface: surface that it concerns, of an element the first; of a medium the one in front of it.
+        part: x or y of decentres and tilts, the order of a form error; else empty.
+        tolerance: largest error, in `unit`.
+        unit: unit of people.
+        scale: one unit in those of the lens: fractions, mm, rad.
+    """
+
+    kind: str
+    surface: int
+    part: str
+    tolerance: float
+    unit: str
+    scale: float
+
+    @property
+    def name(self) -> str:
+        """Name in tables, such as `surface decentre 3 x`."""
+        return f"{self.kind.replace('_', ' ')} {self.surface} {self.part}".strip()
+
+
+def elements(lens: Lens) -> list[tuple[int, int]]:
+    """Return the first and the last surface of each element."""
+    found: list[tuple[int, int]] = []
+    for i in lens.refracting_surfaces:
+        before = lens.media[i - 1] if i else AIR
+        if before == AIR:
+            found.append((i, i))
+        else:
+            found[-1] = found[-1][0], i
+    return found
+
+
+def errors(lens: Lens, grade: Grade) -> list[Error]:
+    """List the errors of a lens that a grade of manufacture allows, those of tolerance zero left out."""
+    found: list[Error] = []
+
+    def add(kind: str, surface: int, tolerance: float, unit: str, scale: float, parts: Sequence[str] = ("",)) -> None:
+        found.extend(Error(kind, surface, part, tolerance, unit, scale) for part in parts if tolerance > 0)
+
+    for first, last in elements(lens):
+        inside = range(first, last)
+        if first:
+            add("air_space", first - 1, grade.air_space_um, "um", 1e-3)
+        for i in range(first, last + 1):
+            form_um = 1e3 * grade.irregularity_fringes * _FRINGE_MM * 2 * _radius(lens, i) / _TEST_DIAMETER_MM
+            if lens.curvature[i]:
+                add("radius", i, grade.radius_percent, "%", 1e-2)
+            add("form", i, form_um / math.sqrt(len(_FORMS)), "um", 1e-3, [str(order) for order in _FORMS])
+        for i in inside:
+            add("thickness", i, grade.thickness_um, "um", 1e-3)
+            add("index", i, grade.index, "", 1.0)
+            add("dispersion", i, grade.dispersion_percent, "%", 1e-2)
+        for i in range(first + 1, last + 1):
+            add("surface_decentre", i, grade.surface_decentre_um, "um", 1e-3, "xy")
+            add("surface_tilt", i, grade.surface_tilt_mrad, "mrad", 1e-3, "xy")
+        add("element_decentre", first, grade.element_decentre_um, "um", 1e-3, "xy")
+        add("element_tilt", first, grade.element_tilt_mrad, "mrad", 1e-3, "xy")
+    return found
+
+
+def _radius(lens: Lens, surface: int) -> float:
+    """Return the radius of the clear aperture [mm]; raises ValueError where there is none."""
+    radius = float(lens.semi_diameter[surface])
+    if not math.isfinite(radius):
+        raise ValueError(f"surface {surface} has no clear aperture: its form error has no size")
+    return radius
+
+
+def draw(found: Sequence[Error], count: int, seed: int) -> Tensor:
+    """Draw errors (count, P) as fractions of their tolerances: normal, of deviation 1/2, cut at 1."""
+    uniform = torch.rand(count, len(found), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return torch.erfinv((2 * uniform - 1) * _QUANTILE) / math.sqrt(2)
+
+
+def built(lens: Lens, found: Sequence[Error], fractions: Tensor, reference: float) -> Lens:
+    """Return a lens with errors, differentiable in it and in the errors.
+
+    Args:
+        found: P errors of the lens.
+        fractions: (P,) each error over its tolerance.
+        reference: wavelength of index errors [um].
+    """
+    sizes = torch.tensor([error.tolerance * error.scale for error in found], dtype=lens.dtype)
+    values = fractions.to(lens.dtype) * sizes
+
+    def total(kind: str, part: str = "") -> Tensor:
+        """Add the errors of a kind by surface, (S,)."""
+        at = [k for k, error in enumerate(found) if (error.kind, error.part) == (kind, part)]
+        where = torch.tensor([found[k].surface for k in at], dtype=torch.long)
+        return torch.zeros(len(lens.media), dtype=lens.dtype).index_add(0, where, values[at])
+
+    def pair(kind: str) -> Tensor:
+        return torch.stack([total(kind, "x"), total(kind, "y")], -1)
+
+    moved = replace(
+        lens,
+        curvature=lens.curvature / (1 + total("radius")),
+        alpha=_with_form(lens, {order: total("form", str(order)) for order in _FORMS}),
+        thickness=lens.thickness + total("thickness") + total("air_space"),
+        melt=Melt(total("index"), total("dispersion"), reference),
+    )
+    decentre, tilt = pair("surface_decentre"), pair("surface_tilt")
+    for i in sorted({error.surface for error in found if error.kind.startswith("surface")}):
+        moved = moved.with_surface_moved(i, decentre[i], tilt[i])
+    decentre, tilt = pair("element_decentre"), pair("element_tilt")
+    for first, last in elements(lens):
+        moved = moved.with_element_moved(first, last, decentre[first], tilt[first])
+    return moved
+
+
+def _with_form(lens: Lens, sizes: dict[int, Tensor]) -> Tensor:
+    """Return the asphere coefficients (S, M) with form errors of these sizes (S,) from valley to peak [mm]."""
+    radius = torch.where(lens.semi_diameter.isfinite(), lens.semi_diameter, 1.0)[:, None]
+    powers = torch.arange(1, 4, dtype=lens.dtype)
+    form = torch.zeros(len(radius), 3, dtype=lens.dtype)
+    for order, size in sizes.items():
+        form = form + size[:, None] * torch.tensor(_FORMS[order], dtype=lens.dtype) / radius ** (2 * powers)
+    columns = max(3, lens.alpha.shape[1])
+    alpha, form = (torch.nn.functional.pad(v, (0, columns - v.shape[1])) for v in (lens.alpha, form))
+    return alpha + form

@@ -1,0 +1,110 @@
+"""Settings of tolerances: grades of manufacture, and the lenses that are built in simulation; no torch here."""
+
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from tasklens.study.quantities import Count, Name
+from tasklens.study.settings import Frozen
+
+Tolerance = Annotated[float, Field(ge=0, le=1000)]
+Percent = Annotated[float, Field(ge=0, le=50)]
+
+# Moulding: the columns "injection molding" of apollooptical.com/manufacturing-tolerances for radius, thickness (taken
+# for air spaces too), concentricity (decentre of the surfaces of an element) and irregularity; makers of phone lenses
+# publish nothing, and their moulds are turned with diamond, so that `phone_moulding` has that page's column "single
+# point diamond turning, precision". An element lies in its barrel with half of the tolerance of its diameter there.
+# Tilts are our choice: the tolerance of the thickness across 5 mm of flange. Index and dispersion: OpticStudio's
+# default tolerances, 0.001 and 1 %; half of them for precise moulding, our choice.
+GRADES: dict[str, dict[str, float]] = {
+    "commercial_moulding": {
+        "radius_percent": 1.0,
+        "irregularity_fringes": 6.0,
+        "thickness_um": 25.0,
+        "air_space_um": 25.0,
+        "index": 0.001,
+        "dispersion_percent": 1.0,
+        "surface_decentre_um": 25.0,
+        "surface_tilt_mrad": 5.0,
+        "element_decentre_um": 25.0,
+        "element_tilt_mrad": 5.0,
+    },
+    "precision_moulding": {
+        "radius_percent": 0.5,
+        "irregularity_fringes": 3.0,
+        "thickness_um": 15.0,
+        "air_space_um": 15.0,
+        "index": 0.0005,
+        "dispersion_percent": 0.5,
+        "surface_decentre_um": 15.0,
+        "surface_tilt_mrad": 3.0,
+        "element_decentre_um": 12.5,
+        "element_tilt_mrad": 3.0,
+    },
+    "phone_moulding": {
+        "radius_percent": 0.1,
+        "irregularity_fringes": 2.0,
+        "thickness_um": 5.0,
+        "air_space_um": 5.0,
+        "index": 0.0005,
+        "dispersion_percent": 0.5,
+        "surface_decentre_um": 2.0,
+        "surface_tilt_mrad": 1.0,
+        "element_decentre_um": 2.5,
+        "element_tilt_mrad": 1.0,
+    },
+}
+
+
+class Grade(Frozen):
+    """Largest errors, of both signs, of a grade of manufacture; in a study also the name of one of `GRADES`.
+
+    Errors are independent, and normal with half of the tolerance as standard deviation, cut at the tolerance.
+    """
+
+    name: str = Field("custom", description="Name in tables.")
+    radius_percent: Percent = Field(description="Radius of curvature [%].")
+    irregularity_fringes: Tolerance = Field(
+        description="Form error from valley to peak, symmetric about the axis [fringes of 0.6328 um over 25 mm of "
+        "diameter; proportionally less over the clear aperture]."
+    )
+    thickness_um: Tolerance = Field(description="Centre thickness of an element [um].")
+    air_space_um: Tolerance = Field(description="Air space in front of an element [um].")
+    index: Annotated[float, Field(ge=0, le=0.1)] = Field(description="Refractive index at the reference wavelength.")
+    dispersion_percent: Percent = Field(description="Dispersion, the inverse of Abbe's number [%].")
+    surface_decentre_um: Tolerance = Field(
+        description="Decentre, along x and along y, of each further surface of an element from its first [um]."
+    )
+    surface_tilt_mrad: Tolerance = Field(description="Tilt of the same, about x and about y [mrad].")
+    element_decentre_um: Tolerance = Field(description="Decentre of an element in its barrel, along x and y [um].")
+    element_tilt_mrad: Tolerance = Field(description="Tilt of an element, about x and about y [mrad].")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, given: Any) -> Any:
+        if not isinstance(given, str):
+            return given
+        if given not in GRADES:
+            raise ValueError(f"expected tolerances, or one of {', '.join(GRADES)}")
+        return GRADES[given] | {"name": given}
+
+    @model_validator(mode="after")
+    def _something_varies(self) -> "Grade":
+        if not any(self.model_dump(exclude={"name"}).values()):
+            raise ValueError("expected a tolerance above zero")
+        return self
+
+
+class ToleranceSettings(Frozen):
+    """Settings of the lenses that are built in simulation, with errors of manufacture, focused and measured."""
+
+    grade: Grade = Field(
+        Grade.model_validate("precision_moulding"), description="Grade of manufacture: its name, or its tolerances."
+    )
+    lenses: Annotated[Count, Field(ge=10, le=10**6)] = Field(200, description="Number of lenses built of each design.")
+    images: Annotated[Count, Field(ge=10)] = Field(
+        100, description="Number of test images, at all nine fields, by which each is measured."
+    )
+    designs: tuple[Name, ...] | None = Field(
+        None, description="Designs, or imported lenses, whose lenses are built; null: all of table 1."
+    )

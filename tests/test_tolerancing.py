@@ -1,0 +1,304 @@
+"""Errors of manufacture: built lenses, their focus, sensitivities against traced rays and statistics, allocation."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import cooke_triplet, f64, make_lens, materials
+from pydantic import ValidationError
+
+from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
+from tasklens.optics.lens import Lens, Melt
+from tasklens.optics.tolerancing import allocation, focus
+from tasklens.optics.tolerancing.errors import DEVIATION, built, draw, elements, errors
+from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
+from tasklens.optics.view import View
+from tasklens.study.tolerance_settings import GRADES, Grade
+
+COC, OKP4, AIR = materials("COC", "OKP4", "air")
+D_LINE = 0.5875618
+NOTHING = dict.fromkeys(GRADES["precision_moulding"], 0.0)
+
+
+def grade(**tolerances: float) -> Grade:
+    """A grade with these tolerances alone."""
+    return Grade(**NOTHING | tolerances)
+
+
+def doublet() -> tuple[Lens, View]:
+    """Two elements that form an image, and a view of its axis and of 5 degrees along x and y."""
+    lens = make_lens(
+        [0.0, 0.25, -0.2, -0.15, 0.1],
+        [0.2, 0.6, 0.3, 0.5, 4.0],
+        (AIR, COC, AIR, OKP4, AIR),
+        semi_diameter=[0.5, 1.4, 1.4, 1.4, 1.4],
+    )
+    view = View(f64([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]]), 4.6, (0.6563, D_LINE, 0.4861), 2.0, 31)
+    return refocused(lens, view, 256), view
+
+
+# ---- errors and lenses
+
+
+def test_elements_are_what_lies_between_air():
+    lens = cooke_triplet()
+    assert elements(lens) == [(0, 1), (2, 3), (5, 6), (7, 8)]
+    assert elements(doublet()[0]) == [(1, 2), (3, 4)]
+    cemented = make_lens([0.1, -0.1, 0.05], [1.0, 1.0, 9.0], (COC, OKP4, AIR), semi_diameter=[1.0] * 3)
+    assert elements(cemented) == [(0, 2)]
+    names = [error.name for error in errors(cemented, grade(surface_decentre_um=1.0, index=0.001, thickness_um=5.0))]
+    assert names == ["thickness 0", "index 0", "thickness 1", "index 1",
+                     *(f"surface decentre {i} {axis}" for i in (1, 2) for axis in "xy")]  # fmt: skip
+
+
+def test_every_kind_of_error_is_listed_once():
+    found = errors(doublet()[0], Grade.model_validate("precision_moulding"))
+    assert len({error.name for error in found}) == len(found) == 4 + 8 + 2 + 2 + 4 + 8 + 8
+    assert not any("radius 0" in error.name or "form 0" in error.name for error in found)  # the stop
+    assert {error.kind for error in errors(doublet()[0], grade(index=0.001))} == {"index"}
+
+
+def test_drawn_errors_are_normal_and_cut():
+    """Two standard deviations are the tolerance; more lenses begin with the same ones; another seed, others."""
+    found = errors(doublet()[0], Grade.model_validate("precision_moulding"))
+    drawn = draw(found, 4000, 3)
+    assert drawn.abs().max() <= 1.0 and drawn.abs().max() > 0.99
+    assert float(drawn.std()) == pytest.approx(DEVIATION, rel=0.01) and abs(float(drawn.mean())) < 0.005
+    assert float((drawn.abs() < 0.5).double().mean()) == pytest.approx(
+        math.erf(math.sqrt(0.5)) / math.erf(math.sqrt(2)), abs=0.005
+    )
+    assert torch.equal(draw(found, 10, 3), drawn[:10]) and not torch.equal(draw(found, 10, 4), drawn[:10])
+
+
+def test_a_lens_without_errors_is_the_design():
+    lens, view = doublet()
+    found = errors(lens, Grade.model_validate("commercial_moulding"))
+    same = built(lens, found, torch.zeros(len(found), dtype=torch.float64), view.reference)
+    pupil = sobol_disc(64, seed=0)
+    rays, expected = trace_fields(same, view, pupil), trace_fields(lens, view, pupil)
+    torch.testing.assert_close(rays.x, expected.x, rtol=0, atol=1e-14)
+    assert focus.focused(same, view, focus.peak(lens, view))[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def one(lens: Lens, name: str, tolerances: Grade) -> Lens:
+    """The lens with one error as large as its tolerance."""
+    found = errors(lens, tolerances)
+    along = f64([float(error.name == name) for error in found])
+    assert along.sum() == 1, [error.name for error in found]
+    return built(lens, found, along, D_LINE)
+
+
+def test_errors_have_the_size_and_place_that_they_say():
+    lens, _ = doublet()
+    every = Grade.model_validate("precision_moulding")
+    assert one(lens, "radius 2", every).curvature[2] == pytest.approx(-0.2 / 1.005)
+    assert one(lens, "thickness 3", every).thickness[3] == pytest.approx(0.515)
+    assert one(lens, "air space 2", every).thickness[2] == pytest.approx(0.315)
+    moved = one(lens, "surface decentre 2 y", every).pose
+    assert moved.position[2].tolist() == pytest.approx([0.0, 0.015, 0.0]) and not moved.position[[0, 1, 3, 4]].any()
+    moved = one(lens, "element decentre 3 x", every).pose
+    assert moved.position[[3, 4], 0].tolist() == pytest.approx([0.0125] * 2) and not moved.position[:3].any()
+    expected = lens.with_element_moved(3, 4, f64([0.0, 0.0]), f64([0.003, 0.0])).pose
+    torch.testing.assert_close(
+        one(lens, "element tilt 3 x", every).pose.position, expected.position, rtol=0, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("order", [4, 6])
+def test_form_errors_have_their_height(order):
+    """From valley to peak over the clear aperture, the vertex where it was."""
+    lens, _ = doublet()
+    fringes = grade(irregularity_fringes=6.0)
+    changed = one(lens, f"form 3 {order}", fringes)
+    r = torch.linspace(0, 1.4, 2001, dtype=torch.float64)
+    sag = changed.surfaces[3].sag(r, 0 * r) - lens.surfaces[3].sag(r, 0 * r)
+    height = 6 * 0.3164e-3 * 2.8 / 25 / math.sqrt(2)
+    assert float(sag.max() - sag.min()) == pytest.approx(height, rel=1e-3) and sag[0] == 0
+    assert torch.equal(changed.alpha[[0, 1, 2, 4]], torch.zeros(4, 3, dtype=torch.float64))
+
+
+def test_a_form_error_needs_an_aperture():
+    lens = replace(doublet()[0], semi_diameter=f64([0.5, *[torch.inf] * 4]))
+    with pytest.raises(ValueError, match="surface 1 has no clear aperture"):
+        errors(lens, grade(irregularity_fringes=1.0))
+
+
+def test_index_and_dispersion_of_a_melt():
+    """The shift holds at every wavelength; a spread of 1 % makes the Abbe number 1 % smaller; air stays as it is."""
+    lens, _ = doublet()
+    lines = (0.6562725, D_LINE, 0.4861327)
+    before = lens.refractive_indices(lines)
+    shifted = one(lens, "index 1", grade(index=0.001)).refractive_indices(lines)
+    torch.testing.assert_close(shifted[2] - before[2], f64([0.001] * 3), rtol=0, atol=1e-15)
+    assert torch.equal(shifted[[0, 1, 3, 4, 5]], before[[0, 1, 3, 4, 5]])
+    spread = one(lens, "dispersion 3", grade(dispersion_percent=1.0)).refractive_indices(lines)
+    assert spread[4, 1] == before[4, 1]
+    assert float((spread[4, 2] - spread[4, 0]) / (before[4, 2] - before[4, 0])) == pytest.approx(1.01, rel=1e-9)
+
+
+def test_rays_carry_derivatives_by_a_melt():
+    lens, view = doublet()
+    nought, pupil = torch.zeros(5, dtype=torch.float64), sobol_disc(16, seed=0)
+
+    def spot(shift: torch.Tensor) -> torch.Tensor:
+        rays = trace_fields(replace(lens, melt=Melt(shift, nought, D_LINE)), view, pupil)
+        return rays.x.square().sum()
+
+    slope = torch.func.grad(spot)(nought)[1]
+    step = f64([0.0, 1e-5, 0.0, 0.0, 0.0])
+    assert float(slope) == pytest.approx(float(spot(step) - spot(-step)) / 2e-5, rel=1e-5)
+    assert lens.detached().melt is None and replace(lens, melt=Melt(nought, nought, D_LINE)).detached().melt is not None
+
+
+# ---- focus
+
+
+def test_through_focus_is_the_mtf_of_each_plane():
+    lens, view = doublet()
+    found = focus.through_focus(lens, view, -0.02, 0.01, 4)
+    for shift, value in zip((-0.02, -0.01, 0.0, 0.01), found.tolist(), strict=True):
+        moved = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
+        rays = trace_fields(moved, view, sobol_disc(256, seed=0))
+        expected = torch.stack(geometric_mtf(rays, view.directions, [1e3 / 2.0 / 8])).mean()
+        assert value == pytest.approx(float(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize("shift", [-0.02, 0.007])
+def test_a_shifted_sensor_is_focused_back(shift):
+    lens, view = doublet()
+    peak = focus.peak(lens, view)
+    moved = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
+    found, by = focus.focused(moved, view, peak)
+    assert by == pytest.approx(-shift, abs=5e-4) and float(found.thickness[4] - lens.thickness[4]) == pytest.approx(
+        0.0, abs=5e-4
+    )
+
+
+def test_a_decentre_of_either_sign_is_focused_alike():
+    """It tilts the image surface; the fields of one quadrant alone would call that a shift."""
+    lens, view = doublet()
+    peak = focus.peak(lens, view)
+    found = errors(lens, grade(element_decentre_um=20.0))
+    shifts = [focus.focused(built(lens, found, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)]
+    assert shifts[0] == pytest.approx(shifts[1], abs=5e-4)
+
+
+def test_fields_in_all_quadrants():
+    fields = View(f64([[0, 0], [1, 0], [0, 2], [1, 2]]), 4.0, (D_LINE,), 1.8, 3).in_all_quadrants().fields
+    assert sorted(map(tuple, fields.tolist())) == sorted(
+        [(0, 0), (1, 0), (-1, 0), (0, 2), (0, -2), (1, 2), (-1, 2), (1, -2), (-1, -2)]
+    )
+
+
+# ---- sensitivities
+
+
+def least_displacement_um(lens: Lens, changed: Lens, view: View) -> float:
+    """Of the core of a lens in the best image plane of a changed one, by search over planes, with other code."""
+    pupil = sobol_disc(256, seed=0)
+    nominal = trace_fields(lens, view, pupil)
+    chief = trace_fields(lens, view.in_reference(), torch.zeros(1, 2, dtype=torch.float64))
+    squared = (nominal.x - chief.x) ** 2 + (nominal.y - chief.y) ** 2
+    core = squared <= squared.flatten(1).quantile(0.5, dim=1, interpolation="lower")[:, None, None]
+    best, at, width = math.inf, 0.0, 200.0
+    for _ in range(6):  # finer each time
+        for shift in torch.linspace(at - width, at + width, 41).tolist():
+            rays = trace_fields(
+                replace(changed, thickness=changed.thickness + f64([0.0] * 4 + [shift / 1e3])), view, pupil
+            )
+            fields = []
+            for k in range(len(view.fields)):
+                moved = torch.stack([rays.x - nominal.x, rays.y - nominal.y])[:, k, core[k]]
+                fields.append((moved - moved.mean(1, keepdim=True)).square().sum(0).mean())
+            best, at = min((best, at), (1e3 * float(sum(fields) / len(fields)) ** 0.5, shift))
+        width /= 10
+    return best
+
+
+@pytest.mark.parametrize("name", ["radius 2", "thickness 1", "index 3", "surface decentre 4 y", "element tilt 1 x"])
+def test_displacements_are_those_of_lenses_that_are_off_and_refocused(name):
+    """By derivative, and traced, against a search for the best image plane."""
+    lens, view = doublet()
+    every = Grade.model_validate("precision_moulding")
+    found = errors(lens, every)
+    at = [error.name for error in found].index(name)
+    expected = least_displacement_um(lens, one(lens, name, every), view.in_all_quadrants())
+    assert expected > 0.001
+    assert float(displacements(lens, view, found, 256)[at]) == pytest.approx(expected, rel=0.03)
+    assert float(traced_displacements(lens, view, found, 256)[at]) == pytest.approx(expected, rel=0.03)
+
+
+def test_x_and_y_are_alike():
+    """As the fields are."""
+    lens, view = doublet()
+    found = errors(lens, grade(element_decentre_um=10.0, surface_tilt_mrad=1.0))
+    moved = dict(zip((error.name for error in found), displacements(lens, view, found, 4096).tolist(), strict=True))
+    for name in ("element decentre 1", "element decentre 3"):
+        assert moved[f"{name} x"] == pytest.approx(moved[f"{name} y"], rel=0.02)
+    assert moved["surface tilt 2 x"] == pytest.approx(moved["surface tilt 2 y"], rel=0.02)
+
+
+def test_built_lenses_follow_linear_theory():
+    """Small errors: the mean square displacement of core rays is the sum over errors, times the variance."""
+    lens, view = doublet()
+    small = Grade(**{kind: value / 20 for kind, value in GRADES["precision_moulding"].items()})
+    found = errors(lens, small)
+    expected = DEVIATION**2 * float(displacements(lens, view, found, 128).square().sum())
+    wide, pupil = view.in_all_quadrants(), sobol_disc(128, seed=0)
+    nominal, centre = trace_fields(lens, wide, pupil), chief_points(lens, wide)
+    core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
+    squares = []
+    for fractions in draw(found, 400, 1):
+        rays = trace_fields(built(lens, found, fractions, D_LINE), wide, pupil)
+        d = torch.stack([rays.x - nominal.x, rays.y - nominal.y])
+        q = torch.stack([rays.l / rays.n, rays.m / rays.n])
+        d, q = (torch.stack([v[:, k, core[k]] for k in range(len(core))], 1) for v in (d, q))
+        d, q = (v - v.mean(-1, keepdim=True) for v in (d, q))
+        t = -(d * q).sum() / (q * q).sum()
+        squares.append(1e6 * float((d + t * q).square().sum(0).mean()))
+    error = torch.tensor(squares).std() / 20  # of the mean of 400
+    assert sum(squares) / 400 == pytest.approx(expected, abs=4 * float(error))
+    assert float(error) < 0.06 * expected
+
+
+# ---- allocation
+
+
+def test_tolerances_are_the_cheapest_for_their_effect():
+    """No others with the same mean square displacement have a smaller sum of inverse tolerances."""
+    moved = f64([0.2, 1.0, 3.0, 0.7])
+    found = allocation.cheapest(moved, 0.5)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(50):
+        other = found * torch.exp(0.3 * torch.randn(4, generator=generator, dtype=torch.float64))
+        other = other * ((found * moved).square().sum() / (other * moved).square().sum()).sqrt()
+        assert (1 / other).sum() >= (1 / found).sum() - 1e-12
+    assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # nothing is gained by more
+
+
+def test_the_widest_tolerances_that_pass():
+    moved = f64([0.2, 1.0, 3.0])
+    found = allocation.widest(moved, lambda t: float((t * moved).square().sum()) <= 1.0)
+    assert 0.8 < float((found * moved).square().sum()) <= 1.0
+    assert allocation.widest(moved, lambda t: False) is None
+    assert len(calls := []) == 0 and allocation.widest(moved, lambda t: not calls.append(t)) is not None
+    assert len(calls) == allocation.TRIALS
+
+
+# ---- settings
+
+
+@pytest.mark.parametrize("name", GRADES)
+def test_grades_have_names(name):
+    assert Grade.model_validate(name).name == name
+    assert Grade.model_validate(name).thickness_um == GRADES[name]["thickness_um"]
+
+
+@pytest.mark.parametrize("given", ["finest", GRADES["phone_moulding"] | {"radius_percent": -0.1}, NOTHING])
+def test_impossible_grades_are_refused(given):
+    with pytest.raises(ValidationError):
+        Grade.model_validate(given)
