@@ -83,7 +83,7 @@ class RaySpaceDescent(Descent):
             numbers["validation_loss"] = self._validate()
             pixels, step_um = self._schedule((step - 1) / self.steps)
         leaf = self.vector.clone().requires_grad_()
-        lens = self.space.lens(leaf)
+        (lens,) = self.supervisor.as_built(self.space.lens(leaf), self.seed + step)
         pupil = sobol_disc(self.design.rays, self.seed + step)
         rays, grid = self.supervisor.trace(lens, pupil, pixels)
         losses, gradient = self.supervisor.loss(indices, grid, lens, self.seed + step)
@@ -189,7 +189,8 @@ def design(
 
     def supervisor(part: RaySpaceSettings) -> Supervisor:
         criterion = criteria[part.criterion](part)
-        return Supervisor(criterion, problem, part.size, settings.augment, settings.micro_batch, part.centre)
+        size, centre = part.size, part.centre
+        return Supervisor(criterion, problem, size, settings.augment, settings.micro_batch, centre, settings.tolerances)
 
     def descend(lens: Lens, part: RaySpaceSettings, label: str) -> tuple[float, Lens]:
         seed = int(torch.randint(2**31, (), generator=generator))

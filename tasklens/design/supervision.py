@@ -7,7 +7,7 @@ for one micro-batch per step.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -20,16 +20,20 @@ from tasklens.design.problem import Problem
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, trace_fields
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
+from tasklens.optics.tolerancing import focus
+from tasklens.optics.tolerancing.errors import built, draw, errors
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.settings import CaptureSettings
+from tasklens.study.tolerance_settings import Grade
 
 VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
 _VALIDATION_IMAGES = 48  # a batch of 8 photographs has losses from 0.1 to 2 for the same lens
 _VALIDATION_RAYS = 1024  # rays per field and colour
+_VALIDATION_BUILT = 8  # built lenses, where the design is for these
 
 
 def loss_at_psf(
@@ -90,6 +94,7 @@ class Supervisor:
         augment: whether TrivialAugment is applied to the sharp images.
         micro_batch: maximum number of captures that the criterion takes at once.
         centre: centre of PSFs; on the pinhole points errors of focal length and distortion increase the loss.
+        grade: grade of manufacture of the lenses that are looked at; None: the design itself is.
     """
 
     criterion: CaptureCriterion | Contrast
@@ -98,6 +103,7 @@ class Supervisor:
     augment: bool
     micro_batch: int
     centre: Literal["pinhole", "chief_ray"] = "pinhole"
+    grade: Grade | None = None
 
     @property
     def dataset(self) -> ImageDataset:
@@ -121,6 +127,17 @@ class Supervisor:
             transform = TrivialAugmentWide()
             images = torch.stack([transform(image) for image in images])
         return images.float() / 255, dataset.labels[indices].to(dataset.device)
+
+    def as_built(self, lens: Lens, seed: int, count: int = 1) -> list[Lens]:
+        """Return lenses built from a design, focused, differentiable in it; the design itself without a grade."""
+        if self.grade is None:
+            return [lens]
+        view, design = self.problem.view, lens.detached()
+        clear = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
+        found = errors(replace(design, semi_diameter=clear), self.grade)
+        peak = focus.peak(design, view)
+        drawn = draw(found, count, seed)
+        return [focus.focused(built(lens, found, each, view.reference), view, peak)[0] for each in drawn]
 
     def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""
@@ -149,9 +166,14 @@ class Supervisor:
         light = self.illumination(lens)
         return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
 
-    @torch.no_grad()
     def validation_loss(self, lens: Lens, pixels: float) -> float:
-        """Compute the mean loss of a lens on a fixed part of the training images, without augmentation."""
+        """Compute the mean loss of a lens, or of lenses built from it, on a fixed part of the training images."""
+        every = self.as_built(lens, self.problem.seed, _VALIDATION_BUILT)
+        return sum(self._validation_loss(each, pixels) for each in every) / len(every)
+
+    @torch.no_grad()
+    def _validation_loss(self, lens: Lens, pixels: float) -> float:
+        """Compute the mean loss of one lens, without augmentation."""
         _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
         if isinstance(self.criterion, Contrast):
             return float(self.criterion.losses(grid).mean())

@@ -20,6 +20,7 @@ from tasklens.study.quantities import (
 )
 from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
+from tasklens.study.tolerance_settings import Grade
 
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
     "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},
@@ -147,6 +148,11 @@ class SupervisedSettings(Frozen):
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Batch = Field(
         64, description="Captures per forward pass; with stored batch-norm statistics it affects only memory."
+    )
+    tolerances: Grade | None = Field(
+        None,
+        description="Grade of manufacture for which the lens is designed: each step sees a lens built from it, with "
+        "errors of its own, and focused; null: the lens as designed.",
     )
 
     @model_validator(mode="after")

@@ -37,6 +37,7 @@ class Error:
         tolerance: largest error, in `unit`.
         unit: unit of people.
         scale: one unit in those of the lens: fractions, mm, rad.
+        radius: of the clear aperture that a form error has its height over [mm].
     """
 
     kind: str
@@ -45,6 +46,7 @@ class Error:
     tolerance: float
     unit: str
     scale: float
+    radius: float = 1.0
 
     @property
     def name(self) -> str:
@@ -76,10 +78,13 @@ def errors(lens: Lens, grade: Grade) -> list[Error]:
         if first:
             add("air_space", first - 1, grade.air_space_um, "um", 1e-3)
         for i in range(first, last + 1):
-            form_um = 1e3 * grade.irregularity_fringes * _FRINGE_MM * 2 * _radius(lens, i) / _TEST_DIAMETER_MM
             if lens.curvature[i]:
                 add("radius", i, grade.radius_percent, "%", 1e-2)
-            add("form", i, form_um / math.sqrt(len(_FORMS)), "um", 1e-3, [str(order) for order in _FORMS])
+            if grade.irregularity_fringes:
+                radius = _radius(lens, i)
+                form_um = 1e3 * grade.irregularity_fringes * _FRINGE_MM * 2 * radius / _TEST_DIAMETER_MM
+                height_um = form_um / math.sqrt(len(_FORMS))
+                found += [Error("form", i, str(order), height_um, "um", 1e-3, radius) for order in _FORMS]
         for i in inside:
             add("thickness", i, grade.thickness_um, "um", 1e-3)
             add("index", i, grade.index, "", 1.0)
@@ -126,10 +131,11 @@ def built(lens: Lens, found: Sequence[Error], fractions: Tensor, reference: floa
     def pair(kind: str) -> Tensor:
         return torch.stack([total(kind, "x"), total(kind, "y")], -1)
 
+    forms = [(error, values[k]) for k, error in enumerate(found) if error.kind == "form"]
     moved = replace(
         lens,
         curvature=lens.curvature / (1 + total("radius")),
-        alpha=_with_form(lens, {order: total("form", str(order)) for order in _FORMS}),
+        alpha=_with_form(lens, forms),
         thickness=lens.thickness + total("thickness") + total("air_space"),
         melt=Melt(total("index"), total("dispersion"), reference),
     )
@@ -142,13 +148,19 @@ def built(lens: Lens, found: Sequence[Error], fractions: Tensor, reference: floa
     return moved
 
 
-def _with_form(lens: Lens, sizes: dict[int, Tensor]) -> Tensor:
-    """Return the asphere coefficients (S, M) with form errors of these sizes (S,) from valley to peak [mm]."""
-    radius = torch.where(lens.semi_diameter.isfinite(), lens.semi_diameter, 1.0)[:, None]
+def _with_form(lens: Lens, forms: Sequence[tuple[Error, Tensor]]) -> Tensor:
+    """Return the asphere coefficients (S, M) with form errors of these heights from valley to peak [mm]."""
+    if not forms:
+        return lens.alpha
     powers = torch.arange(1, 4, dtype=lens.dtype)
-    form = torch.zeros(len(radius), 3, dtype=lens.dtype)
-    for order, size in sizes.items():
-        form = form + size[:, None] * torch.tensor(_FORMS[order], dtype=lens.dtype) / radius ** (2 * powers)
+    added = torch.stack(
+        [
+            height * torch.tensor(_FORMS[int(error.part)], dtype=lens.dtype) / error.radius ** (2 * powers)
+            for error, height in forms
+        ]
+    )
+    where = torch.tensor([error.surface for error, _ in forms])
+    form = torch.zeros(len(lens.media), 3, dtype=lens.dtype).index_add(0, where, added)
     columns = max(3, lens.alpha.shape[1])
     alpha, form = (torch.nn.functional.pad(v, (0, columns - v.shape[1])) for v in (lens.alpha, form))
     return alpha + form

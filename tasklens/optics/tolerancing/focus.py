@@ -69,7 +69,7 @@ def focused(lens: Lens, view: View, nominal_peak: float) -> tuple[Lens, float]:
     Returns:
         The lens, and the shift of its image plane [mm].
     """
-    shift = peak(lens, view) - nominal_peak
+    shift = peak(lens.detached(), view) - nominal_peak
     thickness = lens.thickness.clone()
     thickness[-1] += shift
     return replace(lens, thickness=thickness), shift

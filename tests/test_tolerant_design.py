@@ -1,0 +1,84 @@
+"""Design for built lenses: errors of manufacture in every step and in every validation."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import f64
+from test_design import problem, small_network
+from test_task_design import designed, spot_lens
+
+from tasklens.design.criteria import Classification, Contrast
+from tasklens.design.supervision import Supervisor
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import trace_fields
+from tasklens.optics.tolerancing import focus
+from tasklens.study.tolerance_settings import Grade
+
+PHONE, COMMERCIAL = map(Grade.model_validate, ("phone_moulding", "commercial_moulding"))
+
+
+def supervisor(grade: Grade | None, criterion=None) -> Supervisor:
+    return Supervisor(criterion or Contrast(problem().view.directions), problem(), None, False, 1, "chief_ray", grade)
+
+
+def test_without_a_grade_the_design_itself_is_looked_at(start):
+    assert supervisor(None).as_built(start, 3, 8) == [start]
+
+
+def test_built_lenses_are_drawn_anew(start):
+    """By seed: each has errors of its own everywhere, and a focus; the design stays as it is."""
+    lens = spot_lens(start)
+    first, second = supervisor(COMMERCIAL).as_built(lens, 3, 2)
+    (again,), (other,) = (supervisor(COMMERCIAL).as_built(lens, seed) for seed in (3, 4))
+    assert torch.equal(first.thickness, again.thickness) and torch.equal(first.pose.position, again.pose.position)
+    for one in (second, other):
+        assert not torch.equal(first.thickness[:-1], one.thickness[:-1])
+        assert not torch.equal(first.pose.rotation, one.pose.rotation)
+    assert lens.pose is None and lens.melt is None
+    assert torch.isinf(first.semi_diameter[1:]).all()  # apertures stay open in a design
+
+
+def test_a_built_lens_carries_the_gradient_of_the_design(start, monkeypatch):
+    """Of the image points of its rays by a curvature and a thickness, against differences at the same errors."""
+    monkeypatch.setattr(focus, "focused", lambda lens, view, peak: (lens, 0.0))
+    without_form = PHONE.model_copy(update={"irregularity_fringes": 0.0})  # of which the height goes with the aperture
+    lens, made, pupil = spot_lens(start), supervisor(without_form), sobol_disc(16, seed=0)
+
+    def points(curvature: torch.Tensor, thickness: torch.Tensor) -> torch.Tensor:
+        (built,) = made.as_built(replace(lens, curvature=curvature, thickness=thickness), 1)
+        rays = trace_fields(built, problem().view, pupil)
+        return torch.where(rays.valid, rays.x, 0.0).sum()
+
+    values = [lens.curvature.clone().requires_grad_(), lens.thickness.clone().requires_grad_()]
+    gradients = torch.autograd.grad(points(*values), values)
+    for k, surface in ((0, 2), (1, 2)):
+        step = 1e-6 * f64([float(i == surface) for i in range(len(lens.media))])
+        more, less = ([v.detach() + s * step * (i == k) for i, v in enumerate(values)] for s in (1, -1))
+        expected = float(points(*more) - points(*less)) / 2e-6
+        assert float(gradients[k][surface]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_validation_is_of_built_lenses(start):
+    """The mean of the same eight."""
+    lens, made = spot_lens(start), supervisor(COMMERCIAL)
+    every = made.as_built(lens, problem().seed, 8)
+    expected = sum(supervisor(None).validation_loss(each, 1.0) for each in every) / 8
+    assert made.validation_loss(lens, 1.0) == pytest.approx(expected, rel=1e-12)
+    assert made.validation_loss(lens, 1.0) != supervisor(None).validation_loss(lens, 1.0)
+
+
+def test_a_design_for_built_lenses_is_another(start):
+    """With the same images and rays; and the same again from the same seed."""
+    network = small_network()
+    plain, tolerant, again = (designed(network, start, tolerances=grade)[0] for grade in (None, COMMERCIAL, COMMERCIAL))
+    assert not torch.equal(plain.curvature, tolerant.curvature)
+    assert torch.equal(tolerant.curvature, again.curvature)
+    assert tolerant.pose is None and tolerant.melt is None
+
+
+def test_a_classifier_supervises_built_lenses_too(start):
+    made = supervisor(COMMERCIAL, Classification(small_network()))
+    (built,) = made.as_built(start, 5)
+    losses, gradient = made.loss(torch.arange(2), made.trace(built, sobol_disc(32, 0), 20.0)[1], built, seed=0)
+    assert torch.isfinite(losses).all() and gradient.abs().sum() > 0
