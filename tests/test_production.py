@@ -1,5 +1,6 @@
 """Lenses built in simulation: their rows, their checkpoint, lenses without light, and the table of all designs."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tasklens.optics.tolerancing import focus
 from tasklens.optics.tolerancing.errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline.outcome import outcome
 from tasklens.report import tolerance_page, tolerances
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.study.loading import parse
@@ -140,6 +142,8 @@ def test_a_study_makes_the_table_and_the_page_of_each_lens(tmp_path, monkeypatch
         finish(jobs.fine_tune, study, lens=lens, measured_name="small", seed=0)
         outputs = finish(jobs.production, study, lens=lens, seed=0)
         assert len(read_rows(outputs.lenses)) == 11
+        said = outcome(study, "production", {"lens": lens, "seed": "0"}, Path("no.log"))
+        assert re.fullmatch(r"accuracy \d+\.\d %, of built lenses \d+\.\d %", said)
         names = [row["error"] for row in read_rows(outputs.errors)]
         assert "radius 1" in names and "element tilt 1 y" in names
         page = Path(outputs.page).read_text()

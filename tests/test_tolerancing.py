@@ -280,6 +280,16 @@ def test_tolerances_are_the_cheapest_for_their_effect():
     assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # nothing is gained by more
 
 
+def test_a_drawing_has_one_tolerance_for_x_and_y():
+    found = errors(doublet()[0], grade(element_decentre_um=1.0, thickness_um=1.0))
+    names = [error.name for error in found]
+    moved = torch.arange(1.0, 1.0 + len(found), dtype=torch.float64)
+    same = dict(zip(names, allocation.both_axes(found, moved).tolist(), strict=True))
+    x, y = (float(moved[names.index(f"element decentre 1 {axis}")]) for axis in "xy")
+    assert same["element decentre 1 x"] == same["element decentre 1 y"] == pytest.approx(math.hypot(x, y) / 2**0.5)
+    assert same["thickness 3"] == float(moved[names.index("thickness 3")])
+
+
 def test_the_widest_tolerances_that_pass():
     moved = f64([0.2, 1.0, 3.0])
     found = allocation.widest(moved, lambda t: float((t * moved).square().sum()) <= 1.0)

@@ -19,6 +19,8 @@ def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -
     outputs = STAGES[stage].outputs(study, **wildcards)
     if stage == "design":
         return _lens(outputs["lens"])
+    if stage == "production":
+        return _built(outputs["lenses"])
     accuracies = {name: _accuracy(path) for name, path in outputs.items() if name.startswith("metrics")}
     if accuracies:
         named = [
@@ -37,6 +39,12 @@ def _lens(path: Path) -> str:
     if content["worst_margin"]["value"] < -_ROUNDING:
         words.append(f"violates {content['worst_margin']['limit']}")
     return ", ".join(words)
+
+
+def _built(path: Path) -> str:
+    with open(path, newline="") as file:
+        design, *built = (float(row["accuracy"]) for row in csv.DictReader(file))
+    return f"accuracy {design:.1f} %, of built lenses {mean(built):.1f} %"
 
 
 def _accuracy(path: Path) -> float:

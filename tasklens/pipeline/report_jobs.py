@@ -228,7 +228,7 @@ def report(study: Study) -> Plan:
         margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
         questions=[paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS],
         gaps=contents.gaps,
-        optional={path.stem: path for path in _optional(study)},
+        optional={path.stem.replace("-", "_"): path for path in _optional(study)},
         optional_figures={"merit_function": merit_function.output(study, "figure")},
         benchmarks=folder / "benchmarks",
         configuration=dump(study),
@@ -250,8 +250,10 @@ def report(study: Study) -> Plan:
 
 def _optional(study: Study) -> list[Path]:
     """Return the tables that the report shows where they exist, since they need further lenses."""
-    stages = [regimes.output(study, "csv"), merit_function.output(study, "csv")]
-    return stages + [ablation.output(study, "csv", ablation=name) for name in study.ablations]
+    stages = [stage.output(study, "csv") for stage in (regimes, merit_function, tolerances)]
+    return [*stages, tolerances.output(study, "compared_csv")] + [
+        ablation.output(study, "csv", ablation=name) for name in study.ablations
+    ]
 
 
 @stage(f"{REPORT}.sweep.make", lambda study: {kind: f"sweep.{kind}" for kind in ("csv", "md") if study.sweep})

@@ -92,7 +92,7 @@ _TEXTURES: dict[str, Callable[[Tensor, Tensor], Tensor] | None] = {
 CLASSES: tuple[str, ...] = tuple(_TEXTURES)
 
 
-def _filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
+def filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
     """Filter white noise and scale every plane to mean 0 and standard deviation 1.
 
     Args:
@@ -110,8 +110,23 @@ def _filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
     return field / field.std((-2, -1), keepdim=True)
 
 
-def _scenes(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
-    """Render scenes of one class.
+class Draw:
+    """Random numbers for `count` planes of `size` x `size` pixels."""
+
+    def __init__(self, count: int, size: int, generator: torch.Generator):
+        self.count, self.size, self.generator = count, size, generator
+
+    def uniform(self, low: float, high: float, *channels: int) -> Tensor:
+        """Return (count, channels or 1, 1, 1) numbers between `low` and `high`."""
+        return low + (high - low) * torch.rand(self.count, *(channels or (1,)), 1, 1, generator=self.generator)
+
+    def white(self, channels: int) -> Tensor:
+        """Return white noise (count, channels, size, size)."""
+        return torch.randn(self.count, channels, self.size, self.size, generator=self.generator)
+
+
+def surfaces(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
+    """Render planes that are covered by the texture of one class, (count, 3, size, size), about 0 to 1.
 
     Args:
         name: class, one of `CLASSES`.
@@ -119,17 +134,9 @@ def _scenes(name: str, count: int, size: int, periods: tuple[float, float], gene
         size: height and width [pixels].
         periods: range of texture periods, sampled log-uniformly [pixels].
         generator: generator of all random numbers.
-
-    Returns:
-        Images, (count, 3, size, size), uint8.
     """
-
-    def uniform(low: float, high: float, *channels: int) -> Tensor:
-        return low + (high - low) * torch.rand(count, *(channels or (1,)), 1, 1, generator=generator)
-
-    def white(channels: int) -> Tensor:
-        return torch.randn(count, channels, size, size, generator=generator)
-
+    draw = Draw(count, size, generator)
+    uniform, white = draw.uniform, draw.white
     # Pose: position, perspective, stretch, rotation and scale of the texture on the object.
     period = torch.exp(uniform(math.log(periods[0]), math.log(periods[1])))
     angle, stretch, half = uniform(-0.4, 0.4), uniform(0.9, 1.1), size / 2
@@ -140,26 +147,48 @@ def _scenes(name: str, count: int, size: int, periods: tuple[float, float], gene
     v = (angle.cos() * y - angle.sin() * x) / (stretch * period * depth)
     texture = _TEXTURES[name]
     if texture is None:
-        distance = _filtered(white(1), lambda f: torch.exp(-((torch.log(f * period) / 0.25) ** 2) / 2)) / 4
+        distance = filtered(white(1), lambda f: torch.exp(-((torch.log(f * period) / 0.25) ** 2) / 2)) / 4
     else:
         distance = texture(u, v)
     pattern = torch.tanh(distance * period / EDGE)
 
     # Light and dark colours are symmetric about a medium one, so that all classes have the same mean and contrast.
     swing = uniform(0.1, 0.35, 3)
-    surface = uniform(0.35, 0.65, 3) + swing * (pattern - pattern.mean((-2, -1), keepdim=True))
+    return uniform(0.35, 0.65, 3) + swing * (pattern - pattern.mean((-2, -1), keepdim=True))
 
-    ground = uniform(0.2, 0.8, 3) + uniform(0.05, 0.15) * _filtered(white(3), lambda f: 1 / f)
+
+def grounds(count: int, size: int, generator: torch.Generator) -> Tensor:
+    """Render backgrounds, (count, 3, size, size): coloured noise without fine detail."""
+    draw = Draw(count, size, generator)
+    return draw.uniform(0.2, 0.8, 3) + draw.uniform(0.05, 0.15) * filtered(draw.white(3), lambda f: 1 / f)
+
+
+def in_bytes(image: Tensor, generator: torch.Generator) -> Tensor:
+    """Return images (count, 3, size, size) with the noise of a sensor as uint8."""
+    noisy = image + NOISE * torch.randn(image.shape, generator=generator)
+    return (noisy * 255).round().clamp(0, 255).byte()
+
+
+def _scenes(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
+    """Render scenes of one object, (count, 3, size, size), uint8; arguments as of `surfaces`."""
+    surface = surfaces(name, count, size, periods, generator)
+    ground = grounds(count, size, generator)
+    draw, half = Draw(count, size, generator), size / 2
+    pixels = torch.arange(size) - half + 0.5
 
     # A smooth random shape around the centre; a quantile sets its fraction of the image.
     reach = torch.hypot(pixels, pixels[:, None]) / half
-    shape = _filtered(white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
-    rank = (uniform(0.1, 0.5) * (size * size - 1)).round().long()
-    level = shape.flatten(2).sort().values.unsqueeze(2).gather(3, rank)
-    mask = torch.sigmoid((shape - level) * half)
+    shape = filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
+    mask = cut(shape, draw.uniform(0.1, 0.5))
+    return in_bytes(ground + mask * (surface - ground), generator)
 
-    image = ground + mask * (surface - ground) + NOISE * white(3)
-    return (image * 255).round().clamp(0, 255).byte()
+
+def cut(shape: Tensor, hidden: Tensor) -> Tensor:
+    """Return the mask (count, 1, size, size) of all but the lowest fraction `hidden` (count, 1, 1, 1) of a shape."""
+    size = shape.shape[-1]
+    rank = (hidden * (size * size - 1)).round().long()
+    level = shape.flatten(2).sort().values.unsqueeze(2).gather(3, rank)
+    return torch.sigmoid((shape - level) * (size / 2))
 
 
 def render(count: int, size: int, seed: int, periods: tuple[float, float] = (5.0, 16.0)) -> tuple[Tensor, Tensor]:

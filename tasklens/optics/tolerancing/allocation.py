@@ -1,14 +1,25 @@
 """Allocation of tolerances to the errors of a lens: loose where they cost little, so that most lenses are good."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
+
+from tasklens.optics.tolerancing.errors import Error
 
 _LOOSEST = 4.0  # times the tolerance of the grade: looser ones save nothing
 _RANGE = (1 / 64, 64.0)  # of the common factor
 _HALVINGS = 7  # of the logarithm of the range: the factor is within 7 %
 TRIALS = 1 + _HALVINGS  # of `widest`
+
+
+def both_axes(found: Sequence[Error], displacements: Tensor) -> Tensor:
+    """Return displacements (P,) in which x and y of a decentre or tilt are alike, their RMS: drawings have one."""
+    squares: dict[tuple[str, int, str], list[float]] = {}
+    names = [(error.kind, error.surface, error.part.strip("xy")) for error in found]
+    for name, moved in zip(names, displacements.tolist(), strict=True):
+        squares.setdefault(name, []).append(moved**2)
+    return torch.tensor([(sum(squares[name]) / len(squares[name])) ** 0.5 for name in names], dtype=displacements.dtype)
 
 
 def cheapest(displacements: Tensor, factor: float) -> Tensor:

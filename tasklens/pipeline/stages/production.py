@@ -6,6 +6,7 @@ from tasklens.design import production
 from tasklens.design.production import Images, Production
 from tasklens.imaging import Camera
 from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.tolerancing.allocation import both_axes
 from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import view_of_spec
@@ -42,7 +43,8 @@ def run(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) 
     worst = moved_um.argsort(descending=True)[:_WORST].tolist()
     changes = production.one_at_a_time(line, worst, rows[0]["accuracy"], shown)
     tried = min(wanted.lenses, production.TRIED)
-    allotted = production.allotted(line, moved_um, tried, settings.seed, _images(minival, wanted.images))
+    by_drawing = both_axes(line.errors, moved_um)
+    allotted = production.allotted(line, by_drawing, tried, settings.seed, _images(minival, wanted.images))
     found = [
         {
             "error": error.name,

@@ -25,6 +25,8 @@ _CAPTIONS = {
     "psf_tail": "Tails of the PSFs about the chief ray: core of 50 % of the light, and what is outside it",
     "effort": "Effort of each design: lenses tried, and minutes of one core",
     "regimes": "Where it pays: task-driven lens less the best imaging lens",
+    "tolerances": "Built lenses: what each design loses in manufacture",
+    "tolerances_compared": "What a task-driven lens loses in manufacture less what an imaging lens loses [points]",
     "merit_function": "Merit functions: what each classifier wants of a lens, by spatial frequency [cycles per pixel]",
 }
 _SPREAD = " ± is the standard deviation over seeds."
@@ -140,7 +142,7 @@ def _table(name: str, frame: pandas.DataFrame) -> tables.Table:
 
 
 def _comparisons(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
-    """Return the charts of differences: main questions, regimes, ablations."""
+    """Return the charts of differences: main questions, regimes, tolerances, ablations."""
     found = []
     if "verdicts" in frames:
         verdicts = frames["verdicts"]
@@ -156,6 +158,9 @@ def _comparisons(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> lis
         for name, rows in regimes.groupby("design", sort=False):
             found.append(charts.regime_map(f"regime-map-{name}", f"Where {name} pays", rows))
         found.append(charts.differences("regimes-differences", "Where it pays, with intervals", regimes, labels))
+    if "tolerances_compared" in frames and len(compared := frames["tolerances_compared"]):
+        labels = [f"{row['lens']} − {row['baseline']}" for row in compared.to_dict("records")]
+        found.append(charts.differences("tolerances", "What is lost in manufacture, task less image", compared, labels))
     ablations = [frame for name, frame in frames.items() if name.startswith("ablation_")]
     if ablations:
         both = pandas.concat(ablations).dropna(subset=["difference"])

@@ -1,0 +1,79 @@
+"""The built-in images with objects: several textured ones that occlude each other, with exact masks.
+
+The class of an object is its texture alone, as in `scenes`: without resolution of its period the accuracy is that of
+chance, while outlines are seen through any lens.
+"""
+
+import torch
+from torch import Tensor
+
+from tasklens.recognition import scenes
+from tasklens.recognition.objects import ObjectDataset, packed
+
+MOST = 4  # objects of a scene
+_AREA = (0.05, 0.2)  # of the image, before occlusion
+_LEAST_VISIBLE = 0.5  # of an object: one that is occluded more is taken out of the scene
+_CHUNK = 100  # scenes rendered at a time
+
+
+def _shapes(count: int, size: int, generator: torch.Generator) -> Tensor:
+    """Render masks (count, 1, size, size) of smooth objects somewhere in the image, from 0 to 1."""
+    draw, half = scenes.Draw(count, size, generator), size / 2
+    pixels = torch.arange(size) - half + 0.5
+    x = pixels - draw.uniform(-0.7 * half, 0.7 * half)
+    y = pixels[:, None] - draw.uniform(-0.7 * half, 0.7 * half)
+    shape = scenes.filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 8
+    return scenes.cut(shape - torch.hypot(x, y) / half, 1 - draw.uniform(*_AREA))
+
+
+def _scenes(
+    count: int, size: int, periods: tuple[float, float], generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Render scenes; return images (count, 3, size, size) uint8, owners, labels and visible masks of all objects."""
+    labels = torch.randint(len(scenes.CLASSES), (count, MOST), generator=generator)
+    numbers = torch.randint(1, MOST + 1, (count,), generator=generator)
+    masks = torch.stack([_shapes(count, size, generator)[:, 0] for _ in range(MOST)], 1)
+    # From the front to the back, so that whatever is taken out changes nothing in front of it.
+    covered = torch.zeros(count, size, size, dtype=torch.bool)
+    present = torch.arange(MOST) < numbers[:, None]
+    visible = masks > 0.5
+    for k in range(MOST):
+        shown = visible[:, k] & ~covered
+        present[:, k] &= shown.sum((1, 2)) >= _LEAST_VISIBLE * visible[:, k].sum((1, 2))
+        visible[:, k] = shown & present[:, k, None, None]
+        covered |= visible[:, k]
+    planes = torch.zeros(count, MOST, 3, size, size)
+    for label, name in enumerate(scenes.CLASSES):
+        chosen = (present & (labels == label)).nonzero()
+        if len(chosen):
+            planes[chosen[:, 0], chosen[:, 1]] = scenes.surfaces(name, len(chosen), size, periods, generator)
+    image = scenes.grounds(count, size, generator)
+    for k in reversed(range(MOST)):
+        alpha = masks[:, k, None] * present[:, k, None, None, None]
+        image = image + alpha * (planes[:, k] - image)
+    return scenes.in_bytes(image, generator), present.nonzero()[:, 0], labels[present], visible[present]
+
+
+def render(count: int, size: int, seed: int, periods: tuple[float, float] = (5.0, 16.0)) -> ObjectDataset:
+    """Render images with one to four objects each on the CPU.
+
+    Args:
+        count: number of images.
+        size: height and width [pixels], at least 32.
+        seed: seed of all random numbers.
+        periods: range of texture periods [pixels].
+
+    Raises:
+        ValueError: `count` or `size` is too small.
+    """
+    if count < 1 or size < 32 or size % 4:
+        raise ValueError(f"{count} images of {size} pixels: expected at least one of 32 or more, a multiple of 4")
+    generator = torch.Generator().manual_seed(seed)
+    images, owners, labels, masks = [], [], [], []
+    for first in range(0, count, _CHUNK):
+        found = _scenes(min(_CHUNK, count - first), size, periods, generator)
+        images.append(found[0])
+        owners.append(found[1] + first)
+        labels.append(found[2])
+        masks.append(packed(found[3]))
+    return ObjectDataset(torch.cat(images), torch.cat(owners), torch.cat(labels), torch.cat(masks), scenes.CLASSES)

@@ -1,0 +1,122 @@
+"""Images with objects: boxes, masks and classes of what is in them, for segmentation and detection."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy
+import torch
+from torch import Tensor
+
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.devices import CPU
+from tasklens.runtime.files import FileError, damaged, map_array, read_tensors, write_tensors, writing_array
+
+LEAST_PIXELS = 12  # of an object that is annotated: smaller ones are specks
+
+
+@dataclass(frozen=True)
+class ObjectDataset:
+    """Images with objects.
+
+    Attributes:
+        images: (N, 3, H, W) uint8.
+        owner: (M,) int64 image of each object, never falling.
+        labels: (M,) int64 classes.
+        masks: (M, H W / 8) uint8, eight pixels a byte, row by row.
+        classes: names of the classes, without the background.
+        device: device of batches.
+    """
+
+    images: Tensor
+    owner: Tensor
+    labels: Tensor
+    masks: Tensor
+    classes: tuple[str, ...]
+    device: torch.device = CPU
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def of(self, image: int) -> tuple[Tensor, Tensor]:
+        """Return the labels (K,) of the objects of an image, and their masks (K, H, W) bool."""
+        first, last = torch.searchsorted(self.owner, torch.tensor([image, image + 1])).tolist()
+        return self.labels[first:last], unpacked(self.masks[first:last], self.images.shape[-2:])
+
+    def batch(self, indices: Tensor) -> Tensor:
+        """Return images (B, 3, H, W) in [0, 1], float32, on the device."""
+        return self.images[indices].to(self.device).float() / 255
+
+    def take(self, count: int) -> "ObjectDataset":
+        """Return the data set of the first images."""
+        kept = int(torch.searchsorted(self.owner, torch.tensor(count)))
+        return replace(
+            self,
+            images=self.images[:count],
+            owner=self.owner[:kept],
+            labels=self.labels[:kept],
+            masks=self.masks[:kept],
+        )
+
+    def as_images(self) -> ImageDataset:
+        """Return the images alone, the label of each being its own index."""
+        return ImageDataset(self.images, torch.arange(len(self.images)), self.classes, self.device)
+
+
+def packed(masks: Tensor) -> Tensor:
+    """Pack masks (M, H, W) bool into (M, H W / 8) uint8; H W is a multiple of 8."""
+    return torch.from_numpy(numpy.packbits(masks.numpy().reshape(len(masks), -1), axis=1))
+
+
+def unpacked(bits: Tensor, size: Sequence[int]) -> Tensor:
+    """Return the masks (M, H, W) bool of packed ones."""
+    return torch.from_numpy(numpy.unpackbits(bits.numpy(), axis=1)).bool().reshape(len(bits), *size)
+
+
+def boxes(masks: Tensor) -> Tensor:
+    """Return boxes (K, 4) of masks (K, H, W): left, top, right, bottom edge [pixels]; raises ValueError."""
+    found = torch.zeros(len(masks), 4)
+    for k, mask in enumerate(masks):
+        rows, columns = mask.any(1).nonzero()[:, 0], mask.any(0).nonzero()[:, 0]
+        if not len(rows):
+            raise ValueError(f"mask {k} is empty")
+        found[k] = torch.tensor([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
+    return found
+
+
+def semantic(labels: Tensor, masks: Tensor) -> Tensor:
+    """Return the class of each pixel (H, W), 0 for the background and 1 + label otherwise; smaller objects on top."""
+    found = torch.zeros(masks.shape[-2:], dtype=torch.long)
+    for k in masks.sum((1, 2)).argsort(descending=True).tolist():
+        found[masks[k]] = 1 + labels[k]
+    return found
+
+
+def write(dataset: ObjectDataset, images: Path, objects: Path) -> None:
+    """Write a split: images as .npy, objects as .safetensors."""
+    with writing_array(images, tuple(dataset.images.shape), "uint8") as array:
+        array[:] = dataset.images.numpy()
+    tensors = {"owner": dataset.owner, "labels": dataset.labels, "masks": dataset.masks}
+    write_tensors(objects, tensors, {"classes": list(dataset.classes)})
+
+
+def read(images: Path, objects: Path, *, device: torch.device = CPU) -> ObjectDataset:
+    """Read a split written by `write`; images are mapped from the file, not copied.
+
+    Raises:
+        FileError: a file is not complete, or the two do not belong together.
+    """
+    array = map_array(images)
+    tensors, notes = read_tensors(objects)
+    try:
+        found = ObjectDataset(
+            array, tensors["owner"], tensors["labels"], tensors["masks"], tuple(notes["classes"]), device
+        )
+    except KeyError as error:
+        raise damaged(objects, f"no {error.args[0]} of objects") from None
+    pixels = array.shape[-1] * array.shape[-2]
+    if len(found.owner) != len(found.labels) or found.masks.shape != (len(found.labels), pixels // 8):
+        raise damaged(objects, "labels, masks and images of different numbers or sizes")
+    if len(found.owner) and not 0 <= int(found.owner.min()) <= int(found.owner.max()) < len(array):
+        raise FileError(f"{objects}: objects of images that {images} does not have; remove both")
+    return found

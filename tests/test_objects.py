@@ -1,0 +1,171 @@
+"""Images with objects: rendered scenes, their files, and annotations in the format of COCO."""
+
+import json
+
+import numpy
+import pytest
+import torch
+from PIL import Image
+
+from tasklens.recognition import coco, object_scenes, objects, scenes
+from tasklens.runtime.files import FileError
+
+
+def rendered(count: int = 30, size: int = 64, seed: int = 0) -> objects.ObjectDataset:
+    return object_scenes.render(count, size, seed)
+
+
+def test_scenes_hold_visible_objects():
+    """One to four each, at least half of each seen, no pixel of two; all classes come up."""
+    found = rendered(80)
+    assert found.images.shape == (80, 3, 64, 64) and found.classes == scenes.CLASSES
+    numbers = torch.bincount(found.owner, minlength=80)
+    assert numbers.min() >= 1 and numbers.max() == object_scenes.MOST
+    assert set(found.labels.tolist()) == set(range(len(scenes.CLASSES)))
+    for image in range(80):
+        labels, masks = found.of(image)
+        assert len(labels) == len(masks) == numbers[image]
+        assert masks.sum(0).max() == 1
+        assert ((masks.sum((1, 2)) > 0.02 * 64**2) & (masks.sum((1, 2)) < 0.25 * 64**2)).all()
+
+
+def test_scenes_depend_on_the_seed_only():
+    first, again, other = (rendered(seed=seed) for seed in (5, 5, 6))
+    assert torch.equal(first.images, again.images) and torch.equal(first.masks, again.masks)
+    assert not torch.equal(first.images, other.images)
+    with pytest.raises(ValueError, match="expected at least one of 32"):
+        object_scenes.render(1, 30, 0)
+
+
+def test_masks_are_where_the_texture_is():
+    """A pixel inside differs from one outside by more detail: high frequencies of the image are those of objects."""
+    found = rendered(40)
+    grey = found.images.float().mean(1)
+    detail = (grey - torch.nn.functional.avg_pool2d(grey[:, None], 5, 1, 2)[:, 0]).abs()
+    inside = torch.stack([found.of(k)[1].any(0) for k in range(40)])
+    assert detail[inside].mean() > 1.5 * detail[~inside].mean()
+
+
+def test_boxes_touch_their_masks():
+    mask = torch.zeros(2, 8, 8, dtype=torch.bool)
+    mask[0, 2:5, 3] = True
+    mask[1, 7, 0:8] = True
+    assert objects.boxes(mask).tolist() == [[3, 2, 4, 5], [0, 7, 8, 8]]
+    with pytest.raises(ValueError, match="mask 0 is empty"):
+        objects.boxes(torch.zeros(1, 8, 8, dtype=torch.bool))
+
+
+def test_the_map_of_classes_has_smaller_objects_on_top():
+    masks = torch.zeros(2, 8, 8, dtype=torch.bool)
+    masks[0, 1:3, 1:3] = True
+    masks[1, 0:6, 0:6] = True
+    found = objects.semantic(torch.tensor([4, 0]), masks)
+    assert found[1, 1] == 5 and found[5, 5] == 1 and found[7, 7] == 0
+
+
+def test_packed_masks_come_back():
+    masks = torch.rand(5, 16, 8, generator=torch.Generator().manual_seed(0)) > 0.5
+    assert torch.equal(objects.unpacked(objects.packed(masks), (16, 8)), masks)
+
+
+def test_files_hold_a_split(tmp_path):
+    found = rendered(10)
+    paths = tmp_path / "test.npy", tmp_path / "test.safetensors"
+    objects.write(found, *paths)
+    again = objects.read(*paths)
+    assert again.classes == found.classes and len(again) == 10
+    for name in ("images", "owner", "labels", "masks"):
+        assert torch.equal(getattr(again, name), getattr(found, name))
+    few = again.take(4)
+    assert len(few) == 4 and int(few.owner.max()) == 3 and torch.equal(few.of(3)[1], found.of(3)[1])
+    assert few.as_images().labels.tolist() == [0, 1, 2, 3]
+
+
+def test_files_of_different_splits_are_refused(tmp_path):
+    for count in (4, 8):
+        objects.write(rendered(count), tmp_path / f"{count}.npy", tmp_path / f"{count}.safetensors")
+    with pytest.raises(FileError, match=r"8\.safetensors.*images that .*4\.npy does not have"):
+        objects.read(tmp_path / "4.npy", tmp_path / "8.safetensors")
+    objects.write(rendered(4, 32), tmp_path / "small.npy", tmp_path / "small.safetensors")
+    with pytest.raises(FileError, match=r"small\.safetensors"):
+        objects.read(tmp_path / "4.npy", tmp_path / "small.safetensors")
+
+
+# ---- COCO
+
+
+SQUARE = [[4.0, 4.0, 28.0, 4.0, 28.0, 20.0, 4.0, 20.0]]
+
+
+def coco_folder(folder, change=lambda content: None, size=(40, 32)):
+    """Three images, two classes: polygons, a run-length encoding and a crowd."""
+    (folder / "annotations").mkdir(parents=True)
+    (folder / "val").mkdir()
+    generator = numpy.random.default_rng(0)
+    for name in "abc":
+        Image.fromarray(generator.integers(0, 255, (size[1], size[0], 3), dtype="uint8")).save(
+            folder / f"val/{name}.png"
+        )
+    runs = numpy.zeros((32, 40), dtype=bool)
+    runs[10:20, 6:16] = True
+    flat = runs.T.ravel()
+    ends = numpy.flatnonzero(numpy.diff(flat)) + 1
+    counts = numpy.diff([0, *ends.tolist(), flat.size]).tolist()  # column by column, from outside
+    encoded = {"size": [32, 40], "counts": counts}
+    content = {
+        "images": [{"id": k, "file_name": f"{name}.png", "width": 40, "height": 32} for k, name in enumerate("abc")],
+        "categories": [{"id": 7, "name": "cat"}, {"id": 3, "name": "dog"}],
+        "annotations": [
+            {"id": 1, "image_id": 0, "category_id": 7, "segmentation": SQUARE},
+            {"id": 2, "image_id": 0, "category_id": 3, "segmentation": encoded, "iscrowd": 0},
+            {"id": 3, "image_id": 1, "category_id": 3, "segmentation": SQUARE},
+            {"id": 4, "image_id": 1, "category_id": 3, "segmentation": SQUARE, "iscrowd": 1},
+        ],
+    }  # fmt: skip
+    change(content)
+    (folder / "annotations" / "instances_val.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_a_folder_of_coco_is_read(tmp_path):
+    """Images without objects and crowds are left out; masks are those of the central square, at the wanted size."""
+    found = coco.read(coco_folder(tmp_path), "val", 64, None, seed=0)
+    assert found.classes == ("dog", "cat") and len(found) == 2
+    assert sorted(torch.bincount(found.owner).tolist()) == [1, 2]
+    first = next(k for k in range(2) if len(found.of(k)[0]) == 2)
+    labels, masks = found.of(first)
+    assert labels.tolist() == [1, 0]  # cat, dog
+    # The square of 32 x 32 begins at column 4, and is doubled.
+    assert objects.boxes(masks).tolist() == [[0, 8, 48, 40], [4, 20, 24, 40]]
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda c: c["annotations"][0].update(segmentation=[[50, 1, 60, 1, 60, 9]]), "1 of a.png: a polygon lies"),
+        (lambda c: c["annotations"][0].update(segmentation=[[1, 1, 2, 2]]), "three points or more"),
+        (lambda c: c["annotations"][0].update(segmentation=[]), "has no polygon"),
+        (lambda c: c["annotations"][1]["segmentation"].update(size=[40, 32]), "of 32 rows and 40 columns"),
+        (lambda c: c["annotations"][1]["segmentation"].update(counts="§"), "annotation 2 of a.png"),
+        (lambda c: c["annotations"][0].update(category_id=9), "category 9 is not listed"),
+        (lambda c: c["annotations"][0].update(image_id=9), "image 9 that is not listed"),
+        (lambda c: c["annotations"][0].pop("segmentation"), r"annotations\[0\] has no segmentation"),
+        (lambda c: c["categories"].append({"id": 5, "name": "cow"}), "no object of cow"),
+        (lambda c: c["images"][0].update(width=41), "has 40 x 32 pixels, not 41 x 32"),
+        (lambda c: c["images"][0].update(file_name="z.png"), "z.png"),
+        (lambda c: c.update(annotations=[]), "no image has an object"),
+        (lambda c: c.pop("categories"), "no list `categories`"),
+    ],
+)  # fmt: skip
+def test_bad_annotations_are_refused(tmp_path, change, words):
+    with pytest.raises(FileError, match=words):
+        coco.read(coco_folder(tmp_path, change), "val", 32, None, seed=0)
+
+
+def test_absent_and_broken_annotations(tmp_path):
+    with pytest.raises(FileError, match=r"instances_val\.json: no such file"):
+        coco.read(tmp_path, "val", 32, None, seed=0)
+    (tmp_path / "annotations").mkdir()
+    (tmp_path / "annotations" / "instances_val.json").write_text("{")
+    with pytest.raises(FileError, match=r"instances_val\.json: no JSON"):
+        coco.read(tmp_path, "val", 32, None, seed=0)
