@@ -352,7 +352,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
     [
         ("tasklens/optics/psf.py", "kernel_size // 2", "kernel_size // 3", OPTICS),
         ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames", "production"} | SEE),
-        ("tasklens/recognition/scenes.py", "NOISE * white", "white", READ_IMAGES),
+        ("tasklens/recognition/scenes.py", "image + NOISE * ", "image + ", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
