@@ -1,0 +1,105 @@
+"""Scores of segmentation and detection: mean intersection over union, and COCO's average precision."""
+
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from typing import Any, Literal
+
+import numpy
+import torch
+from torch import Tensor
+
+
+def mean_iou(found: Tensor, true: Tensor, classes: int) -> float:
+    """Compute the mean over classes of intersection over union [%]; classes that are nowhere are left out.
+
+    Args:
+        found, true: class of each pixel, any shape, 0 to `classes` - 1.
+        classes: number of classes, with the background.
+    """
+    pairs = torch.bincount((true * classes + found).flatten(), minlength=classes**2).reshape(classes, classes).double()
+    both, union = pairs.diagonal(), pairs.sum(0) + pairs.sum(1) - pairs.diagonal()
+    return 100 * float((both[union > 0] / union[union > 0]).mean())
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Objects of one image, found or true, on the CPU.
+
+    Attributes:
+        boxes: (K, 4) left, top, right, bottom edge [pixels].
+        labels: (K,) classes.
+        scores: (K,) confidence; None: true objects.
+        masks: (K, H, W) bool; None: none.
+    """
+
+    boxes: Tensor
+    labels: Tensor
+    scores: Tensor | None = None
+    masks: Tensor | None = None
+
+
+def average_precision(
+    found: Sequence[Detections], true: Sequence[Detections], classes: int, by: Literal["box", "mask"]
+) -> dict[str, float]:
+    """Compute COCO's average precision [%] by pycocotools: over IoU of 0.5 to 0.95 (`ap`), and at 0.5 (`ap50`).
+
+    Args:
+        found, true: objects of each image.
+        classes: number of classes, without the background.
+        by: whether overlaps are of boxes or of masks.
+    """
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
+    def entries(images: Sequence[Detections]) -> list[dict[str, Any]]:
+        return [
+            entry | {"id": number}
+            for number, entry in enumerate(
+                (entry for k, image in enumerate(images) for entry in _entries(image, k, by)), 1
+            )
+        ]
+
+    wanted = entries(true)
+    if not wanted:
+        raise ValueError("expected at least one true object")
+    with redirect_stdout(StringIO()):  # it prints what it does
+        truth, answer = COCO(), COCO()
+        common = {
+            "images": [{"id": k, "height": 0, "width": 0} for k in range(len(true))],  # encoded masks have their own
+            "categories": [{"id": label} for label in range(classes)],
+        }
+        truth.dataset = common | {"annotations": wanted}
+        answer.dataset = common | {"annotations": entries(found)}
+        truth.createIndex()
+        answer.createIndex()
+        evaluation = COCOeval(truth, answer, "bbox" if by == "box" else "segm")
+        evaluation.evaluate()
+        evaluation.accumulate()
+        evaluation.summarize()
+    return {"ap": 100 * max(0.0, float(evaluation.stats[0])), "ap50": 100 * max(0.0, float(evaluation.stats[1]))}
+
+
+def _entries(image: Detections, number: int, by: str) -> list[dict[str, Any]]:
+    """Return the objects of an image as COCO's annotations."""
+    from pycocotools import mask as encoding
+
+    rows = []
+    for k in range(len(image.labels)):
+        left, top, right, bottom = image.boxes[k].tolist()
+        row: dict[str, Any] = {
+            "image_id": number,
+            "category_id": int(image.labels[k]),
+            "bbox": [left, top, right - left, bottom - top],
+            "area": (right - left) * (bottom - top),
+            "iscrowd": 0,
+        }
+        if image.scores is not None:
+            row["score"] = float(image.scores[k])
+        if by == "mask":
+            assert image.masks is not None  # whoever asks for masks has them
+            row["segmentation"] = encoding.encode(numpy.asfortranarray(image.masks[k].numpy().astype("uint8")))
+            row["area"] = float(image.masks[k].sum())
+        rows.append(row)
+    return rows
