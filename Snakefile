@@ -70,6 +70,7 @@ wildcard_constraints:
     table="|".join(TABLES),
     elements="|".join(given.elements),
     ablation="|".join(given.ablations),
+    task="|".join(given.tasks.networks),
 
 
 def targets_of(study):
@@ -109,8 +110,8 @@ if given.sweep:  # of which stages are named by point
     TARGETS["tables"].append(report_jobs.sweep.output(given, "csv"))
     for stage in (report_jobs.verdicts, report_jobs.psf_tail, report_jobs.effort, report_jobs.report):
         TARGETS[stage.name] = [next(iter(stage.outputs(study).values())) for study in studies]
-    for stage in (report_jobs.regimes, report_jobs.merit_function, report_jobs.tolerances):
-        TARGETS[stage.name] = [stage.output(study, "csv") for study in studies]
+    for stage in (report_jobs.regimes, report_jobs.merit_function, report_jobs.tolerances, report_jobs.tasks):
+        TARGETS[stage.name] = [stage.outputs(study)["csv"] for study in studies if stage.outputs(study)]
 
 for target, paths in TARGETS.items():
 

@@ -32,7 +32,7 @@ TOLD = report_jobs.verdicts, report_jobs.psf_tail, report_jobs.effort, report_jo
 def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
     """The wildcards of every job that a stage has in a study."""
     every_lens = [*study.lenses, *study.variants]
-    measures = stage in (jobs.fine_tune, jobs.fine_tune_others, jobs.reproduce)
+    measures = stage in (jobs.fine_tune, jobs.fine_tune_others, jobs.reproduce, jobs.task_fine_tune)
     made_with_others = jobs.others(study) if stage is jobs.fine_tune else []
     ranges = {
         "lens": [SHARP, *every_lens] if measures else every_lens,
@@ -41,6 +41,7 @@ def wildcards_of(stage: Stage, study: Study) -> Iterator[dict]:
         "table": TABLES,
         "ablation": study.ablations,
         "elements": dict.fromkeys(study.lens(claim.lens).elements for claim in claims.regime_claims(study).claims),
+        "task": study.tasks.networks,
         "seed": study.seeds,
     }
     for values in itertools.product(*(ranges[name] for name in stage.wildcards)):

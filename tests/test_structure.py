@@ -311,6 +311,7 @@ def edited(tmp_path, monkeypatch):
     digest.code_digest.cache_clear()
 
 
+TASKS = {"task_reference", "task_fine_tune"}
 READ_IMAGES = {
     "images",
     "reference",
@@ -322,9 +323,11 @@ READ_IMAGES = {
     "production",
     "captures",
     "frames",
+    "scenes",
+    *TASKS,
 }
 JUDGE = {"verdicts", "regimes", "ablation", "report"}
-TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate", "production", "tolerances"}
+TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate", "production", "tolerances", "tasks"}
 FIGURES = {"certificate", "comparison", "frames"}
 MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function", *JUDGE}
 PSFS = {"design", "diffraction"}
@@ -351,7 +354,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
     "path, old, new, touched",
     [
         ("tasklens/optics/psf.py", "kernel_size // 2", "kernel_size // 3", OPTICS),
-        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames", "production"} | SEE),
+        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames", "production"} | SEE | TASKS),
         ("tasklens/recognition/scenes.py", "image + NOISE * ", "image + ", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),

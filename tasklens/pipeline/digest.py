@@ -24,6 +24,7 @@ DATA_ONLY = tuple(
         "renamed",
         "settings",
         "tolerance_settings",
+        "task_settings",
         "design_settings",
         "lens_entries",
         "ablations",

@@ -101,7 +101,7 @@ def psf_file(study: Study, lens: str, seed: int) -> Path | None:
     return made.output(study, "psf", lens=lens, seed=seed)
 
 
-# ---- restorations, accuracies and tolerances
+# ---- restorations and accuracies
 
 
 @stage(
@@ -205,6 +205,59 @@ def measurement(study: Study, lens: str, measured_name: str, seed: int, output: 
     if measured_name in others(study):
         return fine_tune_others.output(study, f"{output}_{measured_name}", lens=lens, seed=seed)
     return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
+
+
+# ---- other tasks
+
+
+@stage(
+    f"{STAGES}.scenes.run",
+    {name: f"images/scenes-{name}.npy" for name in ("train", "test")}
+    | {f"{name}_objects": f"images/scenes-{name}.safetensors" for name in ("train", "test")},
+)
+def scenes(study: Study) -> Plan:
+    """Render or read the images with objects, train and test."""
+    folder = study.tasks.scenes.folder
+    return Plan(Slice(scenes=study.tasks.scenes, source=None if folder is None else folder_digest(folder)))
+
+
+def _scenes_split(study: Study, name: str) -> list[Path]:
+    return [scenes.output(study, name), scenes.output(study, f"{name}_objects")]
+
+
+@stage(f"{STAGES}.tasks.train", {"weights": "tasks/reference/{task}.safetensors"}, resumable=True)
+def task_reference(study: Study, task: str) -> Plan:
+    """Train the network of a task on the sharp images with objects."""
+    network = study.task(task)
+    settings = Slice(name=task, network=network.model_copy(update={"fine_tuning": network.training}))
+    return Plan(settings, {"train": _scenes_split(study, "train")}, gpus=1)
+
+
+@stage(
+    f"{STAGES}.tasks.fine_tune",
+    {"weights": "tasks/{lens}/seed{seed}/{task}.safetensors", "metrics": "metrics/{lens}/seed{seed}/task-{task}.csv"},
+    resumable=True,
+)
+def task_fine_tune(study: Study, lens: str, task: str, seed: int) -> Plan:
+    """Fine-tune the network of a task on the captures of a lens, and score it at every field, also before that."""
+    entry = None if lens == SHARP else study.lens(lens)
+    elements, design_name = (entry.elements, entry.design_name) if entry else ("", "reference")
+    settings = Slice(
+        name=task,
+        network=study.task(task),
+        capture=None if lens == SHARP else study.capture_of(lens),
+        rows={"elements": elements, "design": design_name, "task": task, "seed": seed},
+        seed=seed,
+    )
+    inputs = {
+        "scenes": {name: _scenes_split(study, name) for name in ("train", "test")},
+        "weights": task_reference.output(study, "weights", task=task),
+        "psf": psf_file(study, lens, seed),
+    }
+    return Plan(settings, inputs, gpus=1)
+
+
+# ---- tolerances
 
 
 @stage(

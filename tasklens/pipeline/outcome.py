@@ -21,6 +21,8 @@ def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -
         return _lens(outputs["lens"])
     if stage == "production":
         return _built(outputs["lenses"])
+    if stage == "task_fine_tune":
+        return _scores(outputs["metrics"])
     accuracies = {name: _accuracy(path) for name, path in outputs.items() if name.startswith("metrics")}
     if accuracies:
         named = [
@@ -45,6 +47,14 @@ def _built(path: Path) -> str:
     with open(path, newline="") as file:
         design, *built = (float(row["accuracy"]) for row in csv.DictReader(file))
     return f"accuracy {design:.1f} %, of built lenses {mean(built):.1f} %"
+
+
+def _scores(path: Path) -> str:
+    with open(path, newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["tuned"] == "True"]
+    metrics = dict.fromkeys(row["metric"] for row in rows)
+    means = {name: mean(float(row["value"]) for row in rows if row["metric"] == name) for name in metrics}
+    return ", ".join(f"{name} {value:.1f} %" for name, value in means.items())
 
 
 def _accuracy(path: Path) -> float:

@@ -15,6 +15,7 @@ from tasklens.pipeline.jobs import (
     reproduce,
     restore,
     split,
+    task_fine_tune,
 )
 from tasklens.pipeline.stage import Plan, results, stage
 from tasklens.study import claims as paper_claims
@@ -117,6 +118,19 @@ def tolerances(study: Study) -> Plan:
         for seed in study.seeds
     }
     return Plan(contents, {"lenses": lenses})
+
+
+@stage(f"{REPORT}.tasks.make", lambda study: _published("tasks") if study.tasks.networks else {})
+def tasks(study: Study) -> Plan:
+    """Make the table of tasks beside classification: the scores of their networks through each lens."""
+    contents = paper_tables.tasks(study)
+    metrics = {
+        (lens, task, seed): task_fine_tune.output(study, "metrics", lens=lens, task=task, seed=seed)
+        for lens in contents.lenses
+        for task in contents.tasks
+        for seed in study.seeds
+    }
+    return Plan(contents, {"metrics": metrics})
 
 
 @stage(f"{REPORT}.merit_function.make", _published("merit_function") | {"figure": "figures/merit_function.png"})
@@ -251,6 +265,7 @@ def report(study: Study) -> Plan:
 def _optional(study: Study) -> list[Path]:
     """Return the tables that the report shows where they exist, since they need further lenses."""
     stages = [stage.output(study, "csv") for stage in (regimes, merit_function, tolerances)]
+    stages += [path for name, path in tasks.outputs(study).items() if name == "csv"]
     return [*stages, tolerances.output(study, "compared_csv")] + [
         ablation.output(study, "csv", ablation=name) for name in study.ablations
     ]

@@ -51,10 +51,11 @@ def _check_names(study: Study) -> None:
     for name in study.specs:
         if name not in known:
             raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
-    for name in study.tolerances.designs or ():
-        if name not in study.designs and name not in study.imported:
-            every = ", ".join([*study.designs, *study.imported])
-            raise ValueError(f"tolerances.designs: {name!r} is not one of {every}")
+    for section in ("tolerances", "tasks"):
+        for name in getattr(study, section).designs or ():
+            if name not in study.designs and name not in study.imported:
+                every = ", ".join([*study.designs, *study.imported])
+                raise ValueError(f"{section}.designs: {name!r} is not one of {every}")
     for name in study.restored or ():
         if name not in known:
             raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")

@@ -32,6 +32,7 @@ from tasklens.study.settings import (
     TrainingSettings,
 )
 from tasklens.study.sweep import Sweep
+from tasklens.study.task_settings import TaskSettings, TasksSettings
 from tasklens.study.tolerance_settings import ToleranceSettings
 
 TableName = Literal["table1", "table2", "table3", "table4"]
@@ -89,6 +90,9 @@ class Study(Frozen):
     restored: tuple[Name, ...] | None = Field(None, description="Elements in table 4; null: all.")
     tolerances: ToleranceSettings = Field(
         ToleranceSettings(), description="Lenses that are built in simulation, with errors of manufacture."
+    )
+    tasks: TasksSettings = Field(
+        TasksSettings(), description="Tasks beside classification: segmentation and detection of objects."
     )
     sweep: Sweep = Field(
         {}, description="Values of keys such as `spec.f_number`: a study for each, below results/<name>."
@@ -198,6 +202,10 @@ class Study(Frozen):
     def classifier(self, name: str) -> ClassifierSettings:
         """Return the classifier `name`; raises StudyError with the known names."""
         return pick(self.classifiers, name, "classifier")
+
+    def task(self, name: str) -> TaskSettings:
+        """Return the task `name`; raises StudyError with the known names."""
+        return pick(self.tasks.networks, name, "task")
 
 
 _Entry = TypeVar("_Entry")

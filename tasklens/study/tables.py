@@ -12,7 +12,7 @@ from tasklens.study.design_settings import (
 from tasklens.study.lens_entries import LensDesign
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
-from tasklens.study.study import Study
+from tasklens.study.study import Study, StudyError
 
 
 class TableContents(Frozen):
@@ -125,6 +125,39 @@ def candidates(study: Study, lens: str) -> tuple[str, ...]:
     return tuple(f"{entry.elements}-{name}" for name in entry.design.candidates)
 
 
+class TaskContents(Frozen):
+    """Contents of the table of tasks beside classification.
+
+    Attributes:
+        study: name of the study.
+        lenses, tasks, seeds: names and seeds of its rows; the sharp images come first.
+    """
+
+    study: str
+    lenses: tuple[str, ...]
+    tasks: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+
+def tasks(study: Study) -> TaskContents:
+    """Return the contents of the table of tasks; raises StudyError where there are no tasks."""
+    if not study.tasks.networks:
+        raise StudyError("tasks.networks: expected a task, such as segmentation: {kind: segmentation, model: ...}")
+    return TaskContents(
+        study=study.name,
+        lenses=(SHARP, *_chosen(study, study.tasks.designs)),
+        tasks=tuple(study.tasks.networks),
+        seeds=study.seeds,
+    )
+
+
+def _chosen(study: Study, designs: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Return the lenses of these designs, by default those of table 1."""
+    if designs is None:
+        return table(study, "table1").lenses
+    return tuple(lens.name for lens in study.lenses.values() if lens.design_name in designs)
+
+
 class BuiltContents(Frozen):
     """Contents of the table of built lenses.
 
@@ -148,10 +181,7 @@ class BuiltContents(Frozen):
 
 def built(study: Study) -> BuiltContents:
     """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for."""
-    wanted = study.tolerances.designs
-    lenses = [study.lens(name) for name in table(study, "table1").lenses]
-    if wanted is not None:
-        lenses = [lens for lens in study.lenses.values() if lens.design_name in wanted]
+    lenses = [study.lens(name) for name in _chosen(study, study.tolerances.designs)]
     pairs = (
         (lens.name, other.name)
         for lens in lenses

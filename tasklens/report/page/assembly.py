@@ -27,6 +27,7 @@ _CAPTIONS = {
     "regimes": "Where it pays: task-driven lens less the best imaging lens",
     "tolerances": "Built lenses: what each design loses in manufacture",
     "tolerances_compared": "What a task-driven lens loses in manufacture less what an imaging lens loses [points]",
+    "tasks": "Other tasks: scores of their networks through each lens",
     "merit_function": "Merit functions: what each classifier wants of a lens, by spatial frequency [cycles per pixel]",
 }
 _SPREAD = " ± is the standard deviation over seeds."

@@ -1,0 +1,40 @@
+"""Training and test images with objects: rendered, or read from a folder in the format of COCO."""
+
+from pathlib import Path
+
+from tasklens.recognition import coco, object_scenes
+from tasklens.recognition.objects import ObjectDataset
+from tasklens.runtime.files import FileError
+from tasklens.study.task_settings import SceneSettings
+
+_NAMES = {"train": ("train2017", "train"), "test": ("val2017", "val")}  # of a folder's splits
+
+
+def make(settings: SceneSettings) -> dict[str, ObjectDataset]:
+    """Return the splits `train` and `test`.
+
+    Raises:
+        FileError: as of `coco.read`; or the splits have different classes.
+    """
+    counts = {"train": settings.train, "test": settings.test}
+    if settings.folder is None:
+        return {
+            name: object_scenes.render(count, settings.size, 2 * settings.seed + k, settings.periods)
+            for k, (name, count) in enumerate(counts.items())
+        }
+    found = {
+        name: coco.read(settings.folder, _split(settings.folder, names), settings.size, counts[name], settings.seed)
+        for name, names in _NAMES.items()
+    }
+    if found["train"].classes != found["test"].classes:
+        other = set(found["train"].classes) ^ set(found["test"].classes)
+        raise FileError(f"{settings.folder}: training and test annotations differ in {', '.join(sorted(other))}")
+    return found
+
+
+def _split(folder: Path, names: tuple[str, ...]) -> str:
+    """Return the name of a split that has annotations."""
+    for name in names:
+        if (folder / "annotations" / f"instances_{name}.json").exists():
+            return name
+    raise FileError(f"{folder}: has no annotations/instances_{names[0]}.json, nor instances_{names[1]}.json")

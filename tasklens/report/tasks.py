@@ -1,0 +1,50 @@
+"""The table of tasks beside classification: scores of their networks through each lens."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas
+
+from tasklens.report.publish import publish, rounded
+from tasklens.runtime.files import Files, read_table
+from tasklens.study.tables import TaskContents
+
+_NOTE = """\
+Study `{study}`. Scores [%] on test images with objects, means over fields and seeds: `miou`, mean intersection over
+union of classes and background; `box_ap` and `mask_ap`, COCO's average precision over IoU of 0.5 to 0.95, `ap50` at
+0.5. `frozen`: of the network that was trained on sharp images; `tuned`: after fine-tuning on the captures of the lens;
+`worst_field`: tuned, of the field with the least. The sharp images come first."""
+
+
+def collect(metrics: Mapping[tuple[str, str, int], Path]) -> pandas.DataFrame:
+    """Return a row per task, score and lens: means over fields and seeds, the worst field, and the number of seeds.
+
+    Args:
+        metrics: files of scores by (lens, task, seed).
+    """
+    frames = [read_table(path, keep_default_na=False).assign(lens=lens) for (lens, _, _), path in metrics.items()]
+    every = pandas.concat(frames, ignore_index=True)
+    rows = []
+    for (task, metric, _), found in every.groupby(["task", "metric", "lens"], sort=False):
+        fields = found.groupby(["tuned", "field"])["value"].mean()
+        rows.append(
+            {
+                "task": task,
+                "score": metric,
+                "elements": found["elements"].iloc[0],
+                "design": found["design"].iloc[0],
+                "frozen": fields[False].mean(),
+                "tuned": fields[True].mean(),
+                "worst_field": fields[True].min(),
+                "seeds": found["seed"].nunique(),
+            }
+        )
+    order = {name: k for k, name in enumerate(every["task"].unique())}
+    return pandas.DataFrame(rows).sort_values("task", key=lambda names: names.map(order), kind="stable")
+
+
+def make(contents: TaskContents, inputs: Files, outputs: Files) -> None:
+    """Write the table as CSV and Markdown."""
+    rows = collect(inputs.metrics)
+    shown = rounded(rows, {"": ".1f", "seeds": "d"})
+    publish(outputs, "Other tasks", rows, shown, _NOTE.format(study=contents.study))

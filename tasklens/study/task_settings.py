@@ -1,0 +1,73 @@
+"""Settings of tasks beside classification: segmentation and detection of objects; no torch here."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from tasklens.study.quantities import Count, Name, Seed, Small, Whole
+from tasklens.study.settings import Frozen, TrainingSettings
+
+
+class SceneSettings(Frozen):
+    """Settings of images with objects: rendered, or read from `folder` in the format of COCO.
+
+    A folder has annotations/instances_<split>.json and <split>/*; splits are train2017 and val2017, or train and val.
+    """
+
+    size: Whole = Field(128, ge=32, le=4096, multiple_of=32, description="Side of the square images [pixels].")
+    train: Count = Field(2000, description="Number of training images; of a folder at most.")
+    test: Count = Field(300, description="Number of test images; of a folder at most.")
+    seed: Seed = Field(0, description="Seed of the rendering, or of the choice of a folder's images.")
+    folder: Path | None = Field(None, description="Folder in the format of COCO; null: rendered objects.")
+    periods: tuple[Annotated[float, Field(ge=3)], Annotated[float, Field(le=10_000)]] = Field(
+        (5.0, 16.0), description="Shortest and longest period of rendered textures [pixels]."
+    )
+
+    @field_validator("periods")
+    @classmethod
+    def _rising(cls, periods: tuple[float, float]) -> tuple[float, float]:
+        if not periods[0] < periods[1]:
+            raise ValueError("expected a shorter and a longer period")
+        return periods
+
+
+class TaskSettings(Frozen):
+    """Settings of a task: its kind, the network of torchvision that does it, and its training on sharp images."""
+
+    kind: Literal["segmentation", "detection", "instance_segmentation"] = Field(
+        description="Class of each pixel (mIoU); boxes of objects (box AP); boxes and masks (box and mask AP)."
+    )
+    model: str | None = Field(
+        None,
+        description="torchvision's name of the whole network, such as deeplabv3_resnet50 or maskrcnn_resnet50_fpn; "
+        "null: a small Faster or Mask R-CNN on `backbone`.",
+    )
+    backbone: str | None = Field(
+        None, description="torchvision's name of the ResNet under a small detector, such as resnet18."
+    )
+    channels: Annotated[Small, Field(ge=8)] = Field(64, description="Channels of a small detector's pyramid and heads.")
+    pretrained: bool = Field(False, description="Start from torchvision's published weights of the whole network.")
+    arguments: dict[str, Any] = Field({}, description="Further keywords of the network, such as box_score_thresh.")
+    training: TrainingSettings = Field(description="Training on the sharp images.")
+    fine_tuning: TrainingSettings = Field(description="Fine-tuning on the captures of each lens.")
+
+    @model_validator(mode="after")
+    def _one_network(self) -> "TaskSettings":
+        if (self.model is None) == (self.backbone is None):
+            raise ValueError("expected either `model`, a whole network, or `backbone`, that of a small detector")
+        if self.backbone is not None and self.kind == "segmentation":
+            raise ValueError("model: segmentation needs a whole network, such as lraspp_mobilenet_v3_large")
+        if self.pretrained and self.model is None:
+            raise ValueError("pretrained: a small detector has no published weights")
+        return self
+
+
+class TasksSettings(Frozen):
+    """Settings of the tasks beside classification: their images, their networks, and their lenses."""
+
+    scenes: SceneSettings = Field(SceneSettings(), description="Images with objects.")
+    networks: dict[Name, TaskSettings] = Field(default_factory=dict, description="Tasks and their networks by name.")
+    designs: tuple[Name, ...] | None = Field(
+        None, description="Designs, or imported lenses, that are measured on the tasks; null: all of table 1."
+    )

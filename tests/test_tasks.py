@@ -1,0 +1,183 @@
+"""Segmentation and detection: losses, gradients at captures, answers, networks, and the study of a task."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from examples import finish, read_rows, tiny_study
+from pydantic import ValidationError
+from torch import nn
+
+from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline.outcome import outcome
+from tasklens.recognition import object_scenes, object_splits, objects, task_networks, training
+from tasklens.recognition.objects import ObjectDataset
+from tasklens.recognition.scores import Detections
+from tasklens.recognition.tasks import Detection, Segmentation
+from tasklens.runtime.errors import InputError
+from tasklens.study.loading import parse
+from tasklens.study.settings import TrainingSettings
+from tasklens.study.study import StudyError
+from tasklens.study.task_settings import SceneSettings, TaskSettings
+
+TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 4}
+SEGMENTATION = {"kind": "segmentation", "model": "lraspp_mobilenet_v3_large"}
+MASKS = {"kind": "instance_segmentation", "backbone": "resnet18", "channels": 8}
+BOXES = MASKS | {"kind": "detection"}
+NOT_FLIPPED = torch.zeros(2, dtype=torch.bool)
+
+
+def settings(given: dict) -> TaskSettings:
+    return TaskSettings(**given, training=TRAINING, fine_tuning=TRAINING)
+
+
+def data(count: int = 2) -> ObjectDataset:
+    return object_scenes.render(count, 32, 0)
+
+
+class Says(nn.Module):
+    """Logits of segmentation that say a class for each pixel."""
+
+    def __init__(self, classes: torch.Tensor, outputs: int):
+        super().__init__()
+        self.logits = 20 * torch.nn.functional.one_hot(classes, outputs).movedim(-1, 1).float()
+
+    def forward(self, images: torch.Tensor) -> dict[str, torch.Tensor]:
+        return {"out": self.logits[: len(images)]}
+
+
+def test_segmentation_of_a_network_that_knows():
+    """Its loss is near zero, and 100 % are right; flipped images have flipped objects."""
+    dataset = data()
+    task, indices = Segmentation(dataset), torch.arange(2)
+    truth = torch.stack([objects.semantic(*dataset.of(k)) for k in range(2)])
+    knows = Says(truth, 11)
+    captures = dataset.batch(indices)
+    assert float(task.loss(knows, captures, indices, NOT_FLIPPED)) < 1e-6
+    assert float(task.loss(knows, captures, indices, ~NOT_FLIPPED)) > 1.0
+    assert float(task.loss(Says(truth.flip(-1), 11), captures, indices, ~NOT_FLIPPED)) < 1e-6
+    assert task.scores(task.answers(knows, captures), indices) == {"miou": 100.0}
+
+
+def test_detection_of_the_truth_is_perfect():
+    """By boxes and by masks; labels of torchvision begin with the background."""
+    dataset = data(4)
+
+    class Knows(nn.Module):
+        def forward(self, images):
+            found = []
+            for k in range(len(images)):
+                labels, masks = dataset.of(k)
+                scores = torch.ones(len(labels))
+                found.append({"boxes": objects.boxes(masks), "labels": labels + 1, "scores": scores,
+                              "masks": masks[:, None].float()})  # fmt: skip
+            return found
+
+    task, indices = Detection(dataset, with_masks=True), torch.arange(4)
+    answers = task.answers(Knows(), dataset.batch(indices))
+    assert isinstance(answers[0], Detections)
+    assert task.scores(answers, indices) == pytest.approx(
+        dict.fromkeys(("mask_ap", "mask_ap50", "box_ap", "box_ap50"), 100.0)
+    )
+    assert list(Detection(dataset, with_masks=False).scores(answers, indices)) == ["box_ap", "box_ap50"]
+
+
+@pytest.mark.parametrize("given", [SEGMENTATION, BOXES, MASKS], ids=["segmentation", "boxes", "masks"])
+def test_losses_have_gradients_at_captures(given):
+    """Of a frozen network, whose parameters get none: a lens can be designed by them."""
+    torch.manual_seed(0)
+    dataset = data()
+    network = task_networks.frozen(task_networks.build("a", settings(given), 10, 32))
+    task = Segmentation(dataset) if given is SEGMENTATION else Detection(dataset, given is MASKS)
+    captures = dataset.batch(torch.arange(2)).requires_grad_()
+    task.loss(network, captures, torch.arange(2), NOT_FLIPPED).backward()
+    assert captures.grad is not None and captures.grad.isfinite().all() and captures.grad.abs().sum() > 0
+    assert all(parameter.grad is None for parameter in network.parameters())
+
+
+def test_a_small_network_learns_where_objects_are():
+    """Objects or not, after forty steps: the loss falls by a third at least."""
+    torch.manual_seed(0)
+    dataset = data(16)
+    network = task_networks.build("a", settings(BOXES), 10, 32)
+    task = Detection(dataset, with_masks=False)
+    wanted = TrainingSettings(epochs=20, learning_rate=2e-3, batch_size=8)
+
+    def loss() -> float:
+        torch.manual_seed(1)
+        network.train()
+        return float(
+            task.loss(network, dataset.batch(torch.arange(16)), torch.arange(16), torch.zeros(16, dtype=torch.bool))
+        )
+
+    before = loss()
+    training.fit({"a": network}, dataset.as_images(), wanted, 0, "test", objective=task.loss)
+    assert loss() < before / 1.5
+
+
+def test_whole_networks_of_torchvision():
+    """Mask R-CNN of ResNet50 by its name; unknown names and arguments name the task."""
+    network = task_networks.build(
+        "a", settings({"kind": "instance_segmentation", "model": "maskrcnn_resnet50_fpn"}), 3, 64
+    )
+    assert network.roi_heads.mask_predictor.mask_fcn_logits.out_channels == 4
+    with pytest.raises(InputError, match=r"tasks\.networks\.mine: .*unet"):
+        task_networks.build("mine", settings({"kind": "segmentation", "model": "unet"}), 3, 64)
+    with pytest.raises(InputError, match=r"tasks\.networks\.mine: resnet19"):
+        task_networks.build("mine", settings({"kind": "detection", "backbone": "resnet19"}), 3, 64)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"kind": "segmentation"},
+        {"kind": "segmentation", "backbone": "resnet18"},
+        {"kind": "detection", "backbone": "resnet18", "model": "fasterrcnn_resnet50_fpn"},
+        {"kind": "detection", "backbone": "resnet18", "pretrained": True},
+        {"kind": "depth", "model": "any"},
+    ],
+)
+def test_networks_that_do_not_fit_their_task(given):
+    with pytest.raises(ValidationError):
+        settings(given)
+
+
+def test_splits_have_other_images():
+    found = object_splits.make(SceneSettings(size=32, train=3, test=3))
+    assert not torch.equal(found["train"].images, found["test"].images)
+    assert torch.equal(object_splits.make(SceneSettings(size=32, train=3, test=3))["test"].masks, found["test"].masks)
+
+
+def test_a_study_of_tasks(tmp_path, monkeypatch):
+    """Scenes, networks on sharp images, fine-tuning on captures, and the table; sharp images first."""
+    monkeypatch.chdir(tmp_path)
+    networks = {
+        name: given | {"training": TRAINING, "fine_tuning": TRAINING}
+        for name, given in (("pixels", SEGMENTATION), ("boxes", BOXES))
+    }
+    tasks = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
+    study = parse(tiny_study() | {"tasks": tasks})
+    finish(jobs.scenes, study)
+    finish(jobs.images, study)
+    finish(jobs.design, study, lens="singlet-imaging1", seed=0)
+    for task in networks:
+        finish(jobs.task_reference, study, task=task)
+        for lens in ("sharp", "singlet-imaging1"):
+            outputs = finish(jobs.task_fine_tune, study, lens=lens, task=task, seed=0)
+            rows = read_rows(outputs.metrics)
+            assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(9))))
+            assert {row["tuned"] for row in rows} == {"True", "False"}
+            said = outcome(study, "task_fine_tune", {"lens": lens, "task": task, "seed": "0"}, Path("no.log"))
+            assert said.startswith("miou" if task == "pixels" else "box_ap")
+    outputs = finish(report_jobs.tasks, study)
+    assert [(row["task"], row["design"]) for row in read_rows(outputs.csv)][:2] == [
+        ("pixels", "reference"),
+        ("pixels", "imaging1"),
+    ]
+    assert "Other tasks" in outputs.md.read_text()
+
+
+def test_a_study_without_tasks_has_no_table():
+    with pytest.raises(StudyError, match=r"tasks\.networks: expected a task"):
+        report_jobs.tasks.plan(parse(tiny_study()))
+    assert report_jobs.tasks.outputs(parse(tiny_study())) == {}
