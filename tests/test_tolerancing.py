@@ -293,10 +293,13 @@ def test_a_drawing_has_one_tolerance_for_x_and_y():
 def test_the_widest_tolerances_that_pass():
     moved = f64([0.2, 1.0, 3.0])
     found = allocation.widest(moved, lambda t: float((t * moved).square().sum()) <= 1.0)
-    assert 0.8 < float((found * moved).square().sum()) <= 1.0
+    assert 0.6 < float((found * moved).square().sum()) <= 1.0
     assert allocation.widest(moved, lambda t: False) is None
-    assert len(calls := []) == 0 and allocation.widest(moved, lambda t: not calls.append(t)) is not None
-    assert len(calls) == allocation.TRIALS
+    tight = allocation.widest(moved, lambda t: float((t * moved).square().sum()) <= 0.01)
+    assert 0.006 < float((tight * moved).square().sum()) <= 0.01
+    tried = []
+    assert allocation.widest(moved, lambda t: not tried.append(t)) is not None
+    assert len(tried) < allocation.TRIALS
 
 
 # ---- settings

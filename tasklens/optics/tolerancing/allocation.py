@@ -8,9 +8,9 @@ from torch import Tensor
 from tasklens.optics.tolerancing.errors import Error
 
 _LOOSEST = 4.0  # times the tolerance of the grade: looser ones save nothing
-_RANGE = (1 / 64, 64.0)  # of the common factor
-_HALVINGS = 7  # of the logarithm of the range: the factor is within 7 %
-TRIALS = 1 + _HALVINGS  # of `widest`
+_RANGE = (1 / 32, 8.0)  # of the common factor
+_HALVINGS = 5  # of the logarithm of the range: the factor is within 19 %
+TRIALS = 1 + _HALVINGS  # of `widest`, at most
 
 
 def both_axes(found: Sequence[Error], displacements: Tensor) -> Tensor:
@@ -44,10 +44,11 @@ def widest(displacements: Tensor, passes: Callable[[Tensor], bool]) -> Tensor | 
     Returns:
         None if even the tightest do not pass.
     """
-    if not passes(cheapest(displacements, _RANGE[0])):
-        return None
-    low, high = (torch.log2(torch.tensor(_RANGE))).tolist()
+    least, high = torch.log2(torch.tensor(_RANGE)).tolist()
+    low = least
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         low, high = (middle, high) if passes(cheapest(displacements, 2**middle)) else (low, middle)
+    if low == least and not passes(cheapest(displacements, 2**low)):
+        return None
     return cheapest(displacements, 2**low)
