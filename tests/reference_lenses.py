@@ -31,7 +31,7 @@ def with_indices(indices: dict | None, name: str = "reference") -> Material:
 def reference_lens(path: Path, apertures: bool = False) -> Lens:
     """The lens of a file with the stop that its F-number asks for, clear apertures only where asked for."""
     content = json.loads(path.read_text())
-    surfaces = content["surfaces"]
+    surfaces = content["surfaces"][:-1]  # without the image plane
     alpha = torch.zeros(len(surfaces), 10, dtype=torch.float64)
     for i, surface in enumerate(surfaces):
         for power, value in surface["even_asphere"].items():
@@ -42,7 +42,7 @@ def reference_lens(path: Path, apertures: bool = False) -> Lens:
         f64([surface["c"] for surface in surfaces]),
         f64([surface["k"] for surface in surfaces]),
         alpha,
-        f64([*(s["thickness_after"] for s in surfaces[:-1]), content["reference"]["image_distance"]]),
+        f64([surface["thickness_after"] for surface in surfaces]),
         f64([value or math.inf for value in clear]),
         tuple(with_indices(surface["n"]) for surface in surfaces),
         stop,

@@ -21,6 +21,7 @@ from tasklens.study.settings import ClassifierSettings
         ("cost", "GPU-hours", ["config/smoke.yaml"]),
         ("cluster", "peak [GB]", ["config/smoke.yaml"]),
         ("growth", "growth [%]", []),
+        ("existing_lenses", "ray by ray", []),
     ],
 )
 def test_benchmark_prints_its_table(script, column, options, monkeypatch, capsys):

@@ -1,0 +1,430 @@
+"""Lenses that exist: our spots, MTF, distortion and illumination beside Optiland's, and beside published numbers.
+
+    python benchmarks/existing_lenses.py [--save existing_lenses] [--lenses US8310767B2 lens1]
+
+Of the lenses in tests/data/lenses, and of those in ../shared/data/lenses where these files are. Without Optiland (pip
+install optiland) its columns are empty. What differs by more than the tolerance of its table has a star; the reasons
+are in docs/results/existing_lenses.md.
+"""
+
+import json
+import math
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+
+import torch
+from timing import arguments, report
+from torch import Tensor
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their readers of these files, and their way to Optiland
+from reference_files import reference_files
+from reference_lenses import LENS_FILES, reference_lens
+
+from tasklens.materials.material import D_LINE
+from tasklens.materials.zemax_text import read_lines
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import rim
+from tasklens.optics.analysis.spots import centroid, chief_points, distortion, rms_spot_radius, trace_fields
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays, launch
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import View
+
+FRACTIONS = (0.0, 0.5, 0.7, 1.0)  # of the tangent of the largest field angle
+FREQUENCIES = {"cellphone": 100.0, "classical": 30.0}  # of the MTF [cycles/mm]
+SPOT_UM, MTF, DISTORTION_PERCENT, ILLUMINATION, CODEV = 0.01, 0.005, 0.01, 1e-4, 0.05  # tolerances; the last relative
+_FINE = 101  # pupil points across, for CODE V's spots
+_GRID = 33  # pupil points across, as in the reference spots
+_RIM = 2048  # rays of the rim, for the illumination
+_BINS = 1000  # of Optiland's line spread function
+
+
+@dataclass(frozen=True)
+class Case:
+    """A lens of the reference data at the d line, without clear apertures, and its numbers in the file.
+
+    Attributes:
+        path: its JSON file.
+        content: what is in it.
+        lens: the lens.
+        view: the fields `FRACTIONS`, along +y.
+        optiland: our lens in Optiland, and its fields; None without it.
+    """
+
+    path: Path
+    content: dict
+    lens: Lens
+    view: View
+    optiland: tuple | None
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.stem
+
+
+def read(path: Path, peer: ModuleType | None) -> Case:
+    """Read a lens."""
+    content = json.loads(path.read_text())
+    lens = reference_lens(path)
+    largest = math.tan(math.radians(content["half_field_deg"]))
+    view = view_along_y(lens, [fraction * largest for fraction in FRACTIONS], (D_LINE,))
+    return Case(path, content, lens, view, peer and peer.in_optiland(lens, view))
+
+
+def view_along_y(lens: Lens, tangents: Iterable[float], wavelengths: tuple[float, ...]) -> View:
+    """View of fields along +y with direction tangents, in relation to the focal length of the lens."""
+    efl = float(paraxial(lens, wavelengths[len(wavelengths) // 2]).efl)
+    fields = torch.tensor([[0.0, efl * tangent] for tangent in tangents], dtype=torch.float64)
+    return View(fields, efl, wavelengths, 1.8, 51)
+
+
+def square_grid(points: int) -> Tensor:
+    """Points of a square grid inside the unit disc, `points` across."""
+    line = torch.linspace(-1, 1, points, dtype=torch.float64)
+    grid = torch.cartesian_prod(line, line)
+    return grid[grid.norm(dim=-1) <= 1 + 1e-9]
+
+
+def through_paraxial_pupil(lens: Lens, view: View, pupil: Tensor, vergence: float = 0.0) -> Rays:
+    """Trace rays through the paraxial entrance pupil, neither aimed at a stop inside nor vignetted by the stop.
+
+    `vergence` is 1 / distance of the object from the first vertex [1/mm]. The tangents of the fields are those of the
+    rays through the centre of the pupil.
+    """
+    first_order = paraxial(lens, view.reference)
+    z, tangents = first_order.entrance_pupil_z, view.tangents[:, None, None]
+    point = pupil * first_order.entrance_pupil_radius / (1 + z * vergence) - tangents * z
+    slope = tangents * (1 + z * vergence) + vergence * point
+    n = torch.rsqrt(1 + slope.square().sum(-1)).expand(-1, len(view.wavelengths), -1)
+    rays = launch(point[..., 0], point[..., 1], torch.zeros_like(n), slope[..., 0] * n, slope[..., 1] * n, n)
+    at_stop = torch.arange(len(lens.media)) == lens.stop
+    lens = replace(lens, semi_diameter=torch.where(at_stop, torch.inf, lens.semi_diameter))
+    return trace(lens, rays, lens.refractive_indices(view.wavelengths))
+
+
+def worst(ours: Tensor, others: Tensor) -> float:
+    """Largest difference where both have a number; NaN where there is none."""
+    found = (ours - others).abs()
+    found = found[found.isfinite()]
+    return float(found.max()) if found.numel() else math.nan
+
+
+def words(values: Tensor | None, digits: int) -> str:
+    """Numbers of the fields in one cell."""
+    if values is None:
+        return ""
+    return " / ".join(f"{v:.{digits}f}" if math.isfinite(v) else "–" for v in values.flatten().tolist())
+
+
+def difference(value: float, tolerance: float) -> str:
+    """A difference, with a star beyond the tolerance."""
+    return "" if math.isnan(value) else f"{value:.1e}{' *' if value > tolerance else ''}"
+
+
+def spots(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """RMS radius about the centroid: aimed at the stop beside Optiland, by the paraxial pupil beside the file."""
+    pupil = square_grid(5 if tiny else _GRID)
+    for case in cases:
+        rays = trace_fields(case.lens, case.view, pupil)
+        ours, theirs, passed, apart = 1e3 * rms_spot_radius(rays, centroid(rays)), None, None, math.nan
+        ray_by_ray = math.nan
+        if case.optiland:
+            theirs, points = optiland_spots(case, pupil), optiland_points(case, pupil)
+            passed, apart = points.isfinite().all(-1).double().mean(-1), worst(ours, theirs)
+            mine = torch.where(rays.valid[:, 0, :, None], torch.stack([rays.x, rays.y], -1)[:, 0], torch.nan)
+            ray_by_ray = 1e3 * worst(mine, points)
+        row = (case.name, words(ours, 2), words(theirs, 2), words(passed, 3), difference(apart, SPOT_UM))
+        yield *row, difference(ray_by_ray, SPOT_UM)
+
+
+def file_spots(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """RMS radius about the centroid of the rays that the file's were computed with."""
+    for case in cases:
+        rays = through_paraxial_pupil(case.lens, case.view, square_grid(_GRID))
+        ours = 1e3 * rms_spot_radius(rays, centroid(rays))
+        given = {spot["field"]: spot for spot in case.content["reference"]["spots"]}
+        filed, passed = (
+            torch.tensor([given[fraction].get(key) or math.nan for fraction in FRACTIONS], dtype=torch.float64)
+            for key in ("rms_um_d", "passed_d")
+        )
+        mine = rays.valid.double().mean((1, 2))
+        row = (case.name, words(ours, 2), words(filed, 2), words(mine, 3), words(passed, 3))
+        yield *row, difference(worst(ours, filed), SPOT_UM)
+
+
+def optiland_spots(case: Case, pupil: Tensor) -> Tensor:
+    """RMS radius [um] by Optiland's spot diagram."""
+    from optiland.analysis import SpotDiagram
+    from optiland_lenses import Points
+
+    def radius(optic, field: tuple) -> list[float]:
+        found = SpotDiagram(optic, [field], [D_LINE], distribution=Points(pupil), reference="centroid")
+        return [1e3 * float(found.rms_spot_radius()[0][0])]
+
+    return optiland_fields(case, radius, 1)[0]
+
+
+def optiland_points(case: Case, pupil: Tensor) -> Tensor:
+    """Image points (F, N, 2) of Optiland's rays [mm]; NaN for those that it loses."""
+    x, y = pupil.T.numpy()
+
+    def points(optic, field: tuple) -> list[float]:
+        rays = optic.trace_generic(0 * x + field[0], 0 * x + field[1], x, y, D_LINE)
+        return [*rays.x, *rays.y]
+
+    return optiland_fields(case, points, 2 * len(pupil)).reshape(2, len(pupil), -1).permute(2, 1, 0)
+
+
+def optiland_fields(case: Case, value: Callable, count: int) -> Tensor:
+    """Numbers (count, F) of each field by `value`; NaN where Optiland's iteration does not aim every ray."""
+    optic, fields = case.optiland
+    columns = []
+    for field in map(tuple, fields):
+        try:
+            columns.append(value(optic, field))
+        except ValueError:
+            columns.append([math.nan] * count)
+    return torch.tensor(columns, dtype=torch.float64).T
+
+
+def mtfs(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """Geometric MTF, tangential and sagittal, beside Optiland's."""
+    pupil = square_grid(5 if tiny else _GRID)
+    for case in cases:
+        frequency = FREQUENCIES[case.path.parent.name]
+        ours = geometric_mtf(trace_fields(case.lens, case.view, pupil), case.view.directions, [frequency])
+        found, apart = (None, None), math.nan
+        if case.optiland:
+            found = optiland_mtf(case, pupil, frequency, 10 if tiny else _BINS)
+            apart = max(worst(a[:, 0], b) for a, b in zip(ours, found, strict=True))
+        pairs = zip(ours, found, strict=True)
+        yield case.name, f"{frequency:g}", *(words(v, 3) for pair in pairs for v in pair), difference(apart, MTF)
+
+
+def optiland_mtf(case: Case, pupil: Tensor, frequency: float, bins: int) -> tuple[Tensor, Tensor]:
+    """Tangential and sagittal MTF by Optiland's GeometricMTF, whose last frequency is the one asked for."""
+    from optiland.mtf import GeometricMTF
+    from optiland_lenses import Points
+
+    how = {"distribution": Points(pupil), "num_points": bins, "max_freq": frequency, "scale": False}
+
+    def contrasts(optic, field: tuple) -> list[float]:
+        return [float(curve[-1]) for curve in GeometricMTF(optic, [field], D_LINE, **how).mtf[0]]
+
+    tangential, sagittal = optiland_fields(case, contrasts, 2)
+    return tangential, sagittal
+
+
+def distortions(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """Distortion against f tan(theta) beside Optiland's, at parts of the largest field angle."""
+    steps = 3 if tiny else 11
+    for case in cases:
+        angle = math.atan(float(case.view.tangents[-1, 1]))
+        view = view_along_y(case.lens, [math.tan(angle * k / (steps - 1)) for k in range(steps)], (D_LINE,))
+        chief = chief_points(case.lens, view)
+        ours = 100 * distortion(view.fields, chief)
+        theirs, apart, near = None, math.nan, math.nan
+        if case.optiland:
+            from optiland.analysis import Distortion
+
+            try:
+                found = list(map(float, Distortion(case.optiland[0], [D_LINE], num_points=steps).data[0]))
+            except ValueError:  # a chief ray that it cannot aim
+                found = [math.nan] * steps
+            theirs = torch.tensor(found, dtype=torch.float64)
+            apart = worst(ours[1:], theirs[1:])
+            close = view_along_y(case.lens, [1e-6], (D_LINE,))  # the scale of the image near the axis
+            scale = 1 + distortion(close.fields, chief_points(case.lens, close))
+            near = worst(100 * ((1 + ours / 100) / scale - 1)[1:], theirs[1:])
+        picked = [(steps - 1) // 2, -1]
+        row = (case.name, words(ours[picked], 3), words(theirs if theirs is None else theirs[picked], 3))
+        yield *row, difference(apart, DISTORTION_PERCENT), difference(near, DISTORTION_PERCENT)
+
+
+def illuminations(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """Relative illumination beside the area inside the rim of Optiland's rays in the plane of direction cosines."""
+    count = 64 if tiny else _RIM
+    for case in cases:
+        ours = relative_illumination(case.lens, case.view)
+        theirs, apart = None, math.nan
+        if case.optiland:
+            area = optiland_areas(case, count)
+            theirs = area / area[0]
+            apart = worst(ours[1:], theirs[1:])
+        cosines = (1 + case.view.tangents.square().sum(-1)) ** -2
+        row = (case.name, words(ours[1:], 4), words(theirs if theirs is None else theirs[1:], 4))
+        yield *row, difference(apart, ILLUMINATION), words(cosines[1:], 4)
+
+
+def optiland_areas(case: Case, count: int) -> Tensor:
+    """Area inside the rim of the pupil in the plane of the direction cosines (l, m) behind the lens, by Green."""
+    x, y = rim(count).T.numpy()
+
+    def area(optic, field: tuple) -> list[float]:
+        rays = optic.trace_generic(0 * x + field[0], 0 * x + field[1], x, y, D_LINE)
+        l, m = (torch.as_tensor(v, dtype=torch.float64) for v in (rays.L, rays.M))
+        return [abs(float(0.5 * (l * m.roll(-1) - m * l.roll(-1)).sum()))]
+
+    return optiland_fields(case, area, 1)[0]
+
+
+def codev(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """The largest RMS spot diameter over the fields of the Zemax file beside CODE V's, in all colours with weights.
+
+    Once without clear apertures, once clipped by the semi-diameters that are written in the file (DIAM), which Zemax
+    calls automatic.
+    """
+    catalogues = reference_files("glass/*.AGF")
+    pupil = square_grid(5 if tiny else _FINE)
+    for case in cases:
+        given = case.content["reference"]["codev_max_rms_spot_diameter_um"]
+        source = source_of(case.path)
+        if given is None or source is None:
+            continue
+        found = zemax.read(source, catalogues)
+        lines = read_lines(source)
+        weights = [line.number(2) for line in lines if line.keyword == "WAVM"][: len(found.wavelengths_um)]
+        written = [line.number(0) for line in lines if line.keyword == "DIAM" and line.indented][1:-1]
+        radii = torch.tensor([value or math.inf for value in written], dtype=torch.float64)
+        radii[found.lens.stop] = found.lens.semi_diameter[found.lens.stop]
+        clipped = replace(found.lens, semi_diameter=radii)
+        row, shares = [], []
+        for lens in (found.lens, clipped):
+            rays = rays_of_file(found, lens, pupil)
+            row.append(2e3 * weighted_rms(rays, torch.tensor(weights)).max().item())
+            shares.append(rays.valid.double().mean((1, 2)).min().item())
+        apart = [value / given - 1 for value in row]
+        star = " *" if min(map(abs, apart)) > CODEV else ""
+        percent = [f"{100 * value:+.1f}" for value in apart]
+        near = f"{found.object_distance_mm:g}" if math.isfinite(found.object_distance_mm) else "infinite"
+        cells = (case.name, near, f"{given:.2f}", f"{row[0]:.2f}", percent[0])
+        yield *cells, f"{row[1]:.2f}", percent[1] + star, f"{shares[1]:.3f}"
+
+
+def rays_of_file(found: Prescription, lens: Lens, pupil: Tensor) -> Rays:
+    """Trace rays of the fields of a Zemax file in its wavelengths, from its object."""
+    wavelength = found.wavelengths_um[found.primary]
+    kind, points = found.fields
+    if math.isinf(found.object_distance_mm):
+        tangents = [math.tan(math.radians(y)) for _, y in points]
+        return trace_fields(lens, view_along_y(lens, tangents, found.wavelengths_um), pupil)
+    if kind != "real_image_height_mm":
+        raise NotImplementedError(f"fields by {kind} of a near object")
+    vergence = 1 / found.object_distance_mm
+    chief = torch.zeros(1, 2, dtype=torch.float64)
+
+    def height(tangent: float) -> float:
+        view = view_along_y(lens, [tangent], (wavelength,))
+        return float(through_paraxial_pupil(lens, view, chief, vergence).y)
+
+    tangents = [solve(height, y) for _, y in points]
+    return through_paraxial_pupil(lens, view_along_y(lens, tangents, found.wavelengths_um), pupil, vergence)
+
+
+def solve(function: Callable[[float], float], value: float) -> float:
+    """Argument near 0 at which an almost linear function has a value, by the secant method."""
+    if value == 0:
+        return 0.0
+    slope = function(1e-4) / 1e-4
+    a, b = 0.0, value / slope
+    fa, fb = -value, function(b) - value
+    for _ in range(50):
+        if abs(fb) < 1e-10 or fa == fb:
+            break
+        a, fa, b = b, fb, b - fb * (b - a) / (fb - fa)
+        fb = function(b) - value
+    return b
+
+
+def weighted_rms(rays: Rays, weights: Tensor) -> Tensor:
+    """RMS radius (F,) about the centroid, the wavelengths weighted [mm]."""
+    share = weights[None, :, None] * rays.valid
+    share = share / share.sum((1, 2), keepdim=True)
+    middle = [(share * v).sum((1, 2), keepdim=True) for v in (rays.x, rays.y)]
+    squared = (rays.x - middle[0]).square() + (rays.y - middle[1]).square()
+    return torch.where(rays.valid, share * squared, 0.0).sum((1, 2)).sqrt()
+
+
+def source_of(path: Path) -> Path | None:
+    """The Zemax file that a lens was taken from, where there is one."""
+    found = [file for file in (path.parent / "source").glob("*") if file.suffix.lower() == ".zmx"]
+    return next((file for file in found if file.stem == path.stem), None)
+
+
+def focal_lengths(cases: list[Case], tiny: bool) -> Iterator[tuple]:
+    """Focal lengths beside Optiland's and the published ones."""
+    for case in cases:
+        published = (case.content["published"] or {}).get("efl")
+        ours = float(paraxial(case.lens, D_LINE).efl)
+        theirs = f"{float(case.optiland[0].paraxial.f2()):.4f}" if case.optiland else ""
+        if published:
+            yield case.name, f"{ours:.4f}", theirs, f"{published:.4g}", f"{100 * (ours / published - 1):+.1f}"
+
+
+TABLES = (
+    (
+        f"RMS spot radius about the centroid, d line [um], fields 0 / 0.5 / 0.7 / 1; star: beyond {SPOT_UM} um",
+        ("lens", "ours", "Optiland", "share of rays that Optiland passes", "difference", "ray by ray"),
+        spots,
+    ),
+    (
+        f"The same through the paraxial pupil beside the files' reference; star: beyond {SPOT_UM} um",
+        ("lens", "ours", "file", "share of rays: ours", "file", "difference"),
+        file_spots,
+    ),
+    (
+        f"Geometric MTF, d line, fields 0 / 0.5 / 0.7 / 1; star: beyond {MTF}",
+        ("lens", "cycles/mm", "tangential: ours", "Optiland", "sagittal: ours", "Optiland", "difference"),
+        mtfs,
+    ),
+    (
+        f"Distortion [%] at half and all of the field angle, d line; star: beyond {DISTORTION_PERCENT}, ten fields",
+        ("lens", "ours", "Optiland", "difference", "difference from ours by the scale near the axis"),
+        distortions,
+    ),
+    (
+        f"Relative illumination at fields 0.5 / 0.7 / 1, d line; star: beyond {ILLUMINATION}",
+        ("lens", "ours", "by Optiland's rays", "difference", "cos^4"),
+        illuminations,
+    ),
+    (
+        f"Largest RMS spot diameter over the fields of the file [um]; star: both beyond {100 * CODEV:g} %",
+        (
+            *("lens", "object [mm]", "CODE V", "ours", "difference [%]"),
+            *("clipped by the file's radii", "difference [%]", "least share of rays"),
+        ),
+        codev,
+    ),
+    ("Focal length [mm]", ("lens", "ours", "Optiland", "published", "difference [%]"), focal_lengths),
+)
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = arguments(__doc__.splitlines()[0])
+    parser.add_argument("--lenses", nargs="+", metavar="NAME", help="only these")
+    options = parser.parse_args(argv)
+    warnings.filterwarnings("ignore")  # Optiland's, of rays that miss a surface
+    try:
+        import optiland_lenses as peer
+    except ImportError:
+        peer = None
+    paths = [path for path in LENS_FILES if path.stem in (options.lenses or [path.stem])]
+    begin = time.perf_counter()
+    cases = [read(path, peer) for path in (paths[:1] if options.tiny else paths)]
+    for title, columns, rows in TABLES:
+        report(title, columns, list(rows(cases, options.tiny)), options.save)
+    print(f"{len(cases)} lenses, {time.perf_counter() - begin:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
