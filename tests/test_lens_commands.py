@@ -85,6 +85,29 @@ def test_options_are_in_place_of_the_files_specification(capsys):
     assert narrow["fields"]["angle_deg"][-1] == pytest.approx(10, abs=1e-9)
 
 
+@pytest.mark.parametrize("file", [DOUBLET, PHONE], ids=lambda path: path.suffix)
+def test_a_shifted_image_plane(file, capsys):
+    """Rays are straight behind the lens: foci stay where they are, and the squared RMS is a parabola of the shift.
+
+    Foci and image distance within 1e-6 um, the fourth point of the parabola within 1e-9 of the largest.
+    """
+    shifts = (-10.0, 0.0, 10.0, 20.0)
+    found = {shift: computed(capsys, "analyse", file, *FEW, "--focus", shift) for shift in shifts}
+    assert found[0.0] == computed(capsys, "analyse", file, *FEW)
+    for shift in shifts:
+        distance = found[0.0]["image_distance_mm"] + 1e-3 * shift
+        assert found[shift]["image_distance_mm"] == pytest.approx(distance, rel=0, abs=1e-9)
+        assert found[shift]["efl_mm"] == found[0.0]["efl_mm"]
+        for name in ("focus_tangential_um", "focus_sagittal_um"):
+            expected = numpy.array(found[0.0][name]) - shift
+            assert numpy.array(found[shift][name]) == pytest.approx(expected, rel=0, abs=1e-6)
+    a, b, c, d = (numpy.square(found[shift]["rms_centroid_um"]) for shift in shifts)
+    assert d == pytest.approx(a - 3 * b + 3 * c, rel=0, abs=1e-9 * d.max())
+    assert numpy.abs(c - b).min() > 1e-3
+    (shown,) = computed(capsys, "show", file, *FEW, "--focus", 20).values()
+    assert shown["fields"]["rms_centroid_um"][0] == pytest.approx(found[20.0]["rms_centroid_um"][0], rel=1e-12)
+
+
 def test_compare_fits_a_terminal(capsys):
     """All lenses of a study in 120 columns, by names without folders."""
     files = [PUBLISHED / f"{name}.yaml" for name in ("quadruplet-image_contrast", "doublet-tasklens_joint")]
@@ -238,6 +261,7 @@ MISTAKES = [
     (("show", SAME, "--catalogue", "absent.agf"), "absent.agf: no such file or directory"),
     (("show", "text.zmx"), "text.zmx, line 1: hello: unknown keyword (with ''), which may change rays; delete"),
     (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
+    (("show", DOUBLET, "--focus", "nan"), "--focus nan: expected a number of micrometres, such as -10"),
     (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),
     (("show", PHONE, "--wavelengths", "0.5"), "wavelengths_um: entry 2 is missing"),

@@ -3,6 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -31,6 +32,10 @@ KernelSize = Annotated[int | None, typer.Option(help="Width of PSFs, pixels, odd
 Wavelengths = Annotated[
     str | None, typer.Option(help="Red, green, blue in micrometres: 0.65,0.55,0.47.", rich_help_panel=_PANEL)
 ]
+Focus = Annotated[
+    float | None,
+    typer.Option(help="Shift of the image plane away from the lens, micrometres.", rich_help_panel=_PANEL),
+]
 Catalogues = Annotated[
     list[Path] | None, typer.Option(help="Glass catalogue of a .zmx (.agf or YAML).", rich_help_panel=_PANEL)
 ]
@@ -42,6 +47,7 @@ def _reader(
     pixel_pitch: PixelPitch = None,
     kernel_size: KernelSize = None,
     wavelengths: Wavelengths = None,
+    focus: Focus = None,
     catalogue: Catalogues = None,
 ) -> Callable[[Path], "LensFile"]:
     """Return a function that reads lenses with these options."""
@@ -59,9 +65,18 @@ def _reader(
         found = lens_files.read(path, catalogue or (), **wanted)
         for remark in found.remarks:
             say(f"{path}: {remark}")
-        return found
+        return _with_image_moved(found, focus) if focus else found
 
     return read
+
+
+def _with_image_moved(found: "LensFile", shift: float) -> "LensFile":
+    """Return a lens with its image plane `shift` micrometres further away; raises InputError."""
+    if not math.isfinite(shift):
+        raise InputError(f"--focus {shift}: expected a number of micrometres, such as -10")
+    thickness = found.lens.thickness.clone()
+    thickness[-1] += 1e-3 * shift
+    return replace(found, lens=replace(found.lens, thickness=thickness))
 
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
