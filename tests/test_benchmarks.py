@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from examples import make_lens
 
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.spots import centroid, rms_spot_radius
 from tasklens.study.settings import ClassifierSettings
 
 
@@ -30,6 +33,29 @@ def test_benchmark_prints_its_table(script, column, options, monkeypatch, capsys
     table = capsys.readouterr().out.split("\n\n")[2].splitlines()
     assert f"| {column} |" in table[0] and len(table) >= 3
     assert {line.count("|") for line in table} == {table[0].count("|")}
+
+
+def test_a_near_object_is_imaged_by_newtons_equation(monkeypatch):
+    """x x' = f^2 and m = -f / x, for distances from the foci; the front one is that of the reversed lens.
+
+    Through a small pupil, within 1e-6 of the height of the image; the spot within 1e-6 mm.
+    """
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    script = importlib.import_module("existing_lenses")
+    front, back, distance, tangent = 0.2, -0.1, 30.0, 1e-3
+    reversed_lens = make_lens([-back, -front], [2.0, 1.0], ("COC", "air"), semi_diameter=[1e-3, torch.inf])
+    focus = float(paraxial(reversed_lens, 0.5893).bfl)
+    media, stop = ("air", "COC", "air"), [1e-3, torch.inf, torch.inf]
+    lens = make_lens([0.0, front, back], [1.0, 2.0, 1.0], media, semi_diameter=stop)
+    found = paraxial(lens, 0.5893)
+    f, x = float(found.efl), distance + 1.0 - focus  # the stop is 1 mm in front of the lens
+    lens = make_lens([0.0, front, back], [1.0, 2.0, float(found.bfl) + f**2 / x], media, semi_diameter=stop)
+    view = script.view_along_y(lens, [0.0, tangent], (0.5893,))
+    _, rays = script.through_paraxial_pupil(lens, view, script.square_grid(5), 1 / distance)
+    assert rays.valid.all()
+    middle = centroid(rays)
+    assert float(middle[1, 1]) == pytest.approx(f / x * tangent * distance, rel=1e-6)
+    assert float(rms_spot_radius(rays, middle).max()) < 1e-6
 
 
 def test_operations_are_those_of_the_published_networks(monkeypatch):
