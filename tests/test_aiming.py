@@ -12,6 +12,7 @@ from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_
 
 from tasklens.materials.material import model_glass
 from tasklens.optics.analysis import aiming, pupil
+from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
@@ -100,6 +101,17 @@ def test_a_wide_angle_lens_keeps_its_full_field():
     assert kept[0] > 0.9 and kept[2] < 0.6 and kept[4] == 0
 
 
+def test_a_curved_first_surface_is_filled_as_a_stop():
+    """Where it is the stop: rays meet the surface itself, not its vertex plane, at their pupil points, and pass."""
+    glass = model_glass(1.6, 60.0, 0.0)
+    lens = make_lens([1 / 20, -1 / 60], [8.0, 25.0], (glass, "air"), conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
+    rays = collimated_rays(lens, f64([[0.0, 0.0], [0.1, 0.2]]), FEW, WAVELENGTHS)
+    _, behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))
+    assert behind[0].valid.all()
+    for found, expected in ((behind[0].x, FEW[:, 0]), (behind[0].y, FEW[:, 1])):
+        torch.testing.assert_close(found, (9.0 * expected).expand_as(found), rtol=0, atol=1e-12)
+
+
 def test_the_chief_ray_passes_the_centre_of_the_stop():
     lens = reverse_telephoto()
     view = View(tangents_of(0, 30, 70), 1.0, WAVELENGTHS, 1.8, 31)
@@ -143,14 +155,15 @@ def unaimed(lens: Lens, tangents: torch.Tensor, points: torch.Tensor, wavelength
 
 
 def test_a_stop_in_front_changes_nothing(monkeypatch):
-    """Bit for bit, and without a call: stops as first surface, behind planes in air, and on the first surface."""
+    """Bit for bit, and without a call: plane stops as first surface, and behind planes in air."""
     monkeypatch.setattr(pupil, "aim", None)
     in_air = make_lens([0, 0, 0.1, -0.1], [1.0, 0.5, 2.0, 9.0], ("air", "air", "COC", "air"), stop=1)
     in_air.semi_diameter[1] = 0.7
     lenses = [replace(random_lens(seed), semi_diameter=f64([0.3, *[torch.inf] * 4])) for seed in range(3)]
     front = [reference_lens(path) for path in LENS_FILES if not aiming.stop_is_inside(reference_lens(path))]
-    assert len(front) >= 3
-    for lens in [*lenses, in_air, *front]:
+    plane = [lens for lens in front if not stop_is_curved(lens)]
+    assert plane
+    for lens in [*lenses, in_air, *plane]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)
         expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
         found = collimated_rays(lens, tangents_of(0, 2), FEW, wavelengths)

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.aiming import aim, stop_is_inside
+from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
@@ -62,8 +63,8 @@ def check_stop(lens: Lens) -> None:
 def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
     """Launch collimated bundles that fill the stop, at the first vertex plane.
 
-    A stop in front of the lens is filled as its paraxial entrance pupil, which it is itself. Rays are aimed at a stop
-    inside: each meets its surface at (x, y) = pupil point times radius of the stop, at every field and wavelength.
+    A stop in front of the lens, or on its first surface, is its own entrance pupil. Rays are aimed at a stop inside:
+    each meets its surface at (x, y) = pupil point times radius of the stop, at every field and wavelength.
 
     Args:
         lens: the lens.
@@ -89,6 +90,9 @@ def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tu
         x, y = point.to(lens.dtype).unbind(-1)
         rays = launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
         return replace(rays, status=status, lost_at=lost_at)
-    x = pupil[:, 0] * first_order.entrance_pupil_radius - tx * first_order.entrance_pupil_z
-    y = pupil[:, 1] * first_order.entrance_pupil_radius - ty * first_order.entrance_pupil_z
+    points = pupil * first_order.entrance_pupil_radius
+    z = first_order.entrance_pupil_z
+    if stop_is_curved(lens):
+        z = z + lens.surfaces[lens.stop].sag(*points.unbind(-1))
+    x, y = points[:, 0] - tx * z, points[:, 1] - ty * z
     return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
