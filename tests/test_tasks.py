@@ -4,10 +4,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from examples import finish, read_rows, tiny_study
+import yaml
+from examples import changed, finish, read_rows, tiny_study
 from pydantic import ValidationError
 from torch import nn
 
+from tasklens.optics.io import prescription
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.outcome import outcome
 from tasklens.recognition import object_scenes, object_splits, objects, task_networks, training
@@ -15,6 +17,7 @@ from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections
 from tasklens.recognition.tasks import Detection, Segmentation
 from tasklens.runtime.errors import InputError
+from tasklens.study import claims, tables
 from tasklens.study.loading import parse
 from tasklens.study.settings import TrainingSettings
 from tasklens.study.study import StudyError
@@ -181,3 +184,51 @@ def test_a_study_without_tasks_has_no_table():
     with pytest.raises(StudyError, match=r"tasks\.networks: expected a task"):
         report_jobs.tasks.plan(parse(tiny_study()))
     assert report_jobs.tasks.outputs(parse(tiny_study())) == {}
+
+
+TASK_DRIVEN = {
+    "method": "task",
+    "task": "boxes",
+    "batch_size": 2,
+    "rays": 16,
+    "augment": False,
+    "micro_batch": 18,
+    "candidates": ["imaging1"],
+    "finish": {"steps": 2, "pixels": [1, 1], "centre": "chief_ray"},
+}
+
+
+def with_tasks(**design) -> dict:
+    networks = {"boxes": BOXES | {"training": TRAINING, "fine_tuning": TRAINING}}
+    study = tiny_study() | {"tasks": {"scenes": {"size": 32, "train": 8, "test": 4}, "networks": networks}}
+    return changed(study, "designs.for_boxes", TASK_DRIVEN | design)
+
+
+def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
+    """By its frozen network, on images with objects, from an imaging lens; it is in the tasks' table alone."""
+    monkeypatch.chdir(tmp_path)
+    study = parse(with_tasks())
+    finish(jobs.images, study)
+    finish(jobs.scenes, study)
+    finish(jobs.task_reference, study, task="boxes")
+    start = finish(jobs.design, study, lens="singlet-imaging1", seed=0)
+    found = finish(jobs.design, study, lens="singlet-for_boxes", seed=0)
+    lenses = [prescription.read(each.lens)[0].lens for each in (start, found)]
+    assert not torch.equal(lenses[0].curvature, lenses[1].curvature)
+    assert yaml.safe_load(Path(found.lens).read_text())["origin"]["start"] == "singlet-imaging1"
+    assert all("singlet-for_boxes" not in tables.table(study, name).lenses for name in study.tables)
+    assert tables.tasks(study).lenses[-1] == "singlet-for_boxes"
+    assert not any("for_boxes" in lens for claim in claims.claims(study).claims for lens in claim.lenses)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"task": "depth"}, "designs.for_boxes.task: 'depth' is not one of `tasks.networks`: boxes"),
+        ({"augment": True}, "since masks fit the images as they are"),
+        ({"finish": TASK_DRIVEN["finish"] | {"size": 16}}, "since masks fit the images as they are"),
+    ],
+)
+def test_designs_that_do_not_fit_their_task(change, words):
+    with pytest.raises(StudyError, match=words):
+        parse(with_tasks(**change))

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from tasklens.design.schedule import cosine
+from tasklens.recognition.tasks import Task
 from tasklens.recognition.training import parameter_groups
 
 _WEIGHT_DECAY = 0.05  # of a classifier that is trained with a lens
@@ -58,6 +59,21 @@ class Classification(CaptureCriterion):
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
         """Compute the cross-entropy (N,)."""
         return F.cross_entropy(self.classifier(captures), labels, reduction="none")
+
+
+class TaskLoss(CaptureCriterion):
+    """Loss of the frozen network of another task; labels are the numbers of its images.
+
+    Losses of detection are means over a batch: each capture is given that of its own batch.
+    """
+
+    def __init__(self, network: nn.Module, task: Task):
+        self.network, self.task = network, task
+
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the loss (N,), the same for all."""
+        loss = self.task.loss(self.network, captures, labels.cpu(), torch.zeros(len(captures), dtype=torch.bool))
+        return loss.expand(len(captures))
 
 
 class JointClassification(Classification):

@@ -10,7 +10,14 @@ from torch import Tensor, nn
 
 from tasklens.design import end_to_end, imported, least_squares, spot, supervised
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
-from tasklens.design.criteria import CaptureCriterion, Classification, Contrast, ImageError, JointClassification
+from tasklens.design.criteria import (
+    CaptureCriterion,
+    Classification,
+    Contrast,
+    ImageError,
+    JointClassification,
+    TaskLoss,
+)
 from tasklens.design.driver import History
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
@@ -20,8 +27,10 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
+from tasklens.recognition import task_networks
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import (
     EndToEndSettings,
@@ -48,6 +57,7 @@ def design(
     starts: Starts,
     candidates: Mapping[str, Lens],
     checkpoint: Checkpoint = NO_CHECKPOINT,
+    task: Task | None = None,
 ) -> tuple[Lens, Notes, History]:
     """Design a lens by its method, or import it from its file.
 
@@ -57,6 +67,7 @@ def design(
         starts: lenses of which the best one by accuracy is the start, if any.
         candidates: lenses that compete for the finish of a supervised design.
         checkpoint: checkpoint of the job.
+        task: task of the network `classifier`, where it is not classification.
 
     Returns:
         The lens with its clear apertures, the notes for its file, and a row per logged step.
@@ -76,7 +87,7 @@ def design(
         candidates = {start_name: start}
     problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
     if isinstance(settings, SupervisedSettings):
-        lens, found, history = _supervised(start, candidates, problem, settings, classifier, checkpoint)
+        lens, found, history = _supervised(start, candidates, problem, settings, classifier, task, checkpoint)
     else:
         found = {}
         lens, history = _descend(start, problem, settings, classifier, checkpoint)
@@ -118,6 +129,7 @@ def _supervised(
     problem: Problem,
     settings: SupervisedSettings,
     classifier: nn.Module | None,
+    task: Task | None,
     checkpoint: Checkpoint,
 ) -> tuple[Lens, Notes, History]:
     """Design by a supervisor; return the lens, what its file says of its origin, and the history."""
@@ -127,7 +139,11 @@ def _supervised(
         "log_image_error": lambda part: ImageError(logarithm=True),
         "contrast": lambda part: Contrast(problem.view.directions),
     }
-    if isinstance(settings, TaskDrivenSettings):
+    if task is not None:
+        assert classifier is not None  # it is the task's network
+        by_task = TaskLoss(task_networks.frozen(classifier), task)
+        criteria["classification"] = lambda part: by_task
+    elif isinstance(settings, TaskDrivenSettings):
         assert classifier is not None  # it supervises
         supervisor = Classification(frozen(classifier, settings.batch_norm))
         criteria["classification"] = lambda part: supervisor

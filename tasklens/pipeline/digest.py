@@ -25,6 +25,7 @@ DATA_ONLY = tuple(
         "settings",
         "tolerance_settings",
         "task_settings",
+        "learning_rates",
         "design_settings",
         "lens_entries",
         "ablations",

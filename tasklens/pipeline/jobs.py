@@ -46,6 +46,32 @@ def reference(study: Study, classifier: str) -> Plan:
     return Plan(settings, {"train": split(study, "train"), "published": settings.weights}, gpus=1)
 
 
+# ---- images with objects, and networks of other tasks
+
+
+@stage(
+    f"{STAGES}.scenes.run",
+    {name: f"images/scenes-{name}.npy" for name in ("train", "test")}
+    | {f"{name}_objects": f"images/scenes-{name}.safetensors" for name in ("train", "test")},
+)
+def scenes(study: Study) -> Plan:
+    """Render or read the images with objects, train and test."""
+    folder = study.tasks.scenes.folder
+    return Plan(Slice(scenes=study.tasks.scenes, source=None if folder is None else folder_digest(folder)))
+
+
+def _scenes_split(study: Study, name: str) -> list[Path]:
+    return [scenes.output(study, name), scenes.output(study, f"{name}_objects")]
+
+
+@stage(f"{STAGES}.tasks.train", {"weights": "tasks/reference/{task}.safetensors"}, resumable=True)
+def task_reference(study: Study, task: str) -> Plan:
+    """Train the network of a task on the sharp images with objects."""
+    network = study.task(task)
+    settings = Slice(name=task, network=network.model_copy(update={"fine_tuning": network.training}))
+    return Plan(settings, {"train": _scenes_split(study, "train")}, gpus=1)
+
+
 # ---- lenses and their PSFs
 
 LENS_FOLDER = "lenses/{lens}/seed{seed}"
@@ -65,9 +91,13 @@ def design(study: Study, lens: str, seed: int) -> Plan:
     """Design a lens, or import it; write its prescription, figures, history and PSFs."""
     entry = study.lens(lens)
     starts, candidates = paper_tables.starts(study, lens), paper_tables.candidates(study, lens)
+    train = split(study, "train") if entry.supervised else None
+    weights = reference.output(study, "weights", classifier=study.supervisor) if entry.classified else None
+    if entry.other_task is not None:
+        train, weights = _scenes_split(study, "train"), task_reference.output(study, "weights", task=entry.other_task)
     inputs = {
-        "train": split(study, "train") if entry.supervised else None,
-        "weights": reference.output(study, "weights", classifier=study.supervisor) if entry.classified else None,
+        "train": train,
+        "weights": weights,
         "files": list(entry.design.sources) if isinstance(entry.design, ImportedLens) else None,
         "candidates": {name: lens_file(study, name, seed) for name in candidates},
         "starts": {name: lens_file(study, name, seed) for name in starts},
@@ -207,30 +237,7 @@ def measurement(study: Study, lens: str, measured_name: str, seed: int, output: 
     return fine_tune.output(study, output, lens=lens, measured_name=measured_name, seed=seed)
 
 
-# ---- other tasks
-
-
-@stage(
-    f"{STAGES}.scenes.run",
-    {name: f"images/scenes-{name}.npy" for name in ("train", "test")}
-    | {f"{name}_objects": f"images/scenes-{name}.safetensors" for name in ("train", "test")},
-)
-def scenes(study: Study) -> Plan:
-    """Render or read the images with objects, train and test."""
-    folder = study.tasks.scenes.folder
-    return Plan(Slice(scenes=study.tasks.scenes, source=None if folder is None else folder_digest(folder)))
-
-
-def _scenes_split(study: Study, name: str) -> list[Path]:
-    return [scenes.output(study, name), scenes.output(study, f"{name}_objects")]
-
-
-@stage(f"{STAGES}.tasks.train", {"weights": "tasks/reference/{task}.safetensors"}, resumable=True)
-def task_reference(study: Study, task: str) -> Plan:
-    """Train the network of a task on the sharp images with objects."""
-    network = study.task(task)
-    settings = Slice(name=task, network=network.model_copy(update={"fine_tuning": network.training}))
-    return Plan(settings, {"train": _scenes_split(study, "train")}, gpus=1)
+# ---- other tasks through lenses
 
 
 @stage(

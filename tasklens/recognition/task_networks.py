@@ -1,5 +1,7 @@
 """torchvision's networks for segmentation and detection, whole or small."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,6 +15,7 @@ from torchvision.models.detection.mask_rcnn import MaskRCNNHeads, MaskRCNNPredic
 from torchvision.ops import MultiScaleRoIAlign
 
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError, read_tensors
 from tasklens.study.task_settings import TaskSettings
 
 _LEVELS = 5  # of the pyramid: strides 4 to 64
@@ -42,6 +45,18 @@ def build(name: str, settings: TaskSettings, classes: int, size: int) -> nn.Modu
         return get_model(settings.model, weights=weights, **given)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"tasks.networks.{name}: {settings.model or settings.backbone}: {error}") from error
+
+
+def load(name: str, settings: TaskSettings, classes: Sequence[str], size: int, weights: Path | None) -> nn.Module:
+    """Build the network of a task, with the weights of a file if there is one; raises FileError if they do not fit."""
+    network = build(name, settings, len(classes), size)
+    if weights is not None:
+        tensors, _ = read_tensors(weights)
+        try:
+            network.load_state_dict(tensors)
+        except RuntimeError as error:
+            raise FileError(f"{weights}: no weights for tasks.networks.{name}: {str(error).splitlines()[0]}") from error
+    return network
 
 
 def _small_detector(settings: TaskSettings, outputs: int, size: int) -> nn.Module:

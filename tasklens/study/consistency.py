@@ -51,6 +51,10 @@ def _check_names(study: Study) -> None:
     for name in study.specs:
         if name not in known:
             raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
+    for name, design in study.designs.items():
+        if isinstance(design, TaskDrivenSettings) and design.task not in (None, *study.tasks.networks):
+            known_tasks = ", ".join(study.tasks.networks) or "none"
+            raise ValueError(f"designs.{name}.task: {design.task!r} is not one of `tasks.networks`: {known_tasks}")
     for section in ("tolerances", "tasks"):
         for name in getattr(study, section).designs or ():
             if name not in study.designs and name not in study.imported:

@@ -1,14 +1,14 @@
 """Settings of the design methods; no torch here."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from tasklens.study.learning_rates import LearningRates
 from tasklens.study.quantities import (
     Angle,
     Batch,
     Count,
-    Fraction,
     LearningRate,
     Magnification,
     Name,
@@ -21,35 +21,6 @@ from tasklens.study.quantities import (
 from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 from tasklens.study.tolerance_settings import Grade
-
-PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
-    "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},
-    "ours": {"curvature": 4e-3, "thickness": 2e-3, "alpha_4": 4e-3, "decay": 0.5, "final": 0.05},
-}
-
-
-class LearningRates(Frozen):
-    """Learning rates of AdamW for the lens; in a study also the name of one of `PRESETS`."""
-
-    curvature: LearningRate = Field(1e-4, description="Learning rate of curvatures [1/mm].")
-    thickness: LearningRate = Field(1e-4, description="Learning rate of thicknesses [mm].")
-    alpha_4: LearningRate = Field(1e-4, description="Learning rate of alpha_4, in the units of `normalised`.")
-    decay: Fraction = Field(0.02, description="Ratio of learning rates of successive asphere orders (paper 3.3).")
-    normalised: bool = Field(
-        True,
-        description="Asphere variables are alpha_k R^(k - 1), R the radius that light uses on the surface of the start "
-        "[mm]; else alpha_k itself, as in the paper.",
-    )
-    final: Fraction = Field(1.0, description="Learning rates at the last step, as a fraction; cosine schedule.")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_preset(cls, given: Any) -> Any:
-        if not isinstance(given, str):
-            return given
-        if given not in PRESETS:
-            raise ValueError(f"expected learning rates, or one of {', '.join(PRESETS)}")
-        return PRESETS[given]
 
 
 class ColdStart(Frozen):
@@ -180,12 +151,23 @@ class TaskDrivenSettings(SupervisedSettings):
     polish: JointDescentSettings | None = Field(
         None, description="Final joint descent of lens and classifier (paper 3.3); null: none."
     )
+    task: Name | None = Field(
+        None,
+        description="One of `tasks.networks`, of which the network supervises in the classifier's place, frozen, on "
+        "images with objects; null: the classifier.",
+    )
 
     @model_validator(mode="after")
     def _by_the_task(self) -> "TaskDrivenSettings":
         _ends_with_classification(self)
         if self.batch_norm == "batch":
             _holds_a_step(self)
+        if self.task is not None and (
+            self.augment or self.polish or any(descent.size is not None for descent in self.descents.values())
+        ):
+            raise ValueError(
+                "task: expected no `polish`, no `size` and `augment: false`, since masks fit the images as they are"
+            )
         return self
 
 

@@ -14,6 +14,7 @@ from tasklens.study.design_settings import (
 )
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Spec
+from tasklens.study.task_settings import TaskSettings
 
 
 class ImportedLens(Frozen):
@@ -48,16 +49,21 @@ class LensEntry(Frozen):
 
     @property
     def classified(self) -> bool:
-        """True if a classifier supervises the design."""
+        """True if a network supervises the design: a classifier, or that of another task."""
         return isinstance(self.design, TaskDrivenSettings | EndToEndSettings | JointRaySpaceSettings)
 
     @property
     def task_driven(self) -> bool:
         """True if the design is by a classifier, frozen or trained along, but not end-to-end as in the paper."""
         design = self.design
-        return isinstance(design, TaskDrivenSettings) or (
+        return (isinstance(design, TaskDrivenSettings) and design.task is None) or (
             isinstance(design, JointRaySpaceSettings) and bool(design.candidates)
         )
+
+    @property
+    def other_task(self) -> str | None:
+        """Name of the task beside classification that the lens is designed for."""
+        return self.design.task if isinstance(self.design, TaskDrivenSettings) else None
 
     @property
     def supervised(self) -> bool:
@@ -73,7 +79,7 @@ class LensEntry(Frozen):
         design = self.design
         if isinstance(design, EndToEndSettings):
             return design.start != "flat"
-        return self.task_driven or not (self.classified or isinstance(design, ImportedLens))
+        return bool(self.task_driven or self.other_task) or not (self.classified or isinstance(design, ImportedLens))
 
 
 class LensDesign(Frozen):
@@ -83,6 +89,7 @@ class LensDesign(Frozen):
         entry: the lens, its plastics and its method.
         spec, constraints: specification and limits.
         capture, classifier: for designs supervised by a classifier.
+        network: for designs supervised by the network of another task.
         rays: rays per field and colour for the figures.
         seed: seed of all random numbers.
     """
@@ -92,5 +99,6 @@ class LensDesign(Frozen):
     constraints: Constraints
     capture: CaptureSettings | None
     classifier: ClassifierSettings | None
+    network: TaskSettings | None
     rays: int
     seed: int

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tasklens.study.design_settings import PRESETS
+from tasklens.study.learning_rates import PRESETS
 from tasklens.study.study import Study
 
 

@@ -51,7 +51,7 @@ def table(study: Study, name: str) -> TableContents:
     lenses = [
         lens
         for lens in study.lenses.values()
-        if (lens.classified if name == "table3" else lens.task_driven or not lens.classified)
+        if not lens.other_task and (lens.classified if name == "table3" else lens.task_driven or not lens.classified)
     ]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
@@ -97,7 +97,8 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         spec=study.spec_of(entry.elements),
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
-        classifier=study.classifier(study.supervisor) if entry.classified else None,
+        classifier=study.classifier(study.supervisor) if entry.classified and not entry.other_task else None,
+        network=None if entry.other_task is None else study.task(entry.other_task),
         rays=study.evaluation_rays,
         seed=seed,
     )
@@ -143,9 +144,11 @@ def tasks(study: Study) -> TaskContents:
     """Return the contents of the table of tasks; raises StudyError where there are no tasks."""
     if not study.tasks.networks:
         raise StudyError("tasks.networks: expected a task, such as segmentation: {kind: segmentation, model: ...}")
+    chosen = _chosen(study, study.tasks.designs)
+    own = [lens.name for lens in study.lenses.values() if lens.other_task and lens.name not in chosen]
     return TaskContents(
         study=study.name,
-        lenses=(SHARP, *_chosen(study, study.tasks.designs)),
+        lenses=(SHARP, *chosen, *own),
         tasks=tuple(study.tasks.networks),
         seeds=study.seeds,
     )

@@ -16,8 +16,16 @@ from tasklens.study.lens_entries import LensDesign
 
 def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
     """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields."""
-    classifier = train = None
-    if inputs.train:
+    classifier = train = task = None
+    if settings.network is not None:
+        from tasklens.recognition import objects, task_networks, tasks
+
+        device = claim()
+        found = objects.read(*inputs.train, device=device)
+        train, task = found.as_images(), tasks.make(settings.network, found)
+        name, size = settings.entry.other_task or "", found.images.shape[-1]
+        classifier = task_networks.load(name, settings.network, found.classes, size, inputs.weights).to(device)
+    elif inputs.train:
         device = claim()
         train = dataset.read(*inputs.train, device=device)
         if settings.classifier is not None:
@@ -31,11 +39,11 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
             for name, path in inputs.starts.items()
         }
     candidates = {name: prescription.read(path)[0].lens for name, path in (inputs.candidates or {}).items()}
-    lens, notes, history = methods.design(settings, classifier, train, starts, candidates, checkpoint)
+    lens, notes, history = methods.design(settings, classifier, train, starts, candidates, checkpoint, task)
     write_rows(outputs.history, history)
     prescription.write(outputs.lens, prescription.Prescription(lens), notes)
     view = view_of_spec(settings.spec)
     lens = prescription.read(outputs.lens)[0].lens
     grid = evaluation_psf(lens, view, settings.rays)
-    found = FieldPsfs(grid, relative_illumination(lens, view))
-    psf_files.write(outputs.psf, found, psf_notes(view, grid) | {"rays": settings.rays})
+    psfs = FieldPsfs(grid, relative_illumination(lens, view))
+    psf_files.write(outputs.psf, psfs, psf_notes(view, grid) | {"rays": settings.rays})

@@ -1,22 +1,16 @@
 """Training of a task's network on sharp images with objects; its fine-tuning and scores on captures of a lens."""
 
-from pathlib import Path
-
 import torch
-from safetensors.torch import load_file
-from torch import nn
 
 from tasklens.imaging import Camera
 from tasklens.optics.io import psf_files
 from tasklens.recognition import objects, task_networks, training
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.tasks import evaluate, make
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import Files, write_rows, write_tensors
 from tasklens.study.settings import Slice
-from tasklens.study.task_settings import TaskSettings
 
 
 def train(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
@@ -24,7 +18,9 @@ def train(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint
     device = claim()
     dataset = objects.read(*inputs.train, device=device)
     torch.manual_seed(0)
-    network = _network(settings.name, settings.network, dataset).to(device)
+    network = task_networks.build(settings.name, settings.network, len(dataset.classes), dataset.images.shape[-1]).to(
+        device
+    )
     task = make(settings.network, dataset)
     sharp, label = dataset.as_images(), f"training of {settings.name}"
     training.fit(
@@ -37,7 +33,8 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     """Write weights and scores by field of a network that was fine-tuned on the captures of a lens."""
     device = claim()
     splits = {name: objects.read(*files, device=device) for name, files in inputs.scenes.items()}
-    network = _network(settings.name, settings.network, splits["train"], inputs.weights).to(device)
+    size, classes = splits["train"].images.shape[-1], splits["train"].classes
+    network = task_networks.load(settings.name, settings.network, classes, size, inputs.weights).to(device)
     camera = None
     if settings.capture is not None:
         camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(inputs.psf)))
@@ -56,10 +53,3 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     rows += [row | {"tuned": True} for row in evaluate(network, make(settings.network, splits["test"]), pipeline)]
     write_tensors(outputs.weights, network.state_dict(), {"task": settings.name})
     write_rows(outputs.metrics, [settings.rows | row for row in rows])
-
-
-def _network(name: str, settings: TaskSettings, dataset: ObjectDataset, weights: Path | None = None) -> nn.Module:
-    network = task_networks.build(name, settings, len(dataset.classes), dataset.images.shape[-1])
-    if weights is not None:
-        network.load_state_dict(load_file(weights))
-    return network
