@@ -12,7 +12,7 @@ from tasklens.design.problem import Problem
 from tasklens.design.schedule import cosine
 from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.lens import Lens
-from tasklens.study.design_settings import LearningRates
+from tasklens.study.learning_rates import LearningRates
 
 
 class GradientDescent(Descent):

@@ -10,7 +10,7 @@ from torch import Tensor
 from tasklens.optics.analysis.spots import clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.study.design_settings import LearningRates
+from tasklens.study.learning_rates import LearningRates
 
 ORDERS = (4, 6, 8, 10)  # orders of asphere coefficients in designs; alpha_2 would duplicate the curvature
 

@@ -89,7 +89,7 @@ class LensDesign(Frozen):
         entry: the lens, its plastics and its method.
         spec, constraints: specification and limits.
         capture, classifier: for designs supervised by a classifier.
-        network: for designs supervised by the network of another task.
+        task, network: name and settings of another task, for designs supervised by its network.
         rays: rays per field and colour for the figures.
         seed: seed of all random numbers.
     """
@@ -99,6 +99,7 @@ class LensDesign(Frozen):
     constraints: Constraints
     capture: CaptureSettings | None
     classifier: ClassifierSettings | None
+    task: str | None
     network: TaskSettings | None
     rays: int
     seed: int

@@ -98,6 +98,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
         classifier=study.classifier(study.supervisor) if entry.classified and not entry.other_task else None,
+        task=entry.other_task,
         network=None if entry.other_task is None else study.task(entry.other_task),
         rays=study.evaluation_rays,
         seed=seed,

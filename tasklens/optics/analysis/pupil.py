@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.aiming import aim, stop_is_inside
-from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
@@ -91,8 +90,6 @@ def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tu
         rays = launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
         return replace(rays, status=status, lost_at=lost_at)
     points = pupil * first_order.entrance_pupil_radius
-    z = first_order.entrance_pupil_z
-    if stop_is_curved(lens):
-        z = z + lens.surfaces[lens.stop].sag(*points.unbind(-1))
+    z = first_order.entrance_pupil_z + lens.surfaces[lens.stop].sag(*points.unbind(-1))
     x, y = points[:, 0] - tx * z, points[:, 1] - ty * z
     return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)

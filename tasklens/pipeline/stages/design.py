@@ -23,7 +23,7 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
         device = claim()
         found = objects.read(*inputs.train, device=device)
         train, task = found.as_images(), tasks.make(settings.network, found)
-        name, size = settings.entry.other_task or "", found.images.shape[-1]
+        name, size = str(settings.task), found.images.shape[-1]
         classifier = task_networks.load(name, settings.network, found.classes, size, inputs.weights).to(device)
     elif inputs.train:
         device = claim()
