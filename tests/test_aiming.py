@@ -102,7 +102,7 @@ def test_a_wide_angle_lens_keeps_its_full_field():
 
 
 def test_a_curved_first_surface_is_filled_as_a_stop():
-    """Where it is the stop: rays meet the surface itself, not its vertex plane, at their pupil points, and pass."""
+    """As the stop: rays meet the surface itself, not its vertex plane, at their pupil points, and pass."""
     glass = model_glass(1.6, 60.0, 0.0)
     lens = make_lens([1 / 20, -1 / 60], [8.0, 25.0], (glass, "air"), conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
     rays = collimated_rays(lens, f64([[0.0, 0.0], [0.1, 0.2]]), FEW, WAVELENGTHS)

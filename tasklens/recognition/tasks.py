@@ -20,7 +20,7 @@ _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of torchvision's n
 
 
 class Task(ABC):
-    """What a network is to say of the captures of a data set's images.
+    """A task of networks on the captures of a data set's images.
 
     Args:
         dataset: images with objects.
