@@ -27,7 +27,6 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
-from tasklens.recognition import task_networks
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
@@ -140,6 +139,8 @@ def _supervised(
         "contrast": lambda part: Contrast(problem.view.directions),
     }
     if task is not None:
+        from tasklens.recognition import task_networks  # torchvision's detectors, which other designs do without
+
         assert classifier is not None  # it is the task's network
         by_task = TaskLoss(task_networks.frozen(classifier), task)
         criteria["classification"] = lambda part: by_task

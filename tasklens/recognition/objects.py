@@ -1,7 +1,7 @@
 """Images with objects: boxes, masks and classes of what is in them, for segmentation and detection."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy
@@ -46,17 +46,6 @@ class ObjectDataset:
     def batch(self, indices: Tensor) -> Tensor:
         """Return images (B, 3, H, W) in [0, 1], float32, on the device."""
         return self.images[indices].to(self.device).float() / 255
-
-    def take(self, count: int) -> "ObjectDataset":
-        """Return the data set of the first images."""
-        kept = int(torch.searchsorted(self.owner, torch.tensor(count)))
-        return replace(
-            self,
-            images=self.images[:count],
-            owner=self.owner[:kept],
-            labels=self.labels[:kept],
-            masks=self.masks[:kept],
-        )
 
     def as_images(self) -> ImageDataset:
         """Return the images alone, the label of each being its own index."""

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import nn
 from torchvision.models import get_model
 from torchvision.models.detection import FasterRCNN, MaskRCNN
@@ -102,8 +101,3 @@ def frozen(network: nn.Module) -> nn.Module:
         if isinstance(module, nn.modules.batchnorm._BatchNorm | nn.Dropout):
             module.eval()
     return network
-
-
-def parameters_m(network: nn.Module) -> float:
-    """Count the parameters, in millions."""
-    return sum(torch.numel(p) for p in network.parameters()) / 1e6
