@@ -22,7 +22,7 @@ import timm
 import torch
 
 from tasklens.design import supervised
-from tasklens.design.criteria import Classification
+from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.imaging import Camera
@@ -79,7 +79,7 @@ def design(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
         restart=RaySpaceSettings(steps=max(1, steps // 40), pixels=(20, 5)),
         refinement=RaySpaceSettings(steps=steps - 2 * max(1, steps // 40), pixels=(5, 1), duration=0.5),
     )
-    criteria = {"classification": lambda part: Classification(classifier)}
+    criteria = {"classification": lambda part: TaskLoss(classifier)}
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
     supervised.design(plates, {}, criteria, problem, settings, checkpoint)
 

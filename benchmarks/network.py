@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from tasklens.design.criteria import Classification
+from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervised import RaySpaceDescent
@@ -83,7 +83,7 @@ def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: in
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
     steps = RaySpaceSettings(steps=rounds + 2, pixels=(20, 19))  # no validation before the last step
     settings = TaskDrivenSettings(method="task", batch_size=count, rays=rays, restart=steps, refinement=steps)
-    supervisor = Supervisor(Classification(classifier), problem, None, augment=False, micro_batch=micro_batch)
+    supervisor = Supervisor(TaskLoss(classifier), problem, None, augment=False, micro_batch=micro_batch)
     plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
     descent = RaySpaceDescent(plates, supervisor, settings, steps, seed=0)
     for step in range(1, rounds + 2):

@@ -18,7 +18,7 @@ import yaml
 from torch import nn
 
 from tasklens.design import least_squares
-from tasklens.design.criteria import Classification
+from tasklens.design.criteria import TaskLoss
 from tasklens.design.end_to_end import JointDescent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
@@ -72,7 +72,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     descent = JointDescent(lens, Average(), problem, settings)
     captures = timed * len(problem.view.fields)
     ours, nothing = (
-        Supervisor(Classification(each), problem, None, augment=False, micro_batch=captures)
+        Supervisor(TaskLoss(each), problem, None, augment=False, micro_batch=captures)
         for each in (frozen(network), Average())
     )
     indices = torch.arange(timed)

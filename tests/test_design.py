@@ -10,7 +10,7 @@ from examples import changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import end_to_end, methods
-from tasklens.design.criteria import Classification, ImageError
+from tasklens.design.criteria import ImageError, TaskLoss
 from tasklens.design.driver import divergence
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor, loss_at_psf
@@ -45,8 +45,8 @@ def coarse(lens, looks=LOOKS):
 
 def whole_losses(criterion, captures, images, labels):
     """Losses (F, B) of all captures, by the definition of each criterion."""
-    if isinstance(criterion, Classification):
-        logits = criterion.classifier(captures.flatten(0, 1))
+    if isinstance(criterion, TaskLoss):
+        logits = criterion.network(captures.flatten(0, 1))
         return F.cross_entropy(logits, labels.repeat(len(captures)), reduction="none").reshape(captures.shape[:2])
     squared = torch.stack(
         [torch.stack([((a - b) ** 2).mean() for a, b in zip(c, images, strict=True)]) for c in captures]
@@ -60,7 +60,7 @@ def whole_losses(criterion, captures, images, labels):
 def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_by):
     """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once."""
     dataset, network = random_images(5, 16, 3, seed=0), small_network().eval().requires_grad_(False)
-    criterion = Classification(network) if supervised_by == "classifier" else ImageError("log" in supervised_by)
+    criterion = TaskLoss(network) if supervised_by == "classifier" else ImageError("log" in supervised_by)
     images, labels = dataset.batch(torch.arange(5))
     variables = Variables.plain(start)
     gradients = []
@@ -107,9 +107,9 @@ def test_a_design_may_see_smaller_images(start):
     dataset = random_images(4, 32, 3, seed=0)
     indices = torch.tensor([2, 0])
     sharp = Problem(LOOKS, LIMITS, 0, CaptureSettings(), dataset)
-    whole, labels = Supervisor(Classification(small_network()), sharp, None, False, 1).images(indices, augment=False)
+    whole, labels = Supervisor(TaskLoss(small_network()), sharp, None, False, 1).images(indices, augment=False)
     assert torch.equal(whole, dataset.images[indices].float() / 255) and torch.equal(labels, dataset.labels[indices])
-    small, _ = Supervisor(Classification(small_network()), sharp, 16, False, 1).images(indices, augment=False)
+    small, _ = Supervisor(TaskLoss(small_network()), sharp, 16, False, 1).images(indices, augment=False)
     assert small.shape == (2, 3, 16, 16)
     means = (images.double().mean((1, 2, 3)) for images in (small, whole))
     torch.testing.assert_close(*means, rtol=0, atol=2.0 / 255)

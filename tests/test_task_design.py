@@ -13,7 +13,7 @@ from torch.nn.functional import interpolate
 
 from tasklens.design import least_squares, methods, spot, supervised
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
-from tasklens.design.criteria import Classification, ImageError, JointClassification
+from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
@@ -47,7 +47,7 @@ def designed(network, lens, limits=LIMITS, **settings):
     restart, refinement = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
     given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
     design = TaskDrivenSettings(method="task", **(given | settings))
-    criteria = {"classification": lambda part: Classification(frozen(network, design.batch_norm))}
+    criteria = {"classification": lambda part: TaskLoss(frozen(network, design.batch_norm))}
     return supervised.design(lens, {}, criteria, problem(limits), design)[::2]
 
 
@@ -245,7 +245,7 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
     before = copy.deepcopy(network.state_dict())
 
     def joint(part):
-        seen.append(JointClassification(copy.deepcopy(network), 1e-2, part.steps, part.final))
+        seen.append(JointTaskLoss(copy.deepcopy(network), 1e-2, part.steps, part.final))
         return seen[-1]
 
     descent = RaySpaceSettings(steps=3, pixels=(5, 5))
@@ -255,7 +255,7 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
     supervised.design(start, {}, {"classification": joint}, problem(NO_LIMITS), design)
     assert len(seen) == 2 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
     for criterion in seen:
-        trained = criterion.classifier
+        trained = criterion.network
         assert trained.training and criterion.schedule.last_epoch == descent.steps
         assert all(not torch.equal(v, before[k]) for k, v in trained.state_dict().items())
         # Validations count no batch: batch norms have seen the batches of the steps alone.
@@ -269,7 +269,7 @@ def test_a_network_that_changes_halves_no_step(start):
     finish = RaySpaceSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0)
     settings = {"batch_size": 4, "rays": 16, "micro_batch": 36, "augment": False, "network_learning_rate": 1.0}
     design = JointRaySpaceSettings(method="joint_ray_space", candidates=("plates",), finish=finish, **settings)
-    criteria = {"classification": lambda part: JointClassification(copy.deepcopy(network), 1.0, part.steps, 1.0)}
+    criteria = {"classification": lambda part: JointTaskLoss(copy.deepcopy(network), 1.0, part.steps, 1.0)}
     _, _, history = supervised.design(start, {"plates": start}, criteria, problem(NO_LIMITS), design)
     rows = [row for row in history if row["phase"] == "finish"]
     losses = [row["validation_loss"] for row in rows if "validation_loss" in row]
@@ -310,9 +310,7 @@ def test_descending_lowers_the_loss(start):
 
     def loss(lens):
         grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
-        return float(
-            loss_at_psf(Classification(network), images, labels, grid.float(), CaptureSettings(), 12)[0].mean()
-        )
+        return float(loss_at_psf(TaskLoss(network), images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
 
     steps = RaySpaceSettings(steps=12, pixels=(10, 10), step_size=0.5)
     lens, _ = designed(

@@ -5,17 +5,20 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from examples import changed, finish, read_rows, tiny_study
+from examples import changed, finish, random_images, read_rows, tiny_study, trained_network
 from pydantic import ValidationError
 from torch import nn
 
+from tasklens.imaging import Camera
 from tasklens.optics.io import prescription
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.outcome import outcome
-from tasklens.recognition import object_scenes, object_splits, objects, task_networks, training
+from tasklens.recognition import evaluation, object_scenes, object_splits, objects, task_networks, training
+from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.recognition.object_tasks import Detection, Segmentation
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections
-from tasklens.recognition.tasks import Detection, Segmentation
+from tasklens.recognition.tasks import CLASSIFICATION
 from tasklens.runtime.errors import InputError
 from tasklens.study import claims, tables
 from tasklens.study.loading import parse
@@ -98,6 +101,19 @@ def test_losses_have_gradients_at_captures(given):
     assert all(parameter.grad is None for parameter in network.parameters())
 
 
+def test_classification_is_a_task_too():
+    """Its scores are the accuracies of `evaluation`, and the mean of its losses is its loss."""
+    dataset, network = random_images(40, 16, 3, seed=2), trained_network(0)
+    pipeline = CapturePipeline(Camera(torch.full((2, 3, 1, 1), 1.0) * torch.tensor([1.0, 0.5])[:, None, None, None]))
+    correct, _ = evaluation.evaluate([network], dataset, pipeline)
+    found = evaluation.scores(network, CLASSIFICATION, dataset, pipeline)
+    assert [row["value"] for row in found] == pytest.approx((100 * correct[0].double().mean(-1)).tolist())
+    captures, labels = dataset.batch(torch.arange(5))
+    losses = CLASSIFICATION.losses(network, captures, labels).detach()
+    whole = CLASSIFICATION.loss(network, captures, labels, torch.zeros(5, dtype=torch.bool)).detach()
+    assert losses.shape == (5,) and float(losses.mean()) == pytest.approx(float(whole), rel=1e-6)
+
+
 def test_a_small_network_learns_where_objects_are():
     """Objects or not, after forty steps: the loss falls by a third at least."""
     torch.manual_seed(0)
@@ -114,7 +130,7 @@ def test_a_small_network_learns_where_objects_are():
         )
 
     before = loss()
-    training.fit({"a": network}, dataset.as_images(), wanted, 0, "test", objective=task.loss)
+    training.fit({"a": network}, dataset.as_images(), wanted, 0, "test", task=task)
     assert loss() < before / 1.5
 
 
@@ -158,8 +174,8 @@ def test_a_study_of_tasks(tmp_path, monkeypatch):
         name: given | {"training": TRAINING, "fine_tuning": TRAINING}
         for name, given in (("pixels", SEGMENTATION), ("boxes", BOXES))
     }
-    tasks = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
-    study = parse(tiny_study() | {"tasks": tasks})
+    wanted = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
+    study = parse(tiny_study() | {"tasks": wanted})
     finish(jobs.scenes, study)
     finish(jobs.images, study)
     finish(jobs.design, study, lens="singlet-imaging1", seed=0)

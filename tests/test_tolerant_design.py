@@ -8,7 +8,7 @@ from examples import f64
 from test_design import problem, small_network
 from test_task_design import designed, spot_lens
 
-from tasklens.design.criteria import Classification, Contrast
+from tasklens.design.criteria import Contrast, TaskLoss
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
@@ -78,7 +78,7 @@ def test_a_design_for_built_lenses_is_another(start):
 
 
 def test_a_classifier_supervises_built_lenses_too(start):
-    made = supervisor(COMMERCIAL, Classification(small_network()))
+    made = supervisor(COMMERCIAL, TaskLoss(small_network()))
     (built,) = made.as_built(start, 5)
     losses, gradient = made.loss(torch.arange(2), made.trace(built, sobol_disc(32, 0), 20.0)[1], built, seed=0)
     assert torch.isfinite(losses).all() and gradient.abs().sum() > 0

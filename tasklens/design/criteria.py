@@ -1,4 +1,4 @@
-"""Criteria of supervised design: a classifier's loss, the error of the image, the contrast of the PSF."""
+"""Criteria of supervised design: a network's loss, the error of the image, the contrast of the PSF."""
 
 import math
 from abc import ABC, abstractmethod
@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from tasklens.design.schedule import cosine
-from tasklens.recognition.tasks import Task
+from tasklens.recognition.tasks import CLASSIFICATION, Task
 from tasklens.recognition.training import parameter_groups
 
-_WEIGHT_DECAY = 0.05  # of a classifier that is trained with a lens
+_WEIGHT_DECAY = 0.05  # of a network that is trained with a lens
 _FREQUENCIES = (0.125, 0.25)  # of the contrast [cycles per pixel]: a quarter and a half of the Nyquist frequency
 
 
@@ -50,39 +49,24 @@ class CaptureCriterion(Criterion, ABC):
         """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
 
 
-class Classification(CaptureCriterion):
-    """Cross-entropy of a classifier's logits."""
-
-    def __init__(self, classifier: nn.Module):
-        self.classifier = classifier
-
-    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the cross-entropy (N,)."""
-        return F.cross_entropy(self.classifier(captures), labels, reduction="none")
-
-
 class TaskLoss(CaptureCriterion):
-    """Loss of the frozen network of another task; labels are the numbers of its images.
+    """Loss of a frozen network in its task, by default classification."""
 
-    Losses of detection are means over a batch: each capture is given that of its own batch.
-    """
-
-    def __init__(self, network: nn.Module, task: Task):
+    def __init__(self, network: nn.Module, task: Task = CLASSIFICATION):
         self.network, self.task = network, task
 
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the loss (N,), the same for all."""
-        loss = self.task.loss(self.network, captures, labels.cpu(), torch.zeros(len(captures), dtype=torch.bool))
-        return loss.expand(len(captures))
+        """Compute the loss (N,), or that of their mean where the task has no other."""
+        return self.task.losses(self.network, captures, labels)
 
 
-class JointClassification(Classification):
-    """Cross-entropy of a classifier that is trained in place with the lens, by AdamW.
+class JointTaskLoss(TaskLoss):
+    """Loss of a network that is trained in place with the lens, by AdamW.
 
     The batch statistics of its batch norms are those of a micro-batch.
 
     Args:
-        classifier: classifier, left in `train()`.
+        network: network, left in `train()`.
         learning_rate: its learning rate at the first step.
         steps: number of steps.
         final: learning rate at the last step, as a fraction; cosine schedule.
@@ -90,28 +74,28 @@ class JointClassification(Classification):
 
     trained = True
 
-    def __init__(self, classifier: nn.Module, learning_rate: float, steps: int, final: float):
-        super().__init__(classifier.train().requires_grad_(True))
-        self.optimizer = torch.optim.AdamW(parameter_groups(classifier, _WEIGHT_DECAY), lr=learning_rate)
+    def __init__(self, network: nn.Module, learning_rate: float, steps: int, final: float):
+        super().__init__(network.train().requires_grad_(True))
+        self.optimizer = torch.optim.AdamW(parameter_groups(network, _WEIGHT_DECAY), lr=learning_rate)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
 
     @property
     def holders(self) -> dict[str, Any]:
-        """Classifier, optimizer and schedule."""
-        return {"network": self.classifier, "network_optimizer": self.optimizer, "network_schedule": self.schedule}
+        """Network, optimizer and schedule."""
+        return {"network": self.network, "network_optimizer": self.optimizer, "network_schedule": self.schedule}
 
     def train(self) -> None:
-        """Take a step of the classifier."""
+        """Take a step of the network."""
         self.optimizer.step()
         self.schedule.step()
         self.optimizer.zero_grad()
 
     @contextmanager
     def evaluating(self) -> Iterator[None]:
-        """Put the classifier into `eval()` for a while."""
-        self.classifier.eval()
+        """Put the network into `eval()` for a while."""
+        self.network.eval()
         yield
-        self.classifier.train()
+        self.network.train()
 
 
 @dataclass(frozen=True)

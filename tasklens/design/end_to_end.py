@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from tasklens.design.criteria import CaptureCriterion, Classification, JointClassification
+from tasklens.design.criteria import CaptureCriterion, JointTaskLoss, TaskLoss
 from tasklens.design.driver import History, Step, divergence, run
 from tasklens.design.gradient_descent import GradientDescent
 from tasklens.design.problem import Problem
@@ -32,9 +32,9 @@ class JointDescent(GradientDescent):
         rate = settings.network_learning_rate
         criterion: CaptureCriterion
         if rate is None:
-            criterion = Classification(classifier.eval().requires_grad_(False))
+            criterion = TaskLoss(classifier.eval().requires_grad_(False))
         else:
-            criterion = JointClassification(classifier, rate, settings.steps, settings.learning_rates.final)
+            criterion = JointTaskLoss(classifier, rate, settings.steps, settings.learning_rates.final)
         captures = settings.batch_size * len(problem.view.fields)
         self.supervisor = Supervisor(criterion, problem, settings.size, settings.augment, captures)
         generator = torch.Generator().manual_seed(problem.seed)

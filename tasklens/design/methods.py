@@ -12,10 +12,9 @@ from tasklens.design import end_to_end, imported, least_squares, spot, supervise
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.criteria import (
     CaptureCriterion,
-    Classification,
     Contrast,
     ImageError,
-    JointClassification,
+    JointTaskLoss,
     TaskLoss,
 )
 from tasklens.design.driver import History
@@ -146,14 +145,12 @@ def _supervised(
         criteria["classification"] = lambda part: by_task
     elif isinstance(settings, TaskDrivenSettings):
         assert classifier is not None  # it supervises
-        supervisor = Classification(frozen(classifier, settings.batch_norm))
+        supervisor = TaskLoss(frozen(classifier, settings.batch_norm))
         criteria["classification"] = lambda part: supervisor
     elif isinstance(settings, JointRaySpaceSettings):
         assert classifier is not None
         rate = settings.network_learning_rate
-        criteria["classification"] = lambda part: JointClassification(
-            copy.deepcopy(classifier), rate, part.steps, part.final
-        )
+        criteria["classification"] = lambda part: JointTaskLoss(copy.deepcopy(classifier), rate, part.steps, part.final)
     lens, found, history = supervised.design(start, opened, criteria, problem, settings, checkpoint)
     if isinstance(settings, TaskDrivenSettings) and settings.polish is not None:
         assert classifier is not None

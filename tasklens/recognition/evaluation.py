@@ -1,4 +1,4 @@
-"""Capture pipeline, and accuracy of a classifier on captures by field."""
+"""Capture pipeline; accuracy of classifiers and scores of other networks on captures by field."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from tasklens.imaging import Camera, noise, psnr
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
 from tasklens.runtime.progress import Progress
@@ -158,6 +159,29 @@ def classify(
     losses = F.cross_entropy(logits, repeated, reduction="none")
     shape = len(captures), len(labels)
     return (logits.argmax(-1) == repeated).reshape(shape).cpu(), losses.reshape(shape).cpu()
+
+
+@torch.no_grad()
+def scores(network: nn.Module, task: Task, dataset: ImageDataset, pipeline: CapturePipeline) -> list[dict]:
+    """Score a network in its task on captures of all images.
+
+    Returns:
+        Rows (field, metric, value) of the task's scores; without a camera there is one field.
+    """
+    network.eval()
+    answers: list[list] = []
+    batches = torch.arange(len(dataset)).split(_BATCH)
+    progress = Progress("scores", len(batches))
+    for step, indices in enumerate(batches, 1):
+        captures = pipeline.all_fields(dataset.batch(indices)[0])
+        found = [list(task.answers(network, field)) for field in captures]
+        answers = [a + b for a, b in zip(answers, found, strict=True)] if answers else found
+        progress(step)
+    return [
+        {"field": field, "metric": name, "value": value}
+        for field, of_field in enumerate(answers)
+        for name, value in task.scores(of_field, dataset.labels).items()
+    ]
 
 
 def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:

@@ -1,15 +1,15 @@
-"""Training loop for classifiers, and for networks of other tasks, on sharp images, captures or restored captures."""
+"""Training loop for networks on sharp images, captures or restored captures."""
 
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR, LRScheduler, SequentialLR
 
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.tasks import CLASSIFICATION, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import random_state, send, set_random_state
 from tasklens.runtime.distributed import SINGLE_PROCESS, ProcessGroup
@@ -56,15 +56,6 @@ class Shuffled:
         self.generator.set_state(state["generator"])
 
 
-# Computes the mean loss of a network on captures (B, 3, H, W) with these labels, some of them flipped left to right.
-Objective = Callable[[nn.Module, Tensor, Tensor, Tensor], Tensor]
-
-
-def classification(network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
-    """Compute the mean cross-entropy of logits; a label is the same for a flipped image."""
-    return F.cross_entropy(network(captures), labels)
-
-
 def fit(
     networks: Mapping[str, nn.Module],
     dataset: ImageDataset,
@@ -74,7 +65,7 @@ def fit(
     capture: Callable[[Tensor, torch.Generator, slice], Tensor] = lambda images, generator, share: images[share],
     checkpoint: Checkpoint = NO_CHECKPOINT,
     group: ProcessGroup = SINGLE_PROCESS,
-    objective: Objective = classification,
+    task: Task = CLASSIFICATION,
 ) -> None:
     """Train networks in place, each as if alone, on the same captures; leave them in `eval()`.
 
@@ -88,7 +79,7 @@ def fit(
             from the generator for every share.
         checkpoint: checkpoint of the job; the first process saves it.
         group: process group; all processes end with the same networks.
-        objective: loss of a network, by default the cross-entropy of a classifier.
+        task: what the networks learn.
 
     Raises:
         FloatingPointError: the loss, or a weight after the last step, is not finite.
@@ -127,9 +118,7 @@ def fit(
             check(step - 1, before)
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         captures = capture(images, generator, share)
-        before = {
-            name: trainee.step(objective, captures, labels[share], flip[share]) for name, trainee in trainees.items()
-        }
+        before = {name: trainee.step(task, captures, labels[share], flip[share]) for name, trainee in trainees.items()}
         if group.is_first:
             part.save(step, losses=before)
     if before:
@@ -157,10 +146,10 @@ class _Trainee:
         self.holders: dict[str, Any] = {"network": network, "optimizer": self.optimizer, "schedule": self.schedule}
         self.random = random_state()
 
-    def step(self, objective: Objective, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
+    def step(self, task: Task, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         """Take one step; return the loss before it."""
         set_random_state(self.random)
-        loss = objective(self.parallel, captures, labels, flipped)
+        loss = task.loss(self.parallel, captures, labels, flipped)
         self.optimizer.zero_grad()
         loss.backward()
         self.optimizer.step()

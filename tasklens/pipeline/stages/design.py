@@ -18,11 +18,11 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
     """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields."""
     classifier = train = task = None
     if settings.network is not None:
-        from tasklens.recognition import objects, task_networks, tasks
+        from tasklens.recognition import object_tasks, objects, task_networks
 
         device = claim()
         found = objects.read(*inputs.train, device=device)
-        train, task = found.as_images(), tasks.make(settings.network, found)
+        train, task = found.as_images(), object_tasks.make(settings.network, found)
         name, size = str(settings.task), found.images.shape[-1]
         classifier = task_networks.load(name, settings.network, found.classes, size, inputs.weights).to(device)
     elif inputs.train:

@@ -4,9 +4,8 @@ import torch
 
 from tasklens.imaging import Camera
 from tasklens.optics.io import psf_files
-from tasklens.recognition import objects, task_networks, training
-from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.recognition.tasks import evaluate, make
+from tasklens.recognition import object_tasks, objects, task_networks, training
+from tasklens.recognition.evaluation import CapturePipeline, scores
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import Files, write_rows, write_tensors
@@ -21,11 +20,9 @@ def train(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint
     network = task_networks.build(settings.name, settings.network, len(dataset.classes), dataset.images.shape[-1]).to(
         device
     )
-    task = make(settings.network, dataset)
+    task = object_tasks.make(settings.network, dataset)
     sharp, label = dataset.as_images(), f"training of {settings.name}"
-    training.fit(
-        {settings.name: network}, sharp, settings.network.training, 0, label, checkpoint=checkpoint, objective=task.loss
-    )
+    training.fit({settings.name: network}, sharp, settings.network.training, 0, label, checkpoint=checkpoint, task=task)
     write_tensors(outputs.weights, network.state_dict(), {"task": settings.name})
 
 
@@ -39,7 +36,9 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     if settings.capture is not None:
         camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(inputs.psf)))
     pipeline = CapturePipeline(camera)
-    rows = [row | {"tuned": False} for row in evaluate(network, make(settings.network, splits["test"]), pipeline)]
+    tasks = {name: object_tasks.make(settings.network, split) for name, split in splits.items()}
+    test = splits["test"].as_images()
+    rows = [row | {"tuned": False} for row in scores(network, tasks["test"], test, pipeline)]
     training.fit(
         {settings.name: network},
         splits["train"].as_images(),
@@ -48,8 +47,8 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
         f"fine-tuning of {settings.name}",
         pipeline.one_field,
         checkpoint,
-        objective=make(settings.network, splits["train"]).loss,
+        task=tasks["train"],
     )
-    rows += [row | {"tuned": True} for row in evaluate(network, make(settings.network, splits["test"]), pipeline)]
+    rows += [row | {"tuned": True} for row in scores(network, tasks["test"], test, pipeline)]
     write_tensors(outputs.weights, network.state_dict(), {"task": settings.name})
     write_rows(outputs.metrics, [settings.rows | row for row in rows])

@@ -1,0 +1,104 @@
+"""Tasks on images with objects: segmentation, and detection by boxes and masks."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from tasklens.recognition import objects
+from tasklens.recognition.objects import ObjectDataset
+from tasklens.recognition.scores import Detections, average_precision, mean_iou
+from tasklens.recognition.tasks import Task
+from tasklens.study.task_settings import TaskSettings
+
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of torchvision's networks
+
+
+class _OfObjects(Task):
+    """A task on the objects of images.
+
+    Args:
+        dataset: images with objects; labels are numbers of its images, as of `as_images`.
+    """
+
+    def __init__(self, dataset: ObjectDataset):
+        self.dataset = dataset
+
+    def masks(self, index: int, flipped: bool) -> tuple[Tensor, Tensor]:
+        """Return the labels (K,) and masks (K, H, W) of the objects of an image."""
+        labels, masks = self.dataset.of(index)
+        return labels, masks.flip(-1) if flipped else masks
+
+
+class Segmentation(_OfObjects):
+    """The class of each pixel, background among them; scored by mean intersection over union."""
+
+    def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
+        """Compute the mean cross-entropy of all pixels."""
+        pairs = zip(labels.tolist(), flipped.tolist(), strict=True)
+        wanted = torch.stack([objects.semantic(*self.masks(*pair)) for pair in pairs]).to(captures.device)
+        return F.cross_entropy(_logits(network, captures), wanted)
+
+    @torch.no_grad()
+    def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
+        """Return the likeliest class (H, W) of each pixel."""
+        return list(_logits(network, captures).argmax(1).cpu())
+
+    def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
+        """Return `miou` [%]."""
+        wanted = torch.stack([objects.semantic(*self.masks(k, False)) for k in labels.tolist()])
+        return {"miou": mean_iou(torch.stack(list(answers)), wanted, 1 + len(self.dataset.classes))}
+
+
+def _logits(network: nn.Module, captures: Tensor) -> Tensor:
+    """Return torchvision's logits (B, C, H, W) of captures in [0, 1]."""
+    mean, std = (torch.tensor(v, device=captures.device)[:, None, None] for v in (_MEAN, _STD))
+    return network((captures - mean) / std)["out"]
+
+
+class Detection(_OfObjects):
+    """Boxes of objects, and their masks if the network finds masks; scored by COCO's average precision."""
+
+    def __init__(self, dataset: ObjectDataset, with_masks: bool):
+        super().__init__(dataset)
+        self.with_masks = with_masks
+
+    def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
+        """Compute the sum of torchvision's losses; the network is in `train()`, or gives none."""
+        targets = []
+        for index, flip in zip(labels.tolist(), flipped.tolist(), strict=True):
+            classes, masks = self.masks(index, flip)
+            target = {"boxes": objects.boxes(masks), "labels": 1 + classes, "masks": masks.byte()}
+            targets.append({name: value.to(captures.device) for name, value in target.items()})
+        return torch.stack(list(network(list(captures), targets).values())).sum()
+
+    @torch.no_grad()
+    def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Detections]:
+        """Return the objects that are found; the network is in `eval()`."""
+        found = []
+        for answer in network(list(captures)):
+            masks = (answer["masks"][:, 0] > 0.5).cpu() if self.with_masks else None
+            boxes, labels, scores = (answer[name].cpu() for name in ("boxes", "labels", "scores"))
+            found.append(Detections(boxes, labels - 1, scores, masks))
+        return found
+
+    def scores(self, answers: Sequence[Detections], labels: Tensor) -> Mapping[str, float]:
+        """Return `box_ap`, `box_ap50`, and of masks `mask_ap`, `mask_ap50` [%]; masks first."""
+        true = []
+        for index in labels.tolist():
+            classes, masks = self.dataset.of(index)
+            true.append(Detections(objects.boxes(masks), classes, None, masks))
+        found: dict[str, float] = {}
+        for by in ("mask", "box") if self.with_masks else ("box",):
+            found |= {
+                f"{by}_{name}": v for name, v in average_precision(answers, true, len(self.dataset.classes), by).items()
+            }
+        return found
+
+
+def make(settings: TaskSettings, dataset: ObjectDataset) -> Task:
+    """Return the task on a data set."""
+    if settings.kind == "segmentation":
+        return Segmentation(dataset)
+    return Detection(dataset, with_masks=settings.kind == "instance_segmentation")
