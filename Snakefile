@@ -14,7 +14,7 @@ from snakemake.logging import logger
 from snakemake.settings.types import ExecMode
 from snakemake.utils import min_version
 
-from tasklens.pipeline import changes, closing, jobs, kept_studies, report_jobs, runs
+from tasklens.pipeline import changes, closing, jobs, kept_studies, figure_jobs, report_jobs, runs
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import durations_of
 from tasklens.pipeline.stage import STAGES, flatten, results, study_file
@@ -93,10 +93,10 @@ def targets_of(study):
         "backbones": tables["table2"],  # the single ablations of the paper's section 5
         "end_to_end": tables["table3"],
         "restoration": tables["table4"],
-        "figures": [report_jobs.certificate.output(study, "figure", **lens) for lens in lenses],
-        "figure3": [report_jobs.comparison.output(study, "figure", **each) for each in compared],
-        "figure4": [report_jobs.frames.output(study, "figure", **each) for each in compared],
-        "certificates": [report_jobs.certificate.output(study, "page", **lens) for lens in lenses],
+        "figures": [figure_jobs.certificate.output(study, "figure", **lens) for lens in lenses],
+        "figure3": [figure_jobs.comparison.output(study, "figure", **each) for each in compared],
+        "figure4": [figure_jobs.frames.output(study, "figure", **each) for each in compared],
+        "certificates": [figure_jobs.certificate.output(study, "page", **lens) for lens in lenses],
         "ablations": sum(ablations.values(), []),
         **ablations,
     }

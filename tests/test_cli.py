@@ -13,7 +13,7 @@ from tasklens.cli.app import main
 from tasklens.design import gradient_descent
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
-from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline import figure_jobs, jobs
 from tasklens.pipeline.stage import STAGES
 from tasklens.runtime.files import read_tensors
 from tasklens.study.loading import parse
@@ -151,8 +151,8 @@ def test_restoration_and_tables_and_figure(lenses):
     shown = read_rows("results/tiny/tables/table1-partial.csv")
     assert [row["design"] for row in shown] == ["reference", "image_error", "imaging1", "imaging2"]
     assert run("certificate", "singlet-imaging1") == 0
-    assert of_lens(report_jobs.certificate, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    page = of_lens(report_jobs.certificate, "page", "singlet-imaging1").read_text()
+    assert of_lens(figure_jobs.certificate, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    page = of_lens(figure_jobs.certificate, "page", "singlet-imaging1").read_text()
     assert page.startswith("# singlet-imaging1, seed 0\n") and "## Manufacturability" in page
 
 
@@ -183,7 +183,7 @@ def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     content = lens_content("triplet-cooke")
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
-    assert of_lens(report_jobs.certificate, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert of_lens(figure_jobs.certificate, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert main(["study", "check", "--no-weights", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
     assert main(["study", "check", "--no-weights", "imported.yaml"]) == 2

@@ -14,7 +14,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
 from tasklens.cli.app import main
-from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline import figure_jobs, jobs, report_jobs
 from tasklens.pipeline.run import run
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.study.loading import parse
@@ -182,7 +182,7 @@ def test_the_page_loads_nothing_and_complains_of_nothing(opened, page):
 def test_every_picture_has_loaded_and_says_what_it_shows(opened):
     script = "return [...document.images].map(i => [i.complete && i.naturalWidth > 0, i.alt.trim()])"
     found = opened.execute_script(script)
-    captures = read_rows(report_jobs.captures.output(STUDY, "answers"))  # of one network: a row per picture
+    captures = read_rows(figure_jobs.captures.output(STUDY, "answers"))  # of one network: a row per picture
     assert len(found) == len(captures) + len(("section", "spots", "psfs", "curves")) >= 30
     assert all(loaded and len(words) > 10 for loaded, words in found)
     charts = opened.find_elements(By.CLASS_NAME, "chart")

@@ -13,7 +13,7 @@ from PIL import Image
 
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.pipeline import jobs, report_jobs
+from tasklens.pipeline import figure_jobs, jobs
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stages import frames as stage
 from tasklens.report import frames
@@ -76,7 +76,7 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
         draw(path, title, shown, answered, rule)
 
     monkeypatch.setattr(frames, "draw", drawn)
-    run(report_jobs.frames, study, {"elements": "doublet", "seed": 0})
+    run(figure_jobs.frames, study, {"elements": "doublet", "seed": 0})
     for captures in found["shown"].values():
         assert list(captures) == ["sharp", TASK, JOINT, BEST]
         assert all(capture.shape == (3, *SHAPE) for capture in captures.values())
@@ -90,7 +90,7 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
     sharp = only_task.shown["sharp"]
     assert all(torch.allclose(capture, sharp, atol=1e-5) for capture in only_task.shown.values())  # PSFs of a point
     assert f"network of {TASK} " in found["rule"] and f"that of {BEST} " in found["rule"]
-    with Image.open(report_jobs.frames.output(study, "figure", elements="doublet", seed=0)) as image:
+    with Image.open(figure_jobs.frames.output(study, "figure", elements="doublet", seed=0)) as image:
         assert image.width > 3 * image.height / 4
 
 
@@ -101,5 +101,5 @@ def test_networks_that_agree_leave_the_frames_alone(study, monkeypatch):
         jobs.fine_tune.output(study, "predictions", lens=n, measured_name="small", seed=0) for n in (TASK, BEST)
     ]
     shutil.copy(*predictions)
-    run(report_jobs.frames, study, {"elements": "doublet", "seed": 0})
+    run(figure_jobs.frames, study, {"elements": "doublet", "seed": 0})
     assert answered == [[]]

@@ -3,7 +3,7 @@
 import pytest
 from examples import tiny_study, write
 
-from tasklens.pipeline import jobs, partial, report_jobs
+from tasklens.pipeline import figure_jobs, jobs, partial, report_jobs
 from tasklens.runtime.files import FileError
 from tasklens.study.loading import parse
 
@@ -44,8 +44,8 @@ def test_tables_drawings_and_captures_are_made_of_what_is_there(made, capsys):
 def test_what_is_complete_is_not_made_again(made):
     partial.prepare(STUDY)
     for stage, output, wildcards in (
-        (report_jobs.certificate, "page", {"lens": "singlet-imaging1", "seed": 0}),
-        (report_jobs.captures, "answers", {}),
+        (figure_jobs.certificate, "page", {"lens": "singlet-imaging1", "seed": 0}),
+        (figure_jobs.captures, "answers", {}),
     ):
         write(stage.output(STUDY, output, **wildcards), "")
     made.clear()

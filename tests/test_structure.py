@@ -110,7 +110,10 @@ def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
 
 def test_parsing_a_study_needs_no_torch():
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
-    pipeline = [f"tasklens.pipeline.{name}" for name in ("digest", "stage", "jobs", "report_jobs", "run", "forecast")]
+    pipeline = [
+        f"tasklens.pipeline.{name}"
+        for name in ("digest", "stage", "jobs", "figure_jobs", "report_jobs", "run", "forecast")
+    ]
     study = [name_of(path) for path in (ROOT / "tasklens" / "study").glob("*.py")]
     others = [
         "tasklens",
@@ -328,7 +331,7 @@ READ_IMAGES = {
 }
 JUDGE = {"verdicts", "regimes", "ablation", "report"}
 TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate", "production", "tolerances", "tasks"}
-FIGURES = {"certificate", "comparison", "frames"}
+FIGURES = {"certificate", "comparison", "frames", "tasks"}
 MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function", *JUDGE}
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail", "production", *FIGURES}

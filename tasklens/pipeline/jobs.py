@@ -1,6 +1,7 @@
 """Declaration of the jobs that make the results of a study: function, settings, inputs and outputs.
 
-The order is that of the data: images, classifiers, lenses, PSFs, restorations, accuracies; `report_jobs` goes on.
+The order is that of the data: images, classifiers, lenses, PSFs, restorations, accuracies; `figure_jobs` and
+`report_jobs` go on.
 """
 
 from collections.abc import Iterable

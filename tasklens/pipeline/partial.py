@@ -3,7 +3,7 @@
 import sys
 from typing import Any
 
-from tasklens.pipeline import report_jobs
+from tasklens.pipeline import figure_jobs, report_jobs
 from tasklens.pipeline.jobs import lens_file, psf_file
 from tasklens.pipeline.run import run
 from tasklens.pipeline.stage import Stage
@@ -23,8 +23,8 @@ def prepare(study: Study) -> None:
     for lens in settings.elements:
         psf = psf_file(study, lens, seed)
         if lens_file(study, lens, seed).exists() and psf is not None and psf.exists():
-            _make(report_jobs.certificate, "page", study, lens=lens, seed=seed)
-    _make(report_jobs.captures, "answers", study)
+            _make(figure_jobs.certificate, "page", study, lens=lens, seed=seed)
+    _make(figure_jobs.captures, "answers", study)
 
 
 def _make(stage: Stage, output: str, study: Study, **wildcards: str | int) -> None:
@@ -32,6 +32,6 @@ def _make(stage: Stage, output: str, study: Study, **wildcards: str | int) -> No
     if stage.output(study, output, **wildcards).exists():
         return
     try:
-        run(stage, study, wildcards, partial=stage is not report_jobs.certificate)
+        run(stage, study, wildcards, partial=stage is not figure_jobs.certificate)
     except FileError as error:
         print(f"tasklens: {error}", file=sys.stderr)

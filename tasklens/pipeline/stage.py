@@ -1,9 +1,9 @@
 """Stages and the plans of their jobs.
 
-A stage is one kind of job, such as the design of a lens. It is declared once, in `pipeline.jobs` or
-`pipeline.report_jobs`, by the function that does the work, the paths of its outputs, and a function that returns the
-settings and inputs of each job. Snakemake's rules, the command line and the keys of checkpoints are made from that
-declaration.
+A stage is one kind of job, such as the design of a lens. It is declared once, in `pipeline.jobs`,
+`pipeline.figure_jobs` or `pipeline.report_jobs`, by the function that does the work, the paths of its outputs, and a
+function that returns the settings and inputs of each job. Snakemake's rules, the command line and the keys of
+checkpoints are made from that declaration.
 """
 
 import inspect

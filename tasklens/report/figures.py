@@ -143,6 +143,16 @@ def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
     curves.encircled(energy, panel.rays, panel.centre, panel.view, SHOWN, COLOURS)
 
 
+def compare_psfs(path: Path, panels: Sequence[Panel]) -> None:
+    """Draw the PSFs of lenses one above the other."""
+    with matplotlib.rc_context(_NIGHT):
+        figure = Figure(figsize=(13, 3.2 * len(panels)), layout="constrained")
+        for part, panel in zip(figure.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
+            draw_psfs(part, panel)
+            part.suptitle(panel.title, weight="bold")
+        save(figure, [path])
+
+
 def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Path) -> None:
     """Write the parts of the figure of a lens as pictures of their own, for a page."""
     parts = (

@@ -1,10 +1,11 @@
-"""The table of tasks beside classification: scores of their networks through each lens."""
+"""The table of tasks beside classification: scores of their networks through each lens, and the PSFs of all lenses."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 import pandas
 
+from tasklens.report import figures
 from tasklens.report.publish import publish, rounded
 from tasklens.runtime.files import Files, read_table
 from tasklens.study.tables import TaskContents
@@ -44,7 +45,9 @@ def collect(metrics: Mapping[tuple[str, str, int], Path]) -> pandas.DataFrame:
 
 
 def make(contents: TaskContents, inputs: Files, outputs: Files) -> None:
-    """Write the table as CSV and Markdown."""
+    """Write the table as CSV and Markdown, and draw the PSFs of the lenses of the first seed one above the other."""
     rows = collect(inputs.metrics)
     shown = rounded(rows, {"": ".1f", "seeds": "d"})
     publish(outputs, "Other tasks", rows, shown, _NOTE.format(study=contents.study))
+    panels = [figures.panel(name, path, inputs.psfs[name]) for name, path in inputs.lenses.items()]
+    figures.compare_psfs(outputs.psfs, panels)

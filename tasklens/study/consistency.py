@@ -57,9 +57,9 @@ def _check_names(study: Study) -> None:
             raise ValueError(f"designs.{name}.task: {design.task!r} is not one of `tasks.networks`: {known_tasks}")
     for section in ("tolerances", "tasks"):
         for name in getattr(study, section).designs or ():
-            if name not in study.designs and name not in study.imported:
+            if name not in study.designs and name not in study.imported and name not in study.lenses:
                 every = ", ".join([*study.designs, *study.imported])
-                raise ValueError(f"{section}.designs: {name!r} is not one of {every}")
+                raise ValueError(f"{section}.designs: {name!r} is not one of {every}, nor a lens")
     for name in study.restored or ():
         if name not in known:
             raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")

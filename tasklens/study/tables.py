@@ -146,7 +146,9 @@ def tasks(study: Study) -> TaskContents:
     if not study.tasks.networks:
         raise StudyError("tasks.networks: expected a task, such as segmentation: {kind: segmentation, model: ...}")
     chosen = _chosen(study, study.tasks.designs)
-    own = [lens.name for lens in study.lenses.values() if lens.other_task and lens.name not in chosen]
+    own: list[str] = []
+    if study.tasks.designs is None:  # table 1 has none of them
+        own = [lens.name for lens in study.lenses.values() if lens.other_task]
     return TaskContents(
         study=study.name,
         lenses=(SHARP, *chosen, *own),
@@ -156,10 +158,10 @@ def tasks(study: Study) -> TaskContents:
 
 
 def _chosen(study: Study, designs: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Return the lenses of these designs, by default those of table 1."""
+    """Return the lenses of these designs, or of these names; by default those of table 1."""
     if designs is None:
         return table(study, "table1").lenses
-    return tuple(lens.name for lens in study.lenses.values() if lens.design_name in designs)
+    return tuple(lens.name for lens in study.lenses.values() if {lens.design_name, lens.name} & {*designs})
 
 
 class BuiltContents(Frozen):

@@ -69,5 +69,7 @@ class TasksSettings(Frozen):
     scenes: SceneSettings = Field(SceneSettings(), description="Images with objects.")
     networks: dict[Name, TaskSettings] = Field(default_factory=dict, description="Tasks and their networks by name.")
     designs: tuple[Name, ...] | None = Field(
-        None, description="Designs, or imported lenses, that are measured on the tasks; null: all of table 1."
+        None,
+        description="Designs, imported lenses, or lenses such as doublet-tasklens, that are measured on the tasks; "
+        "null: all of table 1, and those that are designed by a task.",
     )

@@ -106,5 +106,6 @@ class ToleranceSettings(Frozen):
         100, description="Number of test images, at all nine fields, by which each is measured."
     )
     designs: tuple[Name, ...] | None = Field(
-        None, description="Designs, or imported lenses, whose lenses are built; null: all of table 1."
+        None,
+        description="Designs, imported lenses, or lenses as doublet-tasklens, that are built; null: all of table 1.",
     )

@@ -20,7 +20,7 @@ REPORTED = {
     "ablation": (["csv"], "Tables"),
     "merit_function": (["csv", "figure"], "Merit function"),
     "tolerances": (["csv", "compared_csv"], "Tables"),
-    "tasks": (["csv"], "Tables"),
+    "tasks": (["csv", "psfs"], "Tables"),
     "comparison": (["figure"], "Comparisons"),
     "frames": (["figure"], "Comparisons"),
     "certificate": (["figure"], "Lenses"),
