@@ -68,7 +68,7 @@ class TasksSettings(Frozen):
 
     scenes: SceneSettings = Field(SceneSettings(), description="Images with objects.")
     networks: dict[Name, TaskSettings] = Field(default_factory=dict, description="Tasks and their networks by name.")
-    designs: tuple[Name, ...] | None = Field(
+    designs: tuple[str, ...] | None = Field(
         None,
         description="Designs, imported lenses, or lenses such as doublet-tasklens, that are measured on the tasks; "
         "null: all of table 1, and those that are designed by a task.",

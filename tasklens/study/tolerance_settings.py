@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Count, Name
+from tasklens.study.quantities import Count
 from tasklens.study.settings import Frozen
 
 Tolerance = Annotated[float, Field(ge=0, le=1000)]
@@ -105,7 +105,7 @@ class ToleranceSettings(Frozen):
     images: Annotated[Count, Field(ge=10)] = Field(
         100, description="Number of test images, at all nine fields, by which each is measured."
     )
-    designs: tuple[Name, ...] | None = Field(
+    designs: tuple[str, ...] | None = Field(
         None,
         description="Designs, imported lenses, or lenses as doublet-tasklens, that are built; null: all of table 1.",
     )
