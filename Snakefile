@@ -185,7 +185,7 @@ def prepare(planned):
         except InputError as error:
             sys.exit(f"{error}")
     kept = {name: kept_studies.keep(study) for name, study in EVERY.items()}  # of these, jobs take their settings
-    networks = "--networks" if "reference" in kinds else ""
+    networks = "--networks" if kinds & {"reference", "task_reference"} else ""
     if networks or given.imported or "design" in kinds:  # those that design trace rays: compiled before, it is once
         try:
             shell(f"tasklens study check {kept[given.name]} --no-weights {networks} > /dev/null")

@@ -30,6 +30,7 @@ TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 4}
 SEGMENTATION = {"kind": "segmentation", "model": "lraspp_mobilenet_v3_large"}
 MASKS = {"kind": "instance_segmentation", "backbone": "resnet18", "channels": 8}
 BOXES = MASKS | {"kind": "detection"}
+OUTPUTS = range(1, 11)  # of the ten textures
 NOT_FLIPPED = torch.zeros(2, dtype=torch.bool)
 
 
@@ -55,7 +56,7 @@ class Says(nn.Module):
 def test_segmentation_of_a_network_that_knows():
     """Its loss is near zero, and 100 % are right; flipped images have flipped objects."""
     dataset = data()
-    task, indices = Segmentation(dataset), torch.arange(2)
+    task, indices = Segmentation(dataset, OUTPUTS), torch.arange(2)
     truth = torch.stack([objects.semantic(*dataset.of(k)) for k in range(2)])
     knows = Says(truth, 11)
     captures = dataset.batch(indices)
@@ -79,13 +80,13 @@ def test_detection_of_the_truth_is_perfect():
                               "masks": masks[:, None].float()})  # fmt: skip
             return found
 
-    task, indices = Detection(dataset, with_masks=True), torch.arange(4)
+    task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(4)
     answers = task.answers(Knows(), dataset.batch(indices))
     assert isinstance(answers[0], Detections)
     assert task.scores(answers, indices) == pytest.approx(
         dict.fromkeys(("mask_ap", "mask_ap50", "box_ap", "box_ap50"), 100.0)
     )
-    assert list(Detection(dataset, with_masks=False).scores(answers, indices)) == ["box_ap", "box_ap50"]
+    assert list(Detection(dataset, OUTPUTS, with_masks=False).scores(answers, indices)) == ["box_ap", "box_ap50"]
 
 
 @pytest.mark.parametrize("given", [SEGMENTATION, BOXES, MASKS], ids=["segmentation", "boxes", "masks"])
@@ -94,7 +95,7 @@ def test_losses_have_gradients_at_captures(given):
     torch.manual_seed(0)
     dataset = data()
     network = task_networks.frozen(task_networks.build("a", settings(given), 10, 32))
-    task = Segmentation(dataset) if given is SEGMENTATION else Detection(dataset, given is MASKS)
+    task = Segmentation(dataset, OUTPUTS) if given is SEGMENTATION else Detection(dataset, OUTPUTS, given is MASKS)
     captures = dataset.batch(torch.arange(2)).requires_grad_()
     task.loss(network, captures, torch.arange(2), NOT_FLIPPED).backward()
     assert captures.grad is not None and captures.grad.isfinite().all() and captures.grad.abs().sum() > 0
@@ -119,7 +120,7 @@ def test_a_small_network_learns_where_objects_are():
     torch.manual_seed(0)
     dataset = data(16)
     network = task_networks.build("a", settings(BOXES), 10, 32)
-    task = Detection(dataset, with_masks=False)
+    task = Detection(dataset, OUTPUTS, with_masks=False)
     wanted = TrainingSettings(epochs=20, learning_rate=2e-3, batch_size=8)
 
     def loss() -> float:
@@ -144,6 +145,23 @@ def test_whole_networks_of_torchvision():
         task_networks.build("mine", settings({"kind": "segmentation", "model": "unet"}), 3, 64)
     with pytest.raises(InputError, match=r"tasks\.networks\.mine: resnet19"):
         task_networks.build("mine", settings({"kind": "detection", "backbone": "resnet19"}), 3, 64)
+
+
+def test_published_weights_know_classes_by_name():
+    """A network of COCO's 90 numbers is asked for those of the data's classes alone, wherever they stand."""
+    network = settings({"kind": "detection", "model": "fasterrcnn_resnet50_fpn", "pretrained": True})
+    outputs = task_networks.outputs("a", network, ("toothbrush", "person"))
+    assert outputs == (90, 1)
+    with pytest.raises(InputError, match=r"tasks\.networks\.a: .*fasterrcnn_resnet50_fpn know no stripes"):
+        task_networks.outputs("a", network, ("person", "stripes"))
+
+    class Finds(nn.Module):
+        def forward(self, images):
+            corners = torch.tensor([[0.0, 0, 9, 9]]).repeat(3, 1)
+            return [{"boxes": corners, "labels": torch.tensor([1, 2, 90]), "scores": torch.tensor([0.9, 0.8, 0.7])}]
+
+    (found,) = Detection(data(1), outputs, with_masks=False).answers(Finds(), torch.zeros(1, 3, 32, 32))
+    assert found.labels.tolist() == [1, 0] and found.scores.tolist() == pytest.approx([0.9, 0.7])
 
 
 @pytest.mark.parametrize(

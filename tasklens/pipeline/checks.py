@@ -1,7 +1,7 @@
 """Checks of a study before its first job: images, imported lenses, networks; compiles the tracer."""
 
 from tasklens.optics.tracing.trace import compile_tracer
-from tasklens.recognition import class_folders
+from tasklens.recognition import class_folders, object_splits
 from tasklens.runtime.files import FileError
 from tasklens.study.study import Study
 
@@ -10,7 +10,7 @@ def check(study: Study, networks: bool, weights: bool) -> None:
     """Check what a study reads, and compile the tracer where it is not yet.
 
     Args:
-        networks: build every classifier once, without weights; and check that the folders of classes are named by
+        networks: build every network once, without weights; and check that the folders of classes are named by
             WordNet ids where a network has ImageNet's outputs.
         weights: look for the files of weights of all classifiers.
 
@@ -18,6 +18,7 @@ def check(study: Study, networks: bool, weights: bool) -> None:
         InputError: names what cannot be used.
     """
     class_folders.check(study.images)
+    object_splits.check(study.tasks.scenes)
     for name, classifier in study.classifiers.items():
         if weights and classifier.weights is not None and not classifier.weights.is_file():
             raise FileError(f"classifiers.{name}.weights = {classifier.weights}: no such file; correct the path")
@@ -43,6 +44,11 @@ def _check_networks(study: Study) -> None:
         if classifier.outputs != "classes" and study.images.folder is not None:
             train = class_folders.split_folder(study.images.folder, class_folders.TRAIN)
             classifiers.imagenet_outputs(class_folders.classes(train))
+    if study.tasks.networks:
+        from tasklens.recognition import task_networks
+
+        for name, network in study.tasks.networks.items():
+            task_networks.build(name, network.model_copy(update={"pretrained": False}), 2, study.tasks.scenes.size)
     for name, design in study.designs.items():
         if size := getattr(design, "size", None):
             classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)

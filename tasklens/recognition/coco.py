@@ -15,9 +15,11 @@ import torch
 from PIL import Image, ImageOps
 
 from tasklens.recognition import folders
-from tasklens.recognition.objects import LEAST_PIXELS, ObjectDataset, packed
+from tasklens.recognition.objects import ObjectDataset, packed
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
+
+_LEAST_PIXELS = 12  # of an object that is left: smaller ones are specks
 
 
 def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> ObjectDataset:
@@ -67,7 +69,7 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
             mask = _mask(annotation, entry, where)
             small = ImageOps.fit(Image.fromarray(255 * mask), (size, size), Image.Resampling.BOX)
             left = torch.from_numpy(numpy.array(small)) > 127
-            if int(left.sum()) >= LEAST_PIXELS:
+            if int(left.sum()) >= _LEAST_PIXELS:
                 owners.append(step - 1)
                 labels.append(classes[annotation["category_id"]])
                 masks.append(left)

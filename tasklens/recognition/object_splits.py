@@ -10,6 +10,13 @@ from tasklens.study.task_settings import SceneSettings
 _NAMES = {"train": ("train2017", "train"), "test": ("val2017", "val")}  # of a folder's splits
 
 
+def check(settings: SceneSettings) -> None:
+    """Check that a folder has annotations of both splits; raises FileError."""
+    if settings.folder is not None:
+        for names in _NAMES.values():
+            _split(settings.folder, names)
+
+
 def make(settings: SceneSettings) -> dict[str, ObjectDataset]:
     """Return the splits `train` and `test`.
 

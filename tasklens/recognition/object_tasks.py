@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.recognition import objects
+from tasklens.recognition import objects, task_networks
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections, average_precision, mean_iou
 from tasklens.recognition.tasks import Task
@@ -20,10 +20,11 @@ class _OfObjects(Task):
 
     Args:
         dataset: images with objects; labels are numbers of its images, as of `as_images`.
+        outputs: outputs of a network for the classes; 0 is that of the background.
     """
 
-    def __init__(self, dataset: ObjectDataset):
-        self.dataset = dataset
+    def __init__(self, dataset: ObjectDataset, outputs: Sequence[int]):
+        self.dataset, self.outputs = dataset, tuple(outputs)
 
     def masks(self, index: int, flipped: bool) -> tuple[Tensor, Tensor]:
         """Return the labels (K,) and masks (K, H, W) of the objects of an image."""
@@ -38,30 +39,29 @@ class Segmentation(_OfObjects):
         """Compute the mean cross-entropy of all pixels."""
         pairs = zip(labels.tolist(), flipped.tolist(), strict=True)
         wanted = torch.stack([objects.semantic(*self.masks(*pair)) for pair in pairs]).to(captures.device)
-        return F.cross_entropy(_logits(network, captures), wanted)
+        return F.cross_entropy(self._logits(network, captures), wanted)
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
         """Return the likeliest class (H, W) of each pixel."""
-        return list(_logits(network, captures).argmax(1).cpu())
+        return list(self._logits(network, captures).argmax(1).cpu())
 
     def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
         """Return `miou` [%]."""
         wanted = torch.stack([objects.semantic(*self.masks(k, False)) for k in labels.tolist()])
         return {"miou": mean_iou(torch.stack(list(answers)), wanted, 1 + len(self.dataset.classes))}
 
-
-def _logits(network: nn.Module, captures: Tensor) -> Tensor:
-    """Return torchvision's logits (B, C, H, W) of captures in [0, 1]."""
-    mean, std = (torch.tensor(v, device=captures.device)[:, None, None] for v in (_MEAN, _STD))
-    return network((captures - mean) / std)["out"]
+    def _logits(self, network: nn.Module, captures: Tensor) -> Tensor:
+        """Return the logits (B, 1 + C, H, W) of background and classes for captures in [0, 1]."""
+        mean, std = (torch.tensor(v, device=captures.device)[:, None, None] for v in (_MEAN, _STD))
+        return network((captures - mean) / std)["out"][:, [0, *self.outputs]]
 
 
 class Detection(_OfObjects):
     """Boxes of objects, and their masks if the network finds masks; scored by COCO's average precision."""
 
-    def __init__(self, dataset: ObjectDataset, with_masks: bool):
-        super().__init__(dataset)
+    def __init__(self, dataset: ObjectDataset, outputs: Sequence[int], with_masks: bool):
+        super().__init__(dataset, outputs)
         self.with_masks = with_masks
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
@@ -69,18 +69,25 @@ class Detection(_OfObjects):
         targets = []
         for index, flip in zip(labels.tolist(), flipped.tolist(), strict=True):
             classes, masks = self.masks(index, flip)
-            target = {"boxes": objects.boxes(masks), "labels": 1 + classes, "masks": masks.byte()}
+            target = {
+                "boxes": objects.boxes(masks),
+                "labels": torch.tensor(self.outputs)[classes],
+                "masks": masks.byte(),
+            }
             targets.append({name: value.to(captures.device) for name, value in target.items()})
         return torch.stack(list(network(list(captures), targets).values())).sum()
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Detections]:
         """Return the objects that are found; the network is in `eval()`."""
-        found = []
+        found, known = [], torch.tensor(self.outputs)
         for answer in network(list(captures)):
             masks = (answer["masks"][:, 0] > 0.5).cpu() if self.with_masks else None
             boxes, labels, scores = (answer[name].cpu() for name in ("boxes", "labels", "scores"))
-            found.append(Detections(boxes, labels - 1, scores, masks))
+            is_class = labels[:, None] == known
+            kept = is_class.any(1)  # published networks know other classes too
+            classes = is_class[kept].int().argmax(1)
+            found.append(Detections(boxes[kept], classes, scores[kept], None if masks is None else masks[kept]))
         return found
 
     def scores(self, answers: Sequence[Detections], labels: Tensor) -> Mapping[str, float]:
@@ -97,8 +104,9 @@ class Detection(_OfObjects):
         return found
 
 
-def make(settings: TaskSettings, dataset: ObjectDataset) -> Task:
-    """Return the task on a data set."""
+def make(name: str, settings: TaskSettings, dataset: ObjectDataset) -> Task:
+    """Return the task `name` on a data set; raises InputError where published weights do not know its classes."""
+    outputs = task_networks.outputs(name, settings, dataset.classes)
     if settings.kind == "segmentation":
-        return Segmentation(dataset)
-    return Detection(dataset, with_masks=settings.kind == "instance_segmentation")
+        return Segmentation(dataset, outputs)
+    return Detection(dataset, outputs, with_masks=settings.kind == "instance_segmentation")

@@ -12,8 +12,6 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import CPU
 from tasklens.runtime.files import FileError, damaged, map_array, read_tensors, write_tensors, writing_array
 
-LEAST_PIXELS = 12  # of an object that is annotated: smaller ones are specks
-
 
 @dataclass(frozen=True)
 class ObjectDataset:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from torch import nn
-from torchvision.models import get_model
+from torchvision.models import get_model, get_model_weights
 from torchvision.models.detection import FasterRCNN, MaskRCNN
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
@@ -44,6 +44,24 @@ def build(name: str, settings: TaskSettings, classes: int, size: int) -> nn.Modu
         return get_model(settings.model, weights=weights, **given)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"tasks.networks.{name}: {settings.model or settings.backbone}: {error}") from error
+
+
+def outputs(name: str, settings: TaskSettings, classes: Sequence[str]) -> tuple[int, ...]:
+    """Return the output of each class; 0 is that of the background.
+
+    Raises:
+        InputError: the published weights do not know one of the classes.
+    """
+    if not settings.pretrained:
+        return tuple(range(1, 1 + len(classes)))
+    known = get_model_weights(settings.model).DEFAULT.meta["categories"]
+    unknown = [each for each in classes if each not in known]
+    if unknown:
+        raise InputError(
+            f"tasks.networks.{name}: the published weights of {settings.model} know no {', '.join(unknown)}, but "
+            f"{', '.join(known)}; rename the classes of the data, or train without `pretrained`"
+        )
+    return tuple(known.index(each) for each in classes)
 
 
 def load(name: str, settings: TaskSettings, classes: Sequence[str], size: int, weights: Path | None) -> nn.Module:

@@ -6,13 +6,19 @@ hours later, fill the memory, or never end.
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 
 def _no_truth(value: Any) -> Any:
     if isinstance(value, bool):
         raise ValueError("expected a whole number")
     return value
+
+
+def _rising(periods: tuple[float, float]) -> tuple[float, float]:
+    if not periods[0] < periods[1]:
+        raise ValueError("expected a shorter and a longer period")
+    return periods
 
 
 Whole = Annotated[int, BeforeValidator(_no_truth)]  # not `true`, which is 1
@@ -29,6 +35,9 @@ Length = Annotated[float, Field(gt=0, le=1000)]  # [mm]
 Micrometres = Annotated[float, Field(ge=0.01, le=1000)]
 LearningRate = Annotated[float, Field(gt=0, le=10)]
 Magnification = Annotated[float, Field(ge=1, le=1000)]
+Periods = Annotated[  # of rendered textures [pixels]
+    tuple[Annotated[float, Field(ge=3)], Annotated[float, Field(le=10_000)]], AfterValidator(_rising)
+]
 Angle = Annotated[float, Field(gt=0, lt=90)]  # [degrees]
 # A lens has up to four names in that of its files, and file systems take 255 bytes.
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$", max_length=40)]

@@ -26,6 +26,7 @@ from tasklens.study.quantities import (
     Length,
     Magnification,
     Micrometres,
+    Periods,
     Seed,
     Small,
     Steps,
@@ -138,16 +139,9 @@ class ImageSettings(Frozen):
     test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
     seed: Seed = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
     folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")
-    periods: tuple[Annotated[float, Field(ge=3)], Annotated[float, Field(le=10_000)]] = Field(
+    periods: Periods = Field(
         (5.0, 16.0), description="Shortest and longest period of rendered textures [pixels]; shorter ones are harder."
     )
-
-    @field_validator("periods")
-    @classmethod
-    def _rising(cls, periods: tuple[float, float]) -> tuple[float, float]:
-        if not periods[0] < periods[1]:
-            raise ValueError("expected a shorter and a longer period")
-        return periods
 
     @model_validator(mode="after")
     def _rendered_need_counts(self) -> "ImageSettings":

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Count, Name, Seed, Small, Whole
+from tasklens.study.quantities import Count, Name, Periods, Seed, Small, Whole
 from tasklens.study.settings import Frozen, TrainingSettings
 
 
@@ -20,16 +20,9 @@ class SceneSettings(Frozen):
     test: Count = Field(300, description="Number of test images; of a folder at most.")
     seed: Seed = Field(0, description="Seed of the rendering, or of the choice of a folder's images.")
     folder: Path | None = Field(None, description="Folder in the format of COCO; null: rendered objects.")
-    periods: tuple[Annotated[float, Field(ge=3)], Annotated[float, Field(le=10_000)]] = Field(
-        (5.0, 16.0), description="Shortest and longest period of rendered textures [pixels]."
+    periods: Periods = Field(
+        (5.0, 16.0), description="Shortest and longest period of rendered textures [pixels]; shorter ones are harder."
     )
-
-    @field_validator("periods")
-    @classmethod
-    def _rising(cls, periods: tuple[float, float]) -> tuple[float, float]:
-        if not periods[0] < periods[1]:
-            raise ValueError("expected a shorter and a longer period")
-        return periods
 
 
 class TaskSettings(Frozen):
@@ -47,7 +40,10 @@ class TaskSettings(Frozen):
         None, description="torchvision's name of the ResNet under a small detector, such as resnet18."
     )
     channels: Annotated[Small, Field(ge=8)] = Field(64, description="Channels of a small detector's pyramid and heads.")
-    pretrained: bool = Field(False, description="Start from torchvision's published weights of the whole network.")
+    pretrained: bool = Field(
+        False,
+        description="Start from torchvision's published weights of the whole network, which find its classes by name.",
+    )
     arguments: dict[str, Any] = Field({}, description="Further keywords of the network, such as box_score_thresh.")
     training: TrainingSettings = Field(description="Training on the sharp images.")
     fine_tuning: TrainingSettings = Field(description="Fine-tuning on the captures of each lens.")

@@ -22,8 +22,8 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
 
         device = claim()
         found = objects.read(*inputs.train, device=device)
-        train, task = found.as_images(), object_tasks.make(settings.network, found)
         name, size = str(settings.task), found.images.shape[-1]
+        train, task = found.as_images(), object_tasks.make(name, settings.network, found)
         classifier = task_networks.load(name, settings.network, found.classes, size, inputs.weights).to(device)
     elif inputs.train:
         device = claim()

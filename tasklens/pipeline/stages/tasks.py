@@ -20,7 +20,7 @@ def train(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint
     network = task_networks.build(settings.name, settings.network, len(dataset.classes), dataset.images.shape[-1]).to(
         device
     )
-    task = object_tasks.make(settings.network, dataset)
+    task = object_tasks.make(settings.name, settings.network, dataset)
     sharp, label = dataset.as_images(), f"training of {settings.name}"
     training.fit({settings.name: network}, sharp, settings.network.training, 0, label, checkpoint=checkpoint, task=task)
     write_tensors(outputs.weights, network.state_dict(), {"task": settings.name})
@@ -36,7 +36,7 @@ def fine_tune(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     if settings.capture is not None:
         camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(inputs.psf)))
     pipeline = CapturePipeline(camera)
-    tasks = {name: object_tasks.make(settings.network, split) for name, split in splits.items()}
+    tasks = {name: object_tasks.make(settings.name, settings.network, split) for name, split in splits.items()}
     test = splits["test"].as_images()
     rows = [row | {"tuned": False} for row in scores(network, tasks["test"], test, pipeline)]
     training.fit(
