@@ -46,7 +46,8 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
         path: the file.
         catalogues: glass catalogues of a Zemax file (.agf, or plastics in YAML).
         specification: what is to differ from the file: field_of_view_deg (full angle), f_number, pixel_pitch_um,
-            kernel_size (width of PSFs in pixels, odd), wavelengths_um (red, green, blue).
+            kernel_size (width of PSFs in pixels, odd), wavelengths_um (red, green, blue); object_distance_mm (from
+            the object to the first vertex; without it the object is at infinity).
 
     Returns:
         The lens, and the view: nine fields from the axis to the corner, three wavelengths, pixels.

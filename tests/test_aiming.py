@@ -15,7 +15,7 @@ from tasklens.optics.analysis import aiming, pupil
 from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
+from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_rays_full, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch
@@ -49,6 +49,11 @@ def tangents_of(*degrees: float) -> torch.Tensor:
     return f64([[0.6 * math.tan(math.radians(a)), -0.8 * math.tan(math.radians(a))] for a in degrees])
 
 
+def looking(tangents: torch.Tensor, wavelengths: tuple[float, ...] = WAVELENGTHS) -> View:
+    """Fields by their tangents, for a pinhole of 1 mm."""
+    return View(tangents, 1.0, wavelengths, 1.8, 31)
+
+
 def assert_on_stop(lens: Lens, rays: Rays, points: torch.Tensor, wavelengths: tuple[float, ...]) -> None:
     """Rays that were aimed pass the real stop at the points; those lost behind it included."""
     image, behind = trace_full(lens, rays, lens.refractive_indices(wavelengths))
@@ -68,7 +73,7 @@ def assert_on_stop(lens: Lens, rays: Rays, points: torch.Tensor, wavelengths: tu
 def test_rays_meet_the_stop_where_they_shall(path, points):
     """On the axis, at 0.7 and at the full field, in three colours, within 1e-12 mm."""
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
-    rays = collimated_rays(lens, view.tangents, points, view.wavelengths)
+    rays = launch_fields(lens, view, points)
     assert float(rays.valid.double().mean((1, 2)).min()) >= TOO_WIDE.get(path.stem, 1.0)
     assert_on_stop(lens, rays, points, view.wavelengths)
 
@@ -82,7 +87,7 @@ def test_lenses_of_every_kind_are_there():
 def test_stops_of_other_kinds(make):
     lens, tangents = make(), tangents_of(0, 10, 20)
     for points in (FEW, MANY):
-        rays = collimated_rays(lens, tangents, points, WAVELENGTHS)
+        rays = launch_fields(lens, looking(tangents), points)
         assert rays.valid.all()
         assert_on_stop(lens, rays, points, WAVELENGTHS)
 
@@ -91,7 +96,7 @@ def test_a_wide_angle_lens_keeps_its_full_field():
     """70 degrees off the axis the paraxial entrance pupil misses the real one altogether."""
     lens, tangents = reverse_telephoto(), tangents_of(0, 30, 50, 60, 70)
     indices = lens.refractive_indices(WAVELENGTHS)
-    aimed = collimated_rays(lens, tangents, MANY, WAVELENGTHS)
+    aimed = launch_fields(lens, looking(tangents), MANY)
     assert_on_stop(lens, aimed, MANY, WAVELENGTHS)
     assert trace(lens, aimed, indices).valid.all()
     first_order = paraxial(lens, WAVELENGTHS[1])
@@ -105,7 +110,7 @@ def test_a_curved_first_surface_is_filled_as_a_stop():
     """As the stop: rays meet the surface itself, not its vertex plane, at their pupil points, and pass."""
     glass = model_glass(1.6, 60.0, 0.0)
     lens = make_lens([1 / 20, -1 / 60], [8.0, 25.0], (glass, "air"), conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
-    rays = collimated_rays(lens, f64([[0.0, 0.0], [0.1, 0.2]]), FEW, WAVELENGTHS)
+    rays = launch_fields(lens, looking(f64([[0.0, 0.0], [0.1, 0.2]])), FEW)
     _, behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))
     assert behind[0].valid.all()
     for found, expected in ((behind[0].x, FEW[:, 0]), (behind[0].y, FEW[:, 1])):
@@ -114,7 +119,7 @@ def test_a_curved_first_surface_is_filled_as_a_stop():
 
 def test_the_chief_ray_passes_the_centre_of_the_stop():
     lens = reverse_telephoto()
-    view = View(tangents_of(0, 30, 70), 1.0, WAVELENGTHS, 1.8, 31)
+    view = looking(tangents_of(0, 30, 70))
     at = chief_rays_full(lens, view)[2][lens.stop]
     assert float(torch.hypot(at.x, at.y).max()) < 1e-13
 
@@ -126,7 +131,7 @@ def test_rays_on_the_rim_pass_the_stop(path, dtype):
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
     names = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
     lens = replace(lens, **{name: getattr(lens, name).to(dtype) for name in names})
-    rays = collimated_rays(lens, view.tangents, rim(64), view.wavelengths)
+    rays = launch_fields(lens, view, rim(64))
     assert rays.x.dtype == dtype
     image = trace(lens, rays, lens.refractive_indices(view.wavelengths))
     assert not (rays.valid & (image.lost_at >= 0) & (image.lost_at <= lens.stop)).any()
@@ -134,8 +139,8 @@ def test_rays_on_the_rim_pass_the_stop(path, dtype):
 
 def test_a_smaller_stop_is_the_inner_part_of_the_pupil():
     lens, tangents = reverse_telephoto(), tangents_of(0, 50)
-    inner = collimated_rays(lens, tangents, 0.5 * FEW, WAVELENGTHS)
-    stopped = collimated_rays(lens.with_stop_scaled(0.5), tangents, FEW, WAVELENGTHS)
+    inner = launch_fields(lens, looking(tangents), 0.5 * FEW)
+    stopped = launch_fields(lens.with_stop_scaled(0.5), looking(tangents), FEW)
     for name in ("x", "y"):
         torch.testing.assert_close(getattr(stopped, name), getattr(inner, name), rtol=0, atol=1e-13)
 
@@ -166,7 +171,7 @@ def test_a_stop_in_front_changes_nothing(monkeypatch):
     for lens in [*lenses, in_air, *plane]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)
         expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
-        found = collimated_rays(lens, tangents_of(0, 2), FEW, wavelengths)
+        found = launch_fields(lens, looking(tangents_of(0, 2), wavelengths), FEW)
         for name, value in vars(expected).items():
             assert torch.equal(getattr(found, name), value), name
 
@@ -196,7 +201,7 @@ def image_points(make, name: str):
             given[name] = value
         else:
             changed = replace(lens, **{name: value})
-        rays = collimated_rays(changed, given["tangents"], given["pupil"], WAVELENGTHS)
+        rays = launch_fields(changed, looking(given["tangents"]), given["pupil"])
         # The rim of the stop is not an aperture here: a difference moves rays across it.
         opened = replace(changed, semi_diameter=torch.full_like(changed.curvature.detach(), torch.inf))
         rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
@@ -234,7 +239,7 @@ def test_derivatives_of_bundles_that_a_polynomial_starts():
 
     def merit(t: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: getattr(lens, name) + t * d for name, d in directions.items()})
-        rays = collimated_rays(changed, tangents_of(0, 40), MANY, WAVELENGTHS)
+        rays = launch_fields(changed, looking(tangents_of(0, 40)), MANY)
         opened = replace(changed, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
         rays = trace(opened, rays, lens.refractive_indices(WAVELENGTHS))
         return (rays.x.square() + rays.y.square()).mean()
@@ -253,7 +258,7 @@ def test_what_no_ray_reaches_is_lost():
     lens = cooke_triplet(curvature=cooke_triplet().curvature.requires_grad_())
     tangents = tangents_of(0, 20, 60, 80)
     for points in (FEW, MANY):
-        rays = collimated_rays(lens, tangents, points, WAVELENGTHS)
+        rays = launch_fields(lens, looking(tangents), points)
         assert rays.valid[:2].all() and not rays.valid[3].any()
         image = trace(lens, rays, lens.refractive_indices(WAVELENGTHS))
         lost = ~rays.valid
@@ -264,7 +269,7 @@ def test_what_no_ray_reaches_is_lost():
             assert value.isfinite().all()
         (gradient,) = torch.autograd.grad(image.x[2:].sum() + image.y.sum(), lens.curvature)
         assert gradient.isfinite().all() and gradient.any()
-        outside = trace_fields(lens, View(tangents[3:], 1.0, WAVELENGTHS, 1.8, 31), points)
+        outside = trace_fields(lens, looking(tangents[3:]), points)
         (gradient,) = torch.autograd.grad(outside.x.sum(), lens.curvature)
         assert not gradient.any()
 
@@ -275,8 +280,8 @@ def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
     indices = lens.refractive_indices(WAVELENGTHS)
     clipped = replace(lens, semi_diameter=lens.semi_diameter.clone())
     clipped.semi_diameter[0] = 8.0
-    rays = collimated_rays(lens, tangents, MANY, WAVELENGTHS)
-    same = collimated_rays(clipped, tangents, MANY, WAVELENGTHS)
+    rays = launch_fields(lens, looking(tangents), MANY)
+    same = launch_fields(clipped, looking(tangents), MANY)
     assert torch.equal(rays.x, same.x) and torch.equal(rays.y, same.y)
     behind = trace_full(lens, rays, indices)[1][0]
     image = trace(clipped, same, indices)
@@ -307,7 +312,7 @@ def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_widt
 
     areas = []
     for tangent in tangents:
-        centre = collimated_rays(lens, tangent[None], CENTRE, (wavelength,))  # only places the square
+        centre = launch_fields(lens, looking(tangent[None], (wavelength,)), CENTRE)  # only places the square
         behind = partial(cosines, tangent, centre)
         _, (lx, mx), valid = torch.func.jvp(behind, (x, y), (one, zero), has_aux=True)
         _, (ly, my), _ = torch.func.jvp(behind, (x, y), (zero, one), has_aux=True)
@@ -326,11 +331,11 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
     """Against 400 x 400 rays over the first surface; 4e-3 where an aperture cuts the pupil, 1e-3 else."""
     lens, tangents = make(), tangents_of(*angles)
     if clipped:  # less than the light of the largest field needs
-        rays = collimated_rays(lens, tangents, rim(64), WAVELENGTHS)
+        rays = launch_fields(lens, looking(tangents), rim(64))
         behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))[1][-2]
         height = torch.hypot(behind.x, behind.y)[-1]
         lens.semi_diameter[-2] = float(height.mean())
-    view = View(tangents, 1.0, WAVELENGTHS, 1.8, 31)
+    view = looking(tangents)
     area = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
     expected = area / area[0]
     found = relative_illumination(lens, view)

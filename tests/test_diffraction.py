@@ -14,7 +14,7 @@ from test_wavefront import hyperboloid
 from tasklens.optics.analysis import diffraction
 from tasklens.optics.analysis.diffraction import diffraction_psf, irradiance
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
+from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields
 from tasklens.optics.analysis.spots import chief_points, evaluation_psf, trace_fields
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
@@ -101,7 +101,7 @@ def huygens_fresnel(lens: Lens, view: View, x: torch.Tensor) -> torch.Tensor:
     shift = 1e-6 * pupil.sign()
     points = torch.cat([pupil, *(pupil - shift * f64(axis) for axis in ([1.0, 0.0], [0.0, 1.0]))])
     at_vertex = replace(lens, thickness=lens.thickness * f64([1.0, 0.0]))
-    start = collimated_rays(lens, view.tangents, points, view.wavelengths)
+    start = launch_fields(lens, view, points)
     rays = trace(at_vertex, start, lens.refractive_indices(view.wavelengths))
     px, py, path = (v.reshape(3, -1) for v in (rays.x, rays.y, rays.path))
     (dx, ex), (dy, ey) = (((v[0] - v[1:]) / shift.T) for v in (px, py))

@@ -10,7 +10,7 @@ from examples import WAVELENGTHS, f64, make_lens
 from reference_lenses import LENS_FILES, reference_lens, reference_view
 
 from tasklens.optics import aspheres
-from tasklens.optics.analysis.pupil import collimated_rays, sobol_disc
+from tasklens.optics.analysis.pupil import launch_fields, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import GRAZING, Rays, RayStatus, launch
 from tasklens.optics.surface import Surface
@@ -90,7 +90,7 @@ def grazes(surface: Surface, point, way, last: float, first: float) -> bool:
 def test_published_lenses(path, apertures):
     """Every ray of three fields at every surface, within the clear apertures and outside."""
     lens, view = reference_lens(path, apertures), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
-    start = collimated_rays(lens, view.tangents, sobol_disc(24, seed=1), view.wavelengths)
+    start = launch_fields(lens, view, sobol_disc(24, seed=1))
     _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths))
     reach = 2 * float(lens.thickness.abs().max()) + 2 * float(lens.semi_diameter[lens.stop])
     before, met = start, 0

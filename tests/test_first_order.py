@@ -10,10 +10,10 @@ from examples import WAVELENGTHS, f64, make_lens, materials, parallel_rays, rand
 from tasklens.design.start import flat
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature, rim, sobol_disc
+from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields_full
 from tasklens.optics.tracing.trace import trace, trace_full
-from tasklens.optics.view import view_of_spec
+from tasklens.optics.view import View, view_of_spec
 from tasklens.study.settings import Constraints, Spec
 
 N = builtin("COC").refractive_index(0.5893)
@@ -83,7 +83,7 @@ def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
     c = 1 / 4.0 / (N - 1)
     lens = make_lens([c, 0, 0], [0.3, 1.2, 2], ("COC", "air", "air"), semi_diameter=[9, 9, 0.6], stop=2)
     tangent = 1e-3
-    rays = collimated_rays(lens, f64([[tangent, -tangent]]), torch.zeros(1, 2, dtype=torch.float64), (0.5893,))
+    rays = launch_fields(lens, View(f64([[tangent, -tangent]]), 1.0, (0.5893,), 9.0, 31), f64([[0.0, 0.0]]))
     record = trace_full(lens, rays, lens.refractive_indices((0.5893,)))[1]
     assert float(rays.x.abs()) > tangent
     assert abs(float(record[2].x)) < 10 * tangent**3 and abs(float(record[2].y)) < 10 * tangent**3
@@ -104,7 +104,7 @@ def test_bundles_fill_the_stop():
     record = trace_fields_full(lens, looks, rim(16))[1]
     radius = torch.hypot(record[0].x, record[0].y)
     torch.testing.assert_close(radius, torch.full_like(radius, Spec().stop_radius_mm), rtol=0, atol=1e-15)
-    rays = collimated_rays(lens, looks.tangents, rim(16), WAVELENGTHS)
+    rays = launch_fields(lens, looks, rim(16))
     torch.testing.assert_close(rays.l / rays.n, looks.tangents[:, 0, None, None].expand_as(rays.l), rtol=1e-14, atol=0)
 
 

@@ -36,6 +36,10 @@ Focus = Annotated[
     float | None,
     typer.Option(help="Shift of the image plane away from the lens, micrometres.", rich_help_panel=_PANEL),
 ]
+ObjectDistance = Annotated[
+    float | None,
+    typer.Option("--object", help="Distance of the object, millimetres; else at infinity.", rich_help_panel=_PANEL),
+]
 Catalogues = Annotated[
     list[Path] | None, typer.Option(help="Glass catalogue of a .zmx (.agf or YAML).", rich_help_panel=_PANEL)
 ]
@@ -48,6 +52,7 @@ def _reader(
     kernel_size: KernelSize = None,
     wavelengths: Wavelengths = None,
     focus: Focus = None,
+    object_distance: ObjectDistance = None,
     catalogue: Catalogues = None,
 ) -> Callable[[Path], "LensFile"]:
     """Return a function that reads lenses with these options."""
@@ -62,7 +67,7 @@ def _reader(
     }
 
     def read(path: Path) -> "LensFile":
-        found = lens_files.read(path, catalogue or (), **wanted)
+        found = lens_files.read(path, catalogue or (), object_distance, **wanted)
         for remark in found.remarks:
             say(f"{path}: {remark}")
         return _with_image_moved(found, focus) if focus else found

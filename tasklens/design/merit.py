@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from tasklens.design.linear_limits import LinearLimits
-from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
+from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields
 from tasklens.optics.analysis.spots import trace_fields_full
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
@@ -125,7 +125,7 @@ class Merit:
         """Launch the rays, which are the same for all lenses with one stop in front."""
         radius = float(lens.semi_diameter[lens.stop])
         if self.launched is None or self.launched[0] != radius:
-            self.launched = radius, collimated_rays(lens, self.view.tangents, self.pupil, self.view.wavelengths)
+            self.launched = radius, launch_fields(lens, self.view, self.pupil)
         return self.launched[1]
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:

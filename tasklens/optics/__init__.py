@@ -6,8 +6,9 @@ Conventions:
 - A surface has its vertex on the axis; its sag z = s(r) is positive to the right. A positive curvature has its centre
   on the right. `thickness[i]` is the axial distance from vertex i to vertex i + 1; the last one is the image distance.
 - A field is the point (X, Y) in mm on the image plane of a pinhole camera of the specified focal length f; its light is
-  a collimated bundle with direction tangents (X / f, Y / f). Images and PSFs are in sensor coordinates: columns run
-  along x, rows along y.
+  a collimated bundle with direction tangents (X / f, Y / f). An object at a finite distance has its point in that
+  direction from the centre of the paraxial entrance pupil. Images and PSFs are in sensor coordinates: columns run along
+  x, rows along y.
 - A pupil point is a point of the unit disc. Its rays meet the stop surface at (x, y) = pupil point times radius of the
   stop, at every field and wavelength; the chief ray meets its centre. A stop in front of the lens is its own entrance
   pupil. Rays are aimed at one behind a refracting surface; a ray that nothing brings there is lost.

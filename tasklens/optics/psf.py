@@ -49,7 +49,8 @@ def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Ten
 
 def psf_notes(view: View, grid: Tensor) -> dict[str, Any]:
     """Return what a file of PSFs (F, W, K, K) says about them: fields, wavelengths, pixel pitch, energies inside."""
-    return {
+    near = {"object_distance_mm": view.object_distance} if view.object_vergence else {}
+    return near | {
         "fields_mm": view.fields.tolist(),
         "wavelengths_um": view.wavelengths,
         "pixel_pitch_um": view.pixel_pitch,

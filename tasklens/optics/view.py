@@ -1,10 +1,12 @@
 """Fields, wavelengths and pixels at which a lens is evaluated."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from tasklens.runtime.errors import InputError
 from tasklens.study.settings import Spec
 
 
@@ -18,6 +20,10 @@ class View:
         wavelengths: W wavelengths [um]; the middle one is the reference.
         pixel_pitch: pixel pitch [um].
         kernel_size: width of the PSF window [pixels], odd.
+        object_vergence: 1 / distance of the object in front of the first vertex [1/mm]; 0: it is at infinity.
+
+    Raises:
+        InputError: the object is not in front of the lens.
     """
 
     fields: Tensor
@@ -25,11 +31,24 @@ class View:
     wavelengths: tuple[float, ...]
     pixel_pitch: float
     kernel_size: int
+    object_vergence: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.object_vergence < math.inf:
+            raise InputError(
+                f"object_vergence: expected 1 / distance [mm] of an object in front of the lens, or 0 for one at "
+                f"infinity, found {self.object_vergence}"
+            )
 
     @property
     def tangents(self) -> Tensor:
-        """(F, 2) direction tangents of the fields."""
+        """(F, 2) direction tangents of the fields, as seen from the centre of the entrance pupil."""
         return self.fields / self.efl
+
+    @property
+    def object_distance(self) -> float:
+        """Distance of the object in front of the first vertex [mm]."""
+        return 1 / self.object_vergence if self.object_vergence else math.inf
 
     @property
     def radii(self) -> Tensor:

@@ -92,6 +92,12 @@ def _lens(content: Mapping) -> dict[str, str]:
         "Airy radius [um]": f"{figures['airy_radius_um']:.2f}",
         "diffraction cut-off [cycles/mm]": f"{figures['diffraction_cutoff_per_mm']:.0f}",
     }
+    if "object_distance_mm" in figures:
+        rows |= {
+            "object, in front of the first surface [mm]": f"{figures['object_distance_mm']:g}",
+            "magnification": f"{figures['magnification']:.4g}",
+            "working F-number": f"{figures['working_f_number']:.3f}",
+        }
     if "worst_margin" in content:
         rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
     origin = content.get("origin", {})

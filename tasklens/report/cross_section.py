@@ -1,15 +1,17 @@
 """Cross-section of a lens in the plane of the diagonal, with rays of several fields."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from matplotlib.axes import Axes
 
 from tasklens.materials.material import AIR
-from tasklens.optics.analysis.spots import trace_fields_full
+from tasklens.optics.analysis.pupil import launch_fields
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.trace import trace_full
 from tasklens.optics.view import View
 from tasklens.report.scale_bar import scale_bar
 
@@ -57,14 +59,15 @@ def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours:
     """Draw a fan of rays for each field, turned into the plane of the drawing."""
     vertices = lens.vertices
     radius = view.radii[list(shown)]
-    along_y = View(torch.stack([torch.zeros_like(radius), radius], -1), view.efl, (view.reference,), 1.0, 1)
+    along_y = replace(view.in_reference(), fields=torch.stack([torch.zeros_like(radius), radius], -1))
     fan = torch.stack([torch.zeros(_RAYS), torch.linspace(-_PUPIL, _PUPIL, _RAYS)], -1).double()
-    image, behind = trace_fields_full(lens, along_y, fan)
+    start = launch_fields(lens, along_y, fan)
+    image, behind = trace_full(lens, start, lens.refractive_indices(along_y.wavelengths))
     # Rays are drawn from the foremost plane straight to the first refracting surface, since a stop may be behind it.
     z_each = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
     y_each = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
     front = torch.full_like(z_each[0], float(vertices.min()))
-    before = y_each[0] - along_y.tangents[:, 1, None] * (z_each[0] - front)
+    before = y_each[0] - (start.m / start.n)[:, 0] * (z_each[0] - front)
     z = torch.stack([front, *z_each, torch.full_like(front, float(vertices[-1] + lens.thickness[-1]))])
     y = torch.stack([before, *y_each, image.y[:, 0]])
     angles = torch.rad2deg(torch.atan(radius / view.efl)).tolist()

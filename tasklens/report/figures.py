@@ -118,7 +118,8 @@ def _draw(part: SubFigure, panel: Panel) -> None:
     curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, SHOWN)
     draw_curves(charts, panel)
     figures = panel.figures
-    part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}", weight="bold")
+    near = f", object at {figures['object_distance_mm']:g} mm" if "object_distance_mm" in figures else ""
+    part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}{near}", weight="bold")
 
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:

@@ -21,11 +21,13 @@ _FIELDS = {  # key in the figures of a lens: what a person reads, number of deci
     "distortion_percent": ("distortion [%]", 2),
     "relative_illumination": ("relative illumination", 2),
 }
+_NEAR = ("object_distance_mm", "magnification", "working_f_number")  # of an object at a finite distance
 _COLUMNS = {  # key of a row: its heading, format
     "lens": ("lens", ""),
     "efl_mm": ("EFL", ".3f"),
     "f_number": ("F/", ".2f"),
     "track_mm": ("track", ".2f"),
+    "object_distance_mm": ("object", "g"),
     "field_of_view_deg": ("field", ".1f"),
     "rms_mean_um": ("RMS", ".2f"),
     "rms_worst_um": ("worst", ".2f"),
@@ -58,6 +60,7 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm", "image_distance_mm", "airy_radius_um")},
         "fields": {key: [figures[key][field] for field in shown] for key in _FIELDS},
     }
+    found |= {key: figures[key] for key in _NEAR if key in figures}
     return found | {key: content[key] for key in ("worst_margin", "origin") if key in content}
 
 
@@ -69,6 +72,11 @@ def text(name: str, found: Mapping) -> str:
         f"  focal length {found['efl_mm']:.3f} mm, F/{found['f_number']:.2f}, {found['track_mm']:.2f} mm from the "
         f"first surface to the image, Airy radius {found['airy_radius_um']:.1f} um",
     ]
+    if "object_distance_mm" in found:
+        lines.append(
+            f"  object {found['object_distance_mm']:g} mm in front of the first surface, magnification "
+            f"{found['magnification']:.4g}, working F/{found['working_f_number']:.2f}"
+        )
     for key, (meaning, digits) in _FIELDS.items():
         lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in found["fields"][key]))
     if "worst_margin" in found:
@@ -93,6 +101,7 @@ def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
     return {
         "lens": name,
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm")},
+        **{key: figures[key] for key in ("object_distance_mm",) if key in figures},
         "field_of_view_deg": 2 * max(figures["angle_deg"]),
         "rms_mean_um": mean("rms_centroid_um"),
         "rms_worst_um": max(figures["rms_centroid_um"]),

@@ -20,15 +20,13 @@ _BORDER = 4  # between tiles [pixels]
 def write_psf(path: Path, grid: Tensor, lens: Lens, view: View) -> None:
     """Write PSFs (F, W, K, K) by the suffix of `path`.
 
-    .npz and .safetensors hold `psf` and `illumination` (F,), with fields, wavelengths and pixel pitch. A .png shows the
-    square root of each PSF over its largest value, so that its tail can be seen.
+    .npz and .safetensors hold `psf` and `illumination` (F,), with fields, wavelengths, pixel pitch, and the distance of
+    a near object. A .png shows the square root of each PSF over its largest value, so that its tail can be seen.
     """
     suffix = path.suffix.lower()
     illumination, notes = relative_illumination(lens, view), psf_notes(view, grid)
     if suffix == ".npz":
-        arrays: dict[str, Any] = {
-            key: numpy.asarray(notes[key]) for key in ("fields_mm", "wavelengths_um", "pixel_pitch_um")
-        }
+        arrays: dict[str, Any] = {key: numpy.asarray(value) for key, value in notes.items() if key != "energy_inside"}
         with replacing(path) as temporary, open(temporary, "wb") as file:
             numpy.savez_compressed(file, psf=grid.detach().numpy(), illumination=illumination.numpy(), **arrays)
     elif suffix == ".safetensors":

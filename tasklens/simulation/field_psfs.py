@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_rays, trace_fields
 from tasklens.optics.lens import Lens
@@ -50,19 +51,26 @@ class _Map:
     Args:
         radius: largest distance [mm].
 
+    Attributes:
+        heights: distances [mm].
+        fields: distances [mm] of the fields from the axis that are imaged there.
+        image_scale: distance of a field's paraxial image over that of the field.
+
     Raises:
         InputError: a chief ray does not reach the sensor, or another one reaches the same point.
     """
 
     def __init__(self, lens: Lens, view: View, radius: float, distortion: bool):
         self.heights = torch.linspace(0, radius, _RADII, dtype=torch.float64)
-        self.fields = self.heights
-        tried = torch.linspace(0, radius * (1.25 if distortion else 1), 2 * _RADII, dtype=torch.float64)
+        self.image_scale = float(image_scale(lens.detached(), view))
+        self.fields = self.heights / self.image_scale
+        farthest = radius / self.image_scale * (1.25 if distortion else 1)
+        tried = torch.linspace(0, farthest, 2 * _RADII, dtype=torch.float64)
         chief = chief_rays(lens, along_y(view, tried))
         found = chief.y[:, 0, 0]
         rising = chief.valid[:, 0, 0] & (torch.diff(found, prepend=found[:1] - 1) > 0)
         usable = int(rising.int().cumprod(0).sum())
-        reached = found[:usable] if distortion else tried[:usable]
+        reached = found[:usable] if distortion else self.image_scale * tried[:usable]
         if not usable or reached[-1] < radius * (1 - 1e-9):
             raise InputError(
                 f"the lens has an image up to {float(reached.max()) if usable else 0:.3f} mm from the axis, and the "
@@ -140,7 +148,8 @@ def trace_field_psfs(
         radius = torch.hypot(rows[:, None].double(), columns.double())
         if distortion:
             unit = torch.stack(torch.broadcast_tensors(columns / (shape[1] / 2), rows[:, None] / (shape[0] / 2)), -1)
-            source = (unit * (1e3 / pixel_pitch) * mapped.scale(radius)[..., None]).float()
+            scale = mapped.image_scale * mapped.scale(radius)
+            source = (unit * (1e3 / pixel_pitch) * scale[..., None]).float()
         if illumination:
             known = relative_illumination(lens.detached(), along_y(view, mapped.fields.detach()))
             bright = mapped.at(radius, known).float()

@@ -59,8 +59,9 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     dispersion = (shortest - longest) / n
     first_order = paraxial(lens, view.reference)
     tangent = view.tangents.norm(dim=-1).max()
-    height = torch.stack([first_order.entrance_pupil_radius, -tangent * first_order.entrance_pupil_z])
-    heights, angles = paraxial_ray(lens, n, height, torch.stack([torch.zeros_like(tangent), tangent]) * n[0])
+    z, vergence = first_order.entrance_pupil_z, view.object_vergence
+    height = torch.stack([first_order.entrance_pupil_radius / (1 + z * vergence), -tangent * z])
+    heights, angles = paraxial_ray(lens, n, height, torch.stack([vergence * height[0], tangent]) * n[0])
     (y, yb), (nu, nub) = heights.unbind(-1), angles[:-1].unbind(-1)
     c = vertex_curvature(lens)
     a, b = n[:-1] * c * y + nu, n[:-1] * c * yb + nub
@@ -89,10 +90,11 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
         tangential: h' = h cos(i') / cos(i),   n' w' = n w cos(i) / cos(i') - h c_t K / (cos(i) cos(i'))
         sagittal:   h' = h,                    n' w' = n w - h c_s K,           K = n' cos(i') - n cos(i)
 
-    and h + w D over the distance D to the next surface. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2))
-    are the curvatures of the surface in and across the meridian, where the chief ray meets it. Differentiable once in
-    the lens: the chief ray is followed with a graph, from its launch point, which moves with the lens, through the
-    intersections that a trace without one has found.
+    and h + w D over the distance D to the next surface. They start with h = 1 on the first vertex plane and w = 1 over
+    the distance from the object point. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2)) are the
+    curvatures of the surface in and across the meridian, where the chief ray meets it. Differentiable once in the lens:
+    the chief ray is followed with a graph, from its launch point, which moves with the lens, through the intersections
+    that a trace without one has found.
 
     Returns:
         (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
@@ -104,7 +106,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
     arrives = image.valid[:, 0, 0]
     index = lens.refractive_indices((view.reference,))[:, 0]
     y, z, m, n = (values[arrives, 0, 0] for values in (start.y, start.z, start.m, start.n))
-    tangential = sagittal = (torch.ones_like(n), torch.zeros_like(n))
+    tangential = sagittal = (torch.ones_like(n), view.object_vergence * n)
     for i, rays in enumerate(behind_each):
         distance = _distance(lens, i, rays.y[arrives, 0, 0], (y, z, m, n))
         y, z = y + distance * m, z + distance * n

@@ -9,12 +9,12 @@ from torch import Tensor
 
 from tasklens.optics.analysis.bundles import solve_bundles
 from tasklens.optics.analysis.continuation import (
-    collimated,
     inverse,
     points_at_stop,
     rays_at_stop,
     stop_is_curved,
 )
+from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus
 
@@ -28,18 +28,20 @@ def stop_is_inside(lens: Lens) -> bool:
 
 
 def aim(
-    lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor
+    lens: Lens, tangents: Tensor, vergence: float, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the launch points of collimated rays that meet a stop inside the lens at `pupil` times its radius.
+    """Compute the launch points of rays that meet a stop inside the lens at `pupil` times its radius.
 
     A launch point x solves F(x, p) = r(x, p) - R P = 0, with the point r at which the ray meets the stop surface, the
-    radius R of the stop, the pupil point P, and p all that they depend on. x* is found without a graph; one more Newton
-    step with a graph, x = x* - (dF/dx)^-1 F(x*, p), makes its derivatives exact by the implicit function theorem,
+    radius R of the stop, the pupil point P, and p all that they depend on; that includes the tangents, which depend on
+    the lens where the object is near. x* is found without a graph; one more Newton step with a graph,
+    x = x* - (dF/dx)^-1 F(x*, p), makes its derivatives exact by the implicit function theorem,
     dx/dp = -(dF/dx)^-1 dF/dp. Second derivatives are not exact.
 
     Args:
         lens: the lens. Its apertures are not looked at, but for the radius of the stop.
-        tangents: (F, 2) direction tangents of the fields.
+        tangents: (F, 2) direction tangents of the fields as seen from the first vertex.
+        vergence: 1 / distance of the object from the first vertex [1/mm].
         pupil: (N, 2) points of the unit disc.
         indices: (S + 1, W) refractive indices.
         entrance_pupil: (2,) radius and position of the paraxial entrance pupil [mm], where the search begins.
@@ -56,10 +58,10 @@ def aim(
     tangents, pupil, indices, entrance_pupil = (v.double() for v in (tangents, pupil, indices, entrance_pupil))
     differentiable = any(_carries_derivative(v) for v in (*numbers, tangents, pupil))
     point, slope, status, lost_at = _Solve.apply(
-        lens, differentiable, tangents, pupil, indices, entrance_pupil, *numbers
+        lens, differentiable, vergence, tangents, pupil, indices, entrance_pupil, *numbers
     )
     if differentiable:
-        at = rays_at_stop(lens, collimated(point, tangents[:, None, None]), indices)
+        at = rays_at_stop(lens, rays_from_object(point, tangents[:, None, None], vergence), indices)
         error = torch.stack([at.x, at.y], -1) - pupil * lens.semi_diameter[lens.stop]
         aimed = ((status == RayStatus.OK) & at.valid)[..., None]
         point = point - torch.where(aimed, (slope @ error[..., None])[..., 0], 0.0)
@@ -73,6 +75,7 @@ class _Solve(torch.autograd.Function):
     def forward(  # type: ignore[override]
         lens: Lens,
         differentiable: bool,
+        vergence: float,
         tangents: Tensor,
         pupil: Tensor,
         indices: Tensor,
@@ -82,12 +85,13 @@ class _Solve(torch.autograd.Function):
         detached: dict[str, Any] = {name: value.detach() for name, value in zip(_NUMBERS, numbers, strict=True)}
         lens = replace(lens, **detached)
         tangents, pupil, indices, entrance_pupil = (v.detach() for v in (tangents, pupil, indices, entrance_pupil))
-        found = solve_bundles(lens, tangents, pupil, indices, entrance_pupil)
+        found = solve_bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
         size = (len(tangents), indices.shape[1], len(pupil))
         point, status, lost_at = found.point.reshape(*size, 2), found.status.reshape(size), found.lost_at.reshape(size)
         slope = torch.zeros(0, dtype=torch.float64)
         if differentiable:
-            _, derivative, _ = points_at_stop(lens, point, tangents[:, None, None], indices, stop_is_curved(lens))
+            along, curved = tangents[:, None, None], stop_is_curved(lens)
+            _, derivative, _ = points_at_stop(lens, point, along, vergence, indices, curved)
             slope = torch.where((status == RayStatus.OK)[..., None, None], inverse(derivative), 0.0)
         return point, slope, status, lost_at
 
@@ -97,7 +101,7 @@ class _Solve(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *_: Tensor | None) -> tuple[None, ...]:
-        return (None,) * (6 + len(_NUMBERS))
+        return (None,) * (7 + len(_NUMBERS))
 
     @staticmethod
     def jvp(ctx: Any, *_: Tensor | None) -> tuple[None, ...]:

@@ -8,11 +8,11 @@ from torch import Tensor
 from tasklens.optics.analysis.continuation import (
     Aim,
     Solution,
-    collimated,
     follow,
     rays_at_stop,
     stop_is_curved,
 )
+from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus
 
@@ -23,7 +23,9 @@ _TOLERANCE = 2e-15  # estimated error behind such a step, over the track
 _BEST_RATIO = 0.1  # smallest ratio of errors behind and before a step that is believed
 
 
-def solve_bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor) -> Solution:
+def solve_bundles(
+    lens: Lens, tangents: Tensor, vergence: float, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor
+) -> Solution:
     """Solve for the launch points of all rays (F, W, N), without graph.
 
     Bundles of few rays are solved ray by ray (`continuation`). Of others a coarse set is, and launch points that are a
@@ -34,7 +36,8 @@ def solve_bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, 
 
     Args:
         lens: a lens with its stop inside, in double precision as all arguments.
-        tangents: (F, 2) direction tangents.
+        tangents: (F, 2) direction tangents of the object points as seen from the first vertex.
+        vergence: 1 / distance of the object from the first vertex [1/mm].
         pupil: (N, 2) points of the unit disc.
         indices: (S + 1, W) refractive indices.
         entrance_pupil: (2,) radius and position of the paraxial entrance pupil [mm].
@@ -42,17 +45,17 @@ def solve_bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, 
     Returns:
         The launch points of F W N rays.
     """
-    every = bundles(lens, tangents, pupil, indices, entrance_pupil)
+    every = bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
     coarse = _coarse_pupil()
     if len(pupil) <= 2 * len(coarse):
         return follow(every, every.paraxial)
-    few = bundles(lens, tangents, coarse, indices, entrance_pupil)
+    few = bundles(lens, tangents, vergence, coarse, indices, entrance_pupil)
     size = (len(tangents), indices.shape[1], len(pupil))
     point, slope = _fit(follow(few, few.paraxial), coarse, pupil, size)
     radius, track = lens.semi_diameter[lens.stop], lens.thickness.abs().sum()
     before = torch.zeros(size, dtype=torch.float64)
     for _ in range(_STEPS):
-        at = rays_at_stop(lens, collimated(point, tangents[:, None, None]), indices, every.curved)
+        at = rays_at_stop(lens, rays_from_object(point, tangents[:, None, None], vergence), indices, every.curved)
         error = torch.stack([at.x, at.y], -1) - pupil * radius
         r = error.norm(dim=-1)
         near = at.valid & (r * (r / before).clamp(_BEST_RATIO, 1) <= _TOLERANCE * track)
@@ -70,16 +73,20 @@ def solve_bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, 
     return Solution(point, status, lost_at)
 
 
-def bundles(lens: Lens, tangents: Tensor, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor) -> Aim:
+def bundles(
+    lens: Lens, tangents: Tensor, vergence: float, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor
+) -> Aim:
     """List the rays (F, W, N) of F fields and W wavelengths through N pupil points."""
     size = (len(tangents), indices.shape[1], len(pupil))
     radius, z = entrance_pupil
+    paraxial = (pupil * radius - tangents[:, None, None] * z) / (1 + z * vergence)
     return Aim(
         lens,
         indices[:, None, :, None].expand(-1, *size).flatten(1),
         tangents[:, None, None].expand(*size, 2).reshape(-1, 2),
+        vergence,
         (pupil * lens.semi_diameter[lens.stop]).expand(*size, 2).reshape(-1, 2),
-        (pupil * radius - tangents[:, None, None] * z).expand(*size, 2).reshape(-1, 2),
+        paraxial.expand(*size, 2).reshape(-1, 2),
         stop_is_curved(lens),
     )
 

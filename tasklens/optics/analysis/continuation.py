@@ -5,21 +5,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Rays, RayStatus, launch
+from tasklens.optics.rays import Rays, RayStatus
 from tasklens.optics.tracing.trace import trace
 
 _NEWTON_STEPS = 8
 _TOLERANCE = 1e-11  # error at the stop over the track; the error behind a Newton step is of the order of its square
 _SHORTEST = 1 / 16  # shortest part of the way from the axis that is tried; 1 / 1024 aims no more rays
-
-
-def collimated(point: Tensor, tangents: Tensor) -> Rays:
-    """Launch rays at `point` (..., 2) [mm] of the first vertex plane with direction tangents (..., 2)."""
-    n = torch.rsqrt(1 + tangents.square().sum(-1))
-    tx, ty = tangents.unbind(-1)
-    x, y = point.unbind(-1)
-    return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
 
 
 def rays_at_stop(lens: Lens, rays: Rays, indices: Tensor, curved: bool = True) -> Rays:
@@ -48,7 +41,7 @@ def rays_at_stop(lens: Lens, rays: Rays, indices: Tensor, curved: bool = True) -
 
 
 def points_at_stop(
-    lens: Lens, point: Tensor, tangents: Tensor, indices: Tensor, curved: bool
+    lens: Lens, point: Tensor, tangents: Tensor, vergence: float, indices: Tensor, curved: bool
 ) -> tuple[Tensor, Tensor, Rays]:
     """Trace rays from `point` (..., W, N, 2) to the stop, without graph.
 
@@ -58,7 +51,7 @@ def points_at_stop(
     """
     with torch.enable_grad():
         point = point.detach().requires_grad_()
-        at = rays_at_stop(lens, collimated(point, tangents), indices, curved)
+        at = rays_at_stop(lens, rays_from_object(point, tangents, vergence), indices, curved)
         rows = [torch.autograd.grad(v.sum(), point, retain_graph=True)[0] for v in (at.x, at.y)]
     return torch.stack([at.x, at.y], -1).detach(), torch.stack(rows, -2), at
 
@@ -75,7 +68,8 @@ class Aim:
     Attributes:
         lens: a lens with its stop inside.
         indices: (S + 1, M) refractive indices for each ray.
-        tangents: (M, 2) direction tangents.
+        tangents: (M, 2) direction tangents of the object points as seen from the first vertex.
+        vergence: 1 / distance of the object from the first vertex [1/mm].
         targets: (M, 2) points (x, y) on the stop [mm].
         paraxial: (M, 2) launch points of paraxial optics [mm].
         curved: whether the stop is curved.
@@ -84,6 +78,7 @@ class Aim:
     lens: Lens
     indices: Tensor
     tangents: Tensor
+    vergence: float
     targets: Tensor
     paraxial: Tensor
     curved: bool
@@ -136,7 +131,7 @@ def newton(aim: Aim, guess: Tensor) -> tuple[Solution, Tensor]:
     for _ in range(_NEWTON_STEPS):
         part = aim.part(active)
         launched, tangents = (v[None, :, None] for v in (point[active], part.tangents))
-        found, derivative, at = points_at_stop(aim.lens, launched, tangents, part.indices, aim.curved)
+        found, derivative, at = points_at_stop(aim.lens, launched, tangents, aim.vergence, part.indices, aim.curved)
         error, derivative, valid = found[0, :, 0] - part.targets, derivative[0, :, 0], at.valid[0, :, 0]
         size = error.norm(dim=-1)
         near = valid & (size <= tolerance)

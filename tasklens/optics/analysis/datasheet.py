@@ -7,6 +7,7 @@ import torch
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
+from tasklens.optics.analysis.object_points import image_scale, magnification
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop, sobol_disc
 from tasklens.optics.analysis.spots import (
@@ -88,8 +89,11 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
     `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at the edge of
     the pupil and the largest field. A figure about a lost chief ray is NaN.
 
+    An object at a finite distance has besides `object_distance_mm`, `magnification` and `working_f_number`, of which
+    Airy radius and cut-off are then; angles are those at the centre of the entrance pupil.
+
     Raises:
-        InputError: the radius of the stop is not positive and finite.
+        InputError: the radius of the stop is not positive and finite; or the lens has no real image of the object.
     """
     check_stop(lens)
     lens = lens.detached()
@@ -99,7 +103,13 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
 def _of_the_lens(lens: Lens, view: View) -> dict:
     first_order = paraxial(lens, view.reference)
     f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
-    return {
+    working = abs(float(image_scale(lens, view))) * f_number
+    near = {
+        "object_distance_mm": view.object_distance,
+        "magnification": magnification(lens, view),
+        "working_f_number": working,
+    }
+    return (near if view.object_vergence else {}) | {
         "efl_mm": float(first_order.efl),
         "bfl_mm": float(first_order.bfl),
         "image_distance_mm": float(lens.thickness[-1]),
@@ -109,8 +119,8 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
         "entrance_pupil_diameter_mm": float(2 * first_order.entrance_pupil_radius),
         "exit_pupil_z_mm": float(first_order.exit_pupil_z),
         "exit_pupil_diameter_mm": float(2 * first_order.exit_pupil_radius),
-        "airy_radius_um": airy_radius(f_number, view.reference),
-        "diffraction_cutoff_per_mm": diffraction_cutoff(f_number, view.reference),
+        "airy_radius_um": airy_radius(working, view.reference),
+        "diffraction_cutoff_per_mm": diffraction_cutoff(working, view.reference),
         "nyquist_per_mm": _nyquist(view),
         "seidel_um": {name: sum(values) for name, values in seidel_by_surface(lens, view).items()},
     }
@@ -148,7 +158,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
         "mtf_sagittal_quarter_nyquist": mtf_sagittal[:, 0],
         "mtf_tangential_half_nyquist": mtf_tangential[:, 1],
         "mtf_sagittal_half_nyquist": mtf_sagittal[:, 1],
-        "distortion_percent": 100 * distortion(view.fields, chief),
+        "distortion_percent": 100 * distortion(view.fields * image_scale(lens, view), chief),
         "focus_tangential_um": 1e3 * focus_tangential,
         "focus_sagittal_um": 1e3 * focus_sagittal,
         "relative_illumination": relative_illumination(lens, view),

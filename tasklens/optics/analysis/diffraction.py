@@ -2,7 +2,7 @@
 
 U(x, y) = (1 / lambda) sum_i w_i sqrt(pi |J_i|) i^t_i exp(2 pi i (L_i + n' (l_i (x - x_i) + m_i (y - y_i))) / lambda)
 
-Ray i carries the fraction w_i of the energy, L_i is its optical path from a plane of equal phase to its point
+Ray i carries the fraction w_i of the energy, L_i is its optical path from the object to its point
 (x_i, y_i) of the image plane, n' the index there, and J_i the determinant of d(n' l, n' m) / d(pupil x, y). This is the
 integral of Debye and Wolf over the directions of the rays, in which each small area of the pupil is a plane wave. Its
 energy is that of the rays, and for short wavelengths it is the geometric spot.
@@ -14,12 +14,13 @@ Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.pupil import collimated_rays, gauss_quadrature
+from tasklens.optics.analysis.object_points import object_path
+from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
@@ -131,11 +132,12 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: i
     points = torch.cat([pupil, pupil + shifts * torch.tensor([1.0, 0.0]), pupil + shifts * torch.tensor([0.0, 1.0])])
     wavelengths = (view.wavelengths[channel],)
     indices = lens.refractive_indices(wavelengths)
-    start = collimated_rays(lens, view.tangents[field : field + 1], points, wavelengths)
+    of_field = replace(view, fields=view.fields[field : field + 1])
+    start = launch_fields(lens, of_field, points, wavelengths)
     rays = trace(lens, start, indices)
     l, m = (indices[-1, 0] * v.reshape(3, -1) for v in (rays.l, rays.m))
     dl, dm = ((v[1:] - v[0]) / shifts.T for v in (l, m))
-    phase = indices[0, 0] * (start.x * start.l + start.y * start.m + start.z * start.n) + rays.path
+    phase = indices[0, 0] * object_path(lens, of_field, start) + rays.path
     valid, x, y, length = (v.reshape(3, -1)[0] for v in (rays.valid, rays.x, rays.y, phase))
     determinant = dl[0] * dm[1] - dl[1] * dm[0]
     diverging = torch.where(determinant < 0, 1, torch.where(dl[0] + dm[1] > 0, 2, 0))

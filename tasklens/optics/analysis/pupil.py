@@ -1,4 +1,4 @@
-"""Pupil sampling, and collimated ray bundles of fields."""
+"""Pupil sampling, and ray bundles of fields."""
 
 import math
 from dataclasses import replace
@@ -7,10 +7,14 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.aiming import aim, stop_is_inside
+from tasklens.optics.analysis.object_points import check_in_front, image_scale, rays_from_object, vertex_tangents
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Rays, launch
+from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
+
+_RIM = 16  # rays of each field that show whether an object is in front of the lens
 
 
 def sobol_disc(count: int, seed: int) -> Tensor:
@@ -59,37 +63,46 @@ def check_stop(lens: Lens) -> None:
         )
 
 
-def collimated_rays(lens: Lens, tangents: Tensor, pupil: Tensor, wavelengths: tuple[float, ...]) -> Rays:
-    """Launch collimated bundles that fill the stop, at the first vertex plane.
+def check_object(lens: Lens, view: View) -> None:
+    """Check that the object is in front of the lens, and that this forms a real image of it; raises InputError."""
+    launch_fields(lens, view, rim(_RIM))
+    image_scale(lens, view)
+
+
+def launch_fields(lens: Lens, view: View, pupil: Tensor, wavelengths: tuple[float, ...] | None = None) -> Rays:
+    """Launch the bundles of all fields that fill the stop, at the first vertex plane.
 
     A stop in front of the lens, or on its first surface, is its own entrance pupil. Rays are aimed at a stop inside:
     each meets its surface at (x, y) = pupil point times radius of the stop, at every field and wavelength.
 
     Args:
         lens: the lens.
-        tangents: (F, 2) direction tangents (l / n, m / n) of the fields.
+        view: fields, and where the object is.
         pupil: (N, 2) points of the unit disc.
-        wavelengths: W wavelengths [um].
+        wavelengths: W wavelengths [um]; None: those of the view.
 
     Returns:
         Rays of shape (F, W, N). Those that cannot be aimed are lost.
 
     Raises:
-        InputError: the stop has no radius, or an infinite one.
+        InputError: the stop has no radius, or an infinite one; or the object is in the lens.
     """
     check_stop(lens)
+    wavelengths = wavelengths or view.wavelengths
     first_order = paraxial(lens, wavelengths[len(wavelengths) // 2])
-    tangents, pupil = tangents.to(lens.dtype), pupil.to(lens.dtype)
-    n = torch.rsqrt(1 + tangents.square().sum(-1))
-    tx, ty = tangents[:, 0, None, None], tangents[:, 1, None, None]
-    n = n[:, None, None].expand(len(tangents), len(wavelengths), len(pupil))
+    tangents, vergence, pupil = vertex_tangents(lens, view), view.object_vergence, pupil.to(lens.dtype)
     if stop_is_inside(lens):
         entrance_pupil = torch.stack([first_order.entrance_pupil_radius, first_order.entrance_pupil_z])
-        point, status, lost_at = aim(lens, tangents, pupil, lens.refractive_indices(wavelengths), entrance_pupil)
-        x, y = point.to(lens.dtype).unbind(-1)
-        rays = launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
-        return replace(rays, status=status, lost_at=lost_at)
-    points = pupil * first_order.entrance_pupil_radius
-    z = first_order.entrance_pupil_z + lens.surfaces[lens.stop].sag(*points.unbind(-1))
-    x, y = points[:, 0] - tx * z, points[:, 1] - ty * z
-    return launch(x, y, torch.zeros_like(n), tx * n, ty * n, n)
+        indices = lens.refractive_indices(wavelengths)
+        point, status, lost_at = aim(lens, tangents, vergence, pupil, indices, entrance_pupil)
+        rays = rays_from_object(point.to(lens.dtype), tangents[:, None, None], vergence)
+        rays = replace(rays, status=status, lost_at=lost_at)
+    else:
+        points = pupil * first_order.entrance_pupil_radius
+        z = first_order.entrance_pupil_z + lens.surfaces[lens.stop].sag(*points.unbind(-1))
+        x, y = ((points[:, k] - tangents[:, k, None, None] * z) / (1 + z * vergence) for k in (0, 1))
+        point = torch.stack([x, y], -1).expand(-1, len(wavelengths), -1, -1)
+        rays = rays_from_object(point, tangents[:, None, None], vergence)
+    if vergence:
+        check_in_front(lens, view, rays)
+    return rays

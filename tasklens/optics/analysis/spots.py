@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.diffraction import diffraction_psf
-from tasklens.optics.analysis.pupil import collimated_rays, rim, sobol_disc
+from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays, passing
@@ -24,13 +24,13 @@ OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and
 
 def trace_fields(lens: Lens, view: View, pupil: Tensor) -> Rays:
     """Trace rays (F, W, N) of all fields and wavelengths through the points `pupil` (N, 2) to the image plane."""
-    rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
+    rays = launch_fields(lens, view, pupil)
     return trace(lens, rays, lens.refractive_indices(view.wavelengths))
 
 
 def trace_fields_full(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, list[Rays]]:
     """Trace rays as `trace_fields` does; return also those behind every surface, z from its vertex, without graph."""
-    rays = collimated_rays(lens, view.tangents, pupil, view.wavelengths)
+    rays = launch_fields(lens, view, pupil)
     return trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
 
 
@@ -41,7 +41,7 @@ def chief_rays(lens: Lens, view: View) -> Rays:
 
 def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, Rays, list[Rays]]:
     """Trace rays as `chief_rays` does; return them as launched, on the image plane, and behind every surface."""
-    rays = collimated_rays(lens, view.tangents, _CENTRE, (view.reference,))
+    rays = launch_fields(lens, view, _CENTRE, (view.reference,))
     return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference,)))
 
 
@@ -54,8 +54,9 @@ def chief_points(lens: Lens, view: View) -> Tensor:
 def distortion(fields: Tensor, chief: Tensor) -> Tensor:
     """Compute the distortion (F,) h / h0 - 1: a fraction, negative for a barrel, zero on the axis.
 
-    h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis, h the component of the chief
-    ray's point `chief` (F, 2) along it [mm]: an inverted image has a distortion near -2, not near 0.
+    h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis, for an object at a finite
+    distance times its `image_scale`, h the component of the chief ray's point `chief` (F, 2) along it [mm]: an inverted
+    image has a distortion near -2, not near 0.
     """
     squared = fields.square().sum(-1)
     off_axis = squared > 0

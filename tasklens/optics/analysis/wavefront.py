@@ -1,4 +1,4 @@
-"""The wavefront at the exit pupil: optical path differences from a reference sphere, for objects at infinity.
+"""The wavefront at the exit pupil: optical path differences from a reference sphere.
 
 Conventions:
 
@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.object_points import object_path
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import collimated_rays
+from tasklens.optics.analysis.pupil import launch_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import trace
@@ -46,10 +47,11 @@ class Wavefront:
 def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = None) -> Wavefront:
     """Compute the optical path differences from the reference sphere, differentiable in the lens.
 
-    W = (L_chief - L) / wavelength,  L = n x0.D0 + path - n' t
+    W = (L_chief - L) / wavelength,  L = n s + path - n' t
 
-    x0.D0 is the phase of the plane wave where the ray is launched, `path` leads from there to the point d of the image
-    plane, relative to the centre, and t back along the direction D to the sphere of the radius R = 1 / c:
+    s is the path of the ray from its object point to where it is launched (`object_path`), `path` leads from there to
+    the point d of the image plane, relative to the centre, and t back along the direction D to the sphere of the radius
+    R = 1 / c:
 
     t - R = d.D + c q / (1 + sqrt(1 + c^2 q)),  q = (d.D)^2 - d.d
 
@@ -66,7 +68,7 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
 
     Source: Welford, Aberrations of Optical Systems (1986), chapter 7.
     """
-    start = collimated_rays(lens, view.tangents, torch.cat([_CENTRE, pupil]), view.wavelengths)
+    start = launch_fields(lens, view, torch.cat([_CENTRE, pupil]))
     indices = lens.refractive_indices(view.wavelengths)
     rays = trace(lens, start, indices)
     if centre is None:
@@ -76,7 +78,7 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
     vergence = paraxial(lens, view.reference).pupil_vergence
     curvature = vergence / torch.sqrt(1 + vergence**2 * centre.square().sum(-1))
     behind, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
-    phase = indices[0, :, None] * (start.x * start.l + start.y * start.m + start.z * start.n)
+    phase = indices[0, :, None] * object_path(lens, view, start)
     length = phase + rays.path - indices[-1, :, None] * behind
     waves = (length[..., :1] - length) / (1e-3 * torch.tensor(view.wavelengths, dtype=lens.dtype)[:, None])
     valid = meets & meets[..., :1]

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_stop
+from tasklens.optics.analysis.pupil import check_object, check_stop
 from tasklens.optics.analysis.spots import chief_points
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
@@ -33,7 +33,8 @@ class LensFile:
 
     Attributes:
         prescription: as in the file.
-        lens: the lens at the F-number that is asked for, and in focus for an object at infinity.
+        lens: the lens at the F-number that is asked for, and in focus as in the file; one in focus for a near object
+            that has no `spec` is so for infinity, unless an object distance is asked for.
         view: fields, wavelengths and pixels.
         content: what a YAML file says besides: spec, origin, figures, margins.
         remarks: what was assumed or changed, in words.
@@ -46,42 +47,69 @@ class LensFile:
     remarks: tuple[str, ...] = ()
 
 
-def read(path: Path, catalogues: Sequence[Path] = (), **wanted: Any) -> LensFile:
+def read(
+    path: Path, catalogues: Sequence[Path] = (), object_distance_mm: float | None = None, **wanted: Any
+) -> LensFile:
     """Read a lens with its specification.
 
     The specification is that in a lens.yaml of ours. For any other lens it is made from the file: the field up to its
     largest one, the F-number of its stop, its shortest, primary and longest wavelength. Pixels, and what the file does
-    not have, are the defaults of a study, which `remarks` say. A lens that is in focus for a near object is refocused.
+    not have, are the defaults of a study, which `remarks` say. A lens that is in focus for a near object is refocused
+    for infinity, unless `object_distance_mm` is given.
 
     Args:
         path: a lens.yaml or a .zmx file.
         catalogues: glass catalogues (.agf, or our YAML) of a .zmx file.
+        object_distance_mm: distance of the object in front of the first vertex [mm]; None: it is at infinity.
         wanted: keys of `Spec` that differ from the file: field_of_view_deg, f_number, pixel_pitch_um, kernel_size,
             wavelengths_um.
 
     Raises:
-        FileError: a file that is no lens, or that says nothing of its field where none is wanted.
+        InputError: an object distance that is not positive and finite.
+        FileError: a file that is no lens, or that says nothing of its field where none is wanted; or an object in it.
     """
+    vergence = _vergence(object_distance_mm)
     found, content = read_prescription(path, catalogues)
     wanted = {key: value for key, value in wanted.items() if value is not None}
-    if "spec" in content and not wanted:
-        return LensFile(found, found.lens, view_of(found.lens, content, str(path)), content)
     try:
-        chosen = Spec.model_validate(wanted)
-        wanted = {key: getattr(chosen, key) for key in wanted}
-        check_stop(found.lens)
-        if "spec" in content:
-            view_of(found.lens, content, str(path))  # raises for a spec that is broken
-            given = {key: value for key, value in content["spec"].items() if key in Spec.model_fields}
-            lens, view = _changed(found.lens, content["spec"]["efl_mm"], given, wanted)
-            return LensFile(found, lens, view, content)
-        return _derived(found, content, wanted)
+        used = _used(path, found, content, wanted, vergence)
+        view = replace(used.view, object_vergence=vergence)
+        if vergence:
+            check_object(used.lens, view)
+        return replace(used, view=view)
     except ValidationError as error:
         raise FileError(f"{path}: {'; '.join(problems(error, Spec))}") from None
     except FileError:
         raise
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
+
+
+def _vergence(distance: float | None) -> float:
+    if distance is None:
+        return 0.0
+    if not (0 < distance < math.inf and 1 / distance < math.inf):
+        raise InputError(
+            f"object distance {distance:g} (--object, in Python object_distance_mm): expected millimetres in front of "
+            "the first vertex, such as 500"
+        )
+    return 1 / distance
+
+
+def _used(path: Path, found: Prescription, content: dict, wanted: dict, vergence: float) -> LensFile:
+    """Return a lens with its specification, for an object at infinity but in focus as for one of this vergence."""
+    chosen = Spec.model_validate(wanted)
+    wanted = {key: getattr(chosen, key) for key in wanted}
+    if "spec" not in content:
+        check_stop(found.lens)
+        return _derived(found, content, wanted, vergence)
+    lens, view = found.lens, view_of(found.lens, content, str(path))
+    if wanted:
+        given = {key: value for key, value in content["spec"].items() if key in Spec.model_fields}
+        lens, view = _changed(lens, content["spec"]["efl_mm"], given, wanted)
+    near = math.isfinite(found.object_distance_mm) and not vergence
+    remark = f"object at {found.object_distance_mm:g} mm in the file: taken to infinity, without new focus (--object)"
+    return LensFile(found, lens, view, content, (remark,) if near else ())
 
 
 def read_prescription(path: Path, catalogues: Sequence[Path] = ()) -> tuple[Prescription, dict]:
@@ -124,7 +152,7 @@ def _changed(lens: Lens, efl: float, given: dict, wanted: dict) -> tuple[Lens, V
     return lens, view
 
 
-def _derived(found: Prescription, content: Mapping, wanted: dict) -> LensFile:
+def _derived(found: Prescription, content: Mapping, wanted: dict, vergence: float) -> LensFile:
     """Make the specification of a lens whose file has none from what the file says; raises InputError."""
     remarks = []
     colours = found.wavelengths_um or ()
@@ -143,14 +171,14 @@ def _derived(found: Prescription, content: Mapping, wanted: dict) -> LensFile:
         raise InputError(f"a lens with a focal length of {efl:.4g} mm forms no image")
     given["f_number"] = efl / float(2 * first_order.entrance_pupil_radius)
     if "field_of_view_deg" not in wanted:
-        tangent = _largest_tangent(found, efl, float(first_order.entrance_pupil_z), reference)
+        tangent = _largest_tangent(found, efl, float(first_order.entrance_pupil_z), reference, vergence)
         given["field_of_view_deg"] = math.degrees(2 * math.atan(tangent))
         given["diagonal_mm"] = 2 * efl * tangent
     lens, view = _changed(found.lens, efl, given, wanted)
     if not {"pixel_pitch_um", "kernel_size"} <= set(wanted):
         taken = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} of them"
         remarks.append(f"no pixels in the file: taken as {taken} (--pixel-pitch, --kernel-size)")
-    if math.isfinite(found.object_distance_mm):
+    if math.isfinite(found.object_distance_mm) and not vergence:
         focused = refocused(lens, view, _RAYS)
         shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
         remarks.append(f"object at {found.object_distance_mm:g} mm: refocused for infinity, by {shift:.1f} um")
@@ -158,7 +186,7 @@ def _derived(found: Prescription, content: Mapping, wanted: dict) -> LensFile:
     return LensFile(found, lens, view, content, tuple(remarks))
 
 
-def _largest_tangent(found: Prescription, efl: float, pupil_z: float, wavelength: float) -> float:
+def _largest_tangent(found: Prescription, efl: float, pupil_z: float, wavelength: float, vergence: float) -> float:
     """Compute the tangent of the largest field angle of a prescription.
 
     Of an object height it is that of the chief ray, h / (distance to the entrance pupil); of a real image height that
@@ -177,7 +205,7 @@ def _largest_tangent(found: Prescription, efl: float, pupil_z: float, wavelength
         if kind == "object_height_mm" and near:
             largest /= found.object_distance_mm + pupil_z
         elif kind == "real_image_height_mm":
-            largest = _tangent_of_image_height(found.lens, efl, largest, wavelength)
+            largest = _tangent_of_image_height(found.lens, efl, largest, wavelength, vergence)
         elif kind == "paraxial_image_height_mm" and not near:
             largest /= efl
         elif kind:
@@ -187,11 +215,12 @@ def _largest_tangent(found: Prescription, efl: float, pupil_z: float, wavelength
     return largest
 
 
-def _tangent_of_image_height(lens: Lens, efl: float, height: float, wavelength: float) -> float:
+def _tangent_of_image_height(lens: Lens, efl: float, height: float, wavelength: float, vergence: float) -> float:
     """Compute the tangent of the field whose chief ray meets the image plane at `height` [mm], by its distortion."""
     tangent = height / efl
     for _ in range(_ROUNDS):
         field = torch.tensor([[0.0, tangent * efl]], dtype=torch.float64)
-        found = abs(float(chief_points(lens, View(field, efl, (wavelength,), 1.0, 3))[0, 1]))
+        view = View(field, efl, (wavelength,), 1.0, 3, vergence)
+        found = abs(float(chief_points(lens, view)[0, 1]))
         tangent *= height / found if found > 0 else math.nan
     return tangent

@@ -242,11 +242,13 @@ def read(path: Path) -> tuple[Prescription, dict]:
 
 
 def with_use(found: Prescription, view: View) -> Prescription:
-    """Return a prescription with the fields [degrees] and wavelengths of `view`, where it has none."""
+    """Return a prescription with the fields [degrees], wavelengths and near object of `view`, where it has none."""
     angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
     added: dict[str, Any] = {}
     if found.fields is None:
         added["fields"] = "angle_deg", tuple((x, y) for x, y in angles)
     if found.wavelengths_um is None:
         added |= {"wavelengths_um": tuple(view.wavelengths), "primary": len(view.wavelengths) // 2}
+    if math.isinf(found.object_distance_mm):
+        added["object_distance_mm"] = view.object_distance
     return replace(found, **added)

@@ -1,0 +1,270 @@
+"""Objects at a finite distance: perfect and thin lenses, third order, derivatives, files, commands, and Optiland."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+
+import tasklens
+from tasklens.cli.app import main
+from tasklens.materials.material import model_glass
+from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
+from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.diffraction import irradiance
+from tasklens.optics.analysis.object_points import image_scale, magnification
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
+from tasklens.optics.analysis.spots import trace_fields, trace_fields_full
+from tasklens.optics.analysis.wavefront import wavefront
+from tasklens.optics.io import lens_files
+from tasklens.optics.lens import Lens
+from tasklens.optics.tracing.trace import trace
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.simulation.field_psfs import trace_field_psfs
+
+REFERENCE = WAVELENGTHS[1]
+PUPIL = sobol_disc(128, seed=0)
+GLASS = model_glass(1.5, 60.0, 0.0)
+N = float(make_lens([0.0], [1.0], (GLASS,)).refractive_indices((REFERENCE,))[1, 0])
+LENSES = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
+DOUBLET, ZEMAX_DOUBLET = LENSES / "doublet-imaging2.yaml", LENSES / "doublet-imaging2.zmx"
+
+
+def looking(fields, distance: float, wavelengths=(REFERENCE,)) -> View:
+    """Fields (x, y) as tangents, for a pinhole of 1 mm, at a distance [mm]."""
+    return View(f64(fields), 1.0, wavelengths, 9.0, 31, 1 / distance)
+
+
+def two_hyperboloids(radius: float, stop: int) -> Lens:
+    """Conics -n^2, which image a point at 30 mm to parallel rays in the glass, and these to a point at 60 mm."""
+    semi = [radius if i == stop else torch.inf for i in range(2)]
+    curvature, conic = [1 / 30 / (N - 1), -1 / 60 / (N - 1)], [-(N**2)] * 2
+    return make_lens(curvature, [8.0, 60.0], (GLASS, "air"), conic=conic, semi_diameter=semi, stop=stop)
+
+
+def thin_doublet(distance: float) -> Lens:
+    """Stop, and thin lenses of 40 mm and -90 mm in contact with it; the image plane is that of the object."""
+    c = f64([1 / 40, -1 / 90]) / (N - 1)
+    image = 1 / (1 / 40 - 1 / 90 - 1 / distance)
+    media, semi = ("air", GLASS, "air", GLASS, "air"), [2.0, *[torch.inf] * 4]
+    return make_lens([0, c[0] / 2, -c[0] / 2, c[1] / 2, -c[1] / 2], [0, 0, 0, 0, image], media, semi_diameter=semi)
+
+
+@pytest.mark.parametrize("stop", [0, 1])
+def test_a_perfect_lens_of_a_near_point(stop):
+    """NA 0.26 and 0.13: spot below 1e-9 mm, wavefront below 1e-6 waves, Airy's first zero at the working F-number."""
+    lens, view = two_hyperboloids(8.0, stop), looking([[0.0, 0.0]], 30.0)
+    rays, found = trace_fields(lens, view, PUPIL), wavefront(lens, view, PUPIL)
+    assert rays.valid.all() and float(rays.l.abs().max()) > 0.1
+    assert float(torch.hypot(rays.x, rays.y).max()) < 1e-9
+    assert float(found.opd.abs().max()) < 1e-6
+    assert magnification(lens, view) == pytest.approx(-2, rel=1e-12)
+    slow = two_hyperboloids(0.5, stop)
+    radius = 1e-3 * figures(slow, view, 16)["airy_radius_um"]
+    light = irradiance(slow, view, 0, 0, f64([0.0, radius]), f64([0.0]))[0]
+    assert float(light[1] / light[0]) < 1e-5
+
+
+def test_a_thin_doublet_by_hand():
+    """1 / s' = 1 / f - 1 / D, m = -s' / D, working F-number m' = s' / (2 R): figures within 1e-9."""
+    distance, field = 200.0, 0.1
+    lens = thin_doublet(distance)
+    image, focal = float(lens.thickness[-1]), 1 / (1 / 40 - 1 / 90)
+    view = replace(looking([[0.0, 0.0], [0.0, field * focal]], distance), efl=focal)
+    found = figures(lens, view, 64)
+    assert found["object_distance_mm"] == pytest.approx(distance, rel=1e-15)
+    assert found["magnification"] == pytest.approx(-image / distance, rel=1e-12)
+    assert found["f_number"] == pytest.approx(focal / 4, rel=1e-12)
+    assert found["working_f_number"] == pytest.approx(image / 4, rel=1e-12)
+    assert found["airy_radius_um"] == pytest.approx(1.21966989 * REFERENCE * image / 4, rel=1e-12)
+    assert found["focus_sagittal_um"][0] == pytest.approx(0, abs=1e-9)
+    assert found["focus_tangential_um"][0] == pytest.approx(0, abs=1e-9)
+    # A chief ray through the middle of thin lenses goes straight to the image of its object point.
+    assert found["distortion_percent"][1] == pytest.approx(0, abs=1e-9)
+    assert found["angle_deg"][1] == pytest.approx(math.degrees(math.atan(field)), rel=1e-12)
+
+
+@pytest.mark.parametrize("stop", [0, 2, 4])
+@pytest.mark.parametrize("seed", [0, 4])
+def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
+    """W about the paraxial image point; what the sums leave falls with the sixth power of the scale."""
+    px, py = (0.8 * PUPIL).unbind(-1)
+    square = px**2 + py**2
+    left, size = [], []
+    for scale in (1.0, 0.5):
+        lens = replace(random_lens(seed), stop=stop, semi_diameter=f64([1.0] * 5))
+        view = looking(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]), 20.0)
+        radius = 0.05 * scale / paraxial(lens, REFERENCE).entrance_pupil_radius
+        semi = torch.where(torch.arange(5) == stop, radius, torch.inf)
+        focus = field_curvature(lens, replace(view, fields=f64([[0.0, 0.0]])))[0]
+        lens = replace(lens, semi_diameter=semi, thickness=torch.cat([lens.thickness[:-1], lens.thickness[-1] + focus]))
+        s1, s2, s3, s4, s5 = (v.sum() for v in list(vars(seidel_sums(lens, view)).values())[:5])
+        h = (view.radii / view.radii.max())[:, None]
+        expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
+        expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
+        ideal = image_scale(lens, view) * paraxial(lens, REFERENCE).efl * view.tangents
+        found = 1e-3 * REFERENCE * wavefront(lens, view, 0.8 * PUPIL, ideal).opd[:, 0]
+        left.append(float((found - expected).abs().max()))
+        size.append(float(found.abs().max()))
+    assert left[0] < 0.05 * size[0]
+    assert left[0] / left[1] == pytest.approx(64, rel=0.1)
+    assert size[0] / size[1] == pytest.approx(16, rel=0.1)
+
+
+def test_rays_come_from_the_object_and_meet_the_stop():
+    """A stop inside, three colours: both within 1e-12 mm; the object point is seen from the entrance pupil at T."""
+    lens, view = cooke_triplet(), looking([[0.0, 0.0], [0.1, 0.2]], 150.0, WAVELENGTHS)
+    for pupil in (PUPIL[:16], sobol_disc(512, seed=1)):  # solved ray by ray, and started by a polynomial
+        rays = launch_fields(lens, view, pupil)
+        assert rays.valid.all() and rays.x.shape == (2, 3, len(pupil))
+        back = torch.stack([v - 150 * cosine / rays.n for v, cosine in ((rays.x, rays.l), (rays.y, rays.m))], -1)
+        expected = -view.tangents * (150 + paraxial(lens, REFERENCE).entrance_pupil_z)
+        torch.testing.assert_close(back, expected[:, None, None].expand_as(back), rtol=0, atol=1e-12)
+        at = trace_fields_full(lens, view, pupil)[1][lens.stop]
+        met = torch.stack([at.x, at.y], -1)
+        torch.testing.assert_close(met, (4.0 * pupil).expand_as(met), rtol=0, atol=1e-12)
+
+
+def test_foci_are_where_neighbouring_rays_meet():
+    """The parabasal foci beside those of rays at 1e-4 of the pupil: within 1e-6 mm."""
+    lens, view = cooke_triplet(), looking([[0.0, 0.0], [0.0, 0.2]], 300.0)
+    foci = field_curvature(lens, view)
+    near = 1e-4 * f64([[0, 1], [0, -1], [1, 0], [-1, 0]])
+    rays = trace_fields(lens, view, near)
+    for focus, position, cosine, (a, b) in zip(foci, (rays.y, rays.x), (rays.m, rays.l), ((0, 1), (2, 3)), strict=True):
+        slope = cosine / rays.n
+        met = -((position[..., a] - position[..., b]) / (slope[..., a] - slope[..., b]))[:, 0]
+        torch.testing.assert_close(focus, met, rtol=0, atol=1e-6)
+
+
+def test_a_far_object_is_at_infinity():
+    """At 1e9 mm all figures are those of infinity within 1e-6 and 1e-4 of their unit; wavefronts within 1e-5 waves."""
+    lens, view = tasklens.load_lens(DOUBLET)
+    far = replace(view, object_vergence=1e-9)
+    expected, found = figures(lens, view, 256), figures(lens, far, 256)
+    assert {"object_distance_mm", "magnification", "working_f_number"} == found.keys() - expected.keys()
+    for key, value in expected.items():
+        assert found[key] == pytest.approx(value, rel=1e-6, abs=1e-4, nan_ok=True), key
+    opd, at_infinity = (wavefront(lens, each, PUPIL).opd for each in (far, view))
+    torch.testing.assert_close(opd, at_infinity, rtol=0, atol=1e-5, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
+def test_derivatives(name):
+    """Of image points and wavefronts through a stop inside, reverse and forward, beside differences: 1e-6 relative."""
+    lens = replace(cooke_triplet(), alpha=1e-6 * torch.ones(9, 2, dtype=torch.float64))
+    view, points = looking([[0.0, 0.0], [0.1, -0.2]], 120.0), torch.cat([0.9 * rim(5), PUPIL[:3]])
+
+    def rays(value: torch.Tensor) -> torch.Tensor:
+        changed = replace(lens, **{name: value})
+        opened = replace(changed, semi_diameter=torch.full((9,), torch.inf, dtype=torch.float64))
+        image = trace(opened, launch_fields(changed, view, points), lens.refractive_indices(view.wavelengths))
+        return torch.stack([image.x, image.y, wavefront(changed, view, points).opd])
+
+    value = getattr(lens, name)
+    expected = difference(rays, value, {"curvature": 1e-6, "alpha": 1e-8}.get(name, 1e-4))
+    scale = expected.flatten(1, 3).abs().flatten(1).amax(-1)
+    reverse = torch.autograd.functional.jacobian(rays, value).reshape(expected.shape)
+    direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    forward = torch.func.jvp(rays, (value,), (direction,))[1]
+    along = (reverse * direction.reshape(expected.shape[4:])).flatten(4).sum(-1)
+    for k in range(3):
+        torch.testing.assert_close(reverse[k], expected[k], rtol=0, atol=1e-6 * float(scale[k]))
+        torch.testing.assert_close(forward[k], along[k], rtol=0, atol=1e-9 * float(scale[k]))
+
+
+def test_a_sensor_sees_the_image_where_it_is():
+    """Thin lenses do not distort: every pixel shows its own place, and its field is that place over the scale."""
+    distance = 100.0
+    lens, focal = thin_doublet(distance), 1 / (1 / 40 - 1 / 90)
+    view = replace(looking([[0.0, 0.0], [0.0, 2.0]], distance), efl=focal, wavelengths=(REFERENCE,) * 3)
+    psfs = trace_field_psfs(lens, view, (40, 60), 40.0, 64, distortion=True)
+    rows, columns = ((torch.arange(n) + 0.5) / (n / 2) - 1 for n in (40, 60))
+    own = torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
+    torch.testing.assert_close(psfs.source, own.float(), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [cooke_triplet(), replace(thin_doublet(150.0), thickness=f64([5.0, 1.0, 2.0, 1.0, 90.0]))],
+    ids=["stop inside", "stop in front"],
+)
+def test_rays_are_those_of_optiland(lens):
+    """Image points within 1e-8 mm, from its object heights."""
+    pytest.importorskip("optiland")
+    import numpy
+    from optiland_lenses import in_optiland
+
+    view = looking([[0.0, 0.05], [0.1, 0.2]], 150.0)
+    optic, _ = in_optiland(lens, view)
+    optic.surfaces[0].geometry.cs.z = numpy.array(-150.0)
+    heights = -view.tangents * (150 + paraxial(lens, REFERENCE).entrance_pupil_z)
+    optic.fields.fields.clear()
+    optic.fields.set_type("object_height")
+    for x, y in heights.tolist():
+        optic.fields.add(x=x, y=y)
+    largest = optic.fields.max_field
+    ours = trace_fields(lens, view, PUPIL[:32])
+    for field, (x, y) in enumerate((heights / largest).tolist()):
+        px, py = PUPIL[:32].T.numpy()
+        theirs = optic.trace_generic(0 * px + x, 0 * px + y, px, py, REFERENCE)
+        torch.testing.assert_close(ours.x[field, 0], torch.as_tensor(theirs.x), rtol=0, atol=1e-8)
+        torch.testing.assert_close(ours.y[field, 0], torch.as_tensor(theirs.y), rtol=0, atol=1e-8)
+
+
+# ---- files, commands, and what is refused
+
+
+def test_a_near_object_of_a_file_stays_in_focus(tmp_path):
+    """Without a distance the lens is refocused, as before; what Python saves says where its object was."""
+    lens, view = tasklens.load_lens(ZEMAX_DOUBLET, object_distance_mm=80.0)
+    tasklens.save_lens(tmp_path / "near.zmx", lens, view)
+    near = lens_files.read(tmp_path / "near.zmx", object_distance_mm=80.0)
+    assert near.prescription.object_distance_mm == pytest.approx(80, rel=1e-12)
+    assert torch.equal(near.lens.thickness, near.prescription.lens.thickness) and near.view.object_vergence == 1 / 80
+    far = lens_files.read(tmp_path / "near.zmx")
+    assert any("refocused for infinity" in remark for remark in far.remarks) and far.view.object_vergence == 0
+    tasklens.save_lens(tmp_path / "near.yaml", lens, view)
+    assert "--object" in lens_files.read(tmp_path / "near.yaml").remarks[0]
+
+
+def test_commands_say_where_the_object_is(tmp_path, capsys):
+    def printed(*arguments) -> str:
+        assert main(["lens", *map(str, arguments), "--rays", "64", "--object", "80"]) == 0
+        return capsys.readouterr().out
+
+    found = json.loads(printed("analyse", DOUBLET, "--json"))
+    assert "object 80 mm in front of the first surface, magnification" in printed("show", DOUBLET)
+    assert f"{found['magnification']:.4g}" in printed("analyse", DOUBLET)
+    assert " 80 " in printed("compare", DOUBLET).splitlines()[1]
+    assert json.loads(printed("show", DOUBLET, "--json"))[str(DOUBLET)]["magnification"] == found["magnification"]
+    printed("draw", DOUBLET, "-o", tmp_path / "lens.svg")
+    printed("psf", DOUBLET, "-o", tmp_path / "psf.npz")
+
+
+@pytest.mark.parametrize(
+    "distance, words",
+    [
+        *((value, f"object distance {value} (--object, in Python object_distance_mm): expected millimetres in front")
+          for value in ("-5", "0", "nan", "inf")),
+        ("0.5", "the lens forms no real image of it; move it away"),
+    ],
+)  # fmt: skip
+def test_an_object_without_an_image_is_refused(distance, words, capsys):
+    assert main(["lens", "show", str(DOUBLET), "--object", distance]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_an_object_in_the_first_element_is_refused():
+    """In the hollow of a surface on the axis, but in its glass beside it; a virtual object has no view."""
+    lens = make_lens([-1 / 10, -1 / 3], [3.0, 40.0], (GLASS, "air"), semi_diameter=[6.0, 1.0], stop=1)
+    assert trace_fields(lens, looking([[0.0, 0.0]], 1.5), PUPIL).valid.any()
+    with pytest.raises(InputError, match=r"the first lens surface reaches 2 mm in front of it"):
+        trace_fields(lens, looking([[0.0, 0.0], [0.0, 4.0]], 1.5), PUPIL)
+    with pytest.raises(InputError, match="in front of the lens"):
+        looking([[0.0, 0.0]], -20.0)
