@@ -8,19 +8,21 @@ from pathlib import Path
 import pytest
 import torch
 from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+from reference_files import reference_files
 
 import tasklens
 from tasklens.cli.app import main
 from tasklens.materials.material import model_glass
+from tasklens.materials.zemax_text import read_lines
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.diffraction import irradiance
 from tasklens.optics.analysis.object_points import image_scale, magnification
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
-from tasklens.optics.analysis.spots import trace_fields, trace_fields_full
+from tasklens.optics.analysis.spots import chief_points, trace_fields, trace_fields_full
 from tasklens.optics.analysis.wavefront import wavefront
-from tasklens.optics.io import lens_files
+from tasklens.optics.io import lens_files, zemax
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
@@ -215,6 +217,41 @@ def test_rays_are_those_of_optiland(lens):
         theirs = optic.trace_generic(0 * px + x, 0 * px + y, px, py, REFERENCE)
         torch.testing.assert_close(ours.x[field, 0], torch.as_tensor(theirs.x), rtol=0, atol=1e-8)
         torch.testing.assert_close(ours.y[field, 0], torch.as_tensor(theirs.y), rtol=0, atol=1e-8)
+
+
+NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/results/existing_lenses.md [um]
+    "3P_F2.5_FOV78.1_EFL2.8_IMH2.3_TTL4.33": (350.0, 17.36),
+    "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3.30": (370.0, 8.13),
+}
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in reference_files("lenses/cellphone/source/*") if p.stem in NEAR], ids=lambda path: path.stem
+)
+def test_spots_are_those_of_the_benchmark(path, monkeypatch):
+    """It launches its own rays, for the image heights in the file. CODE V has 19.08 and 7.86 um."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    import existing_lenses as benchmark
+
+    found = zemax.read(path, reference_files("glass/*.AGF"))
+    distance, expected = NEAR[path.stem]
+    assert found.object_distance_mm == distance
+    weights = [line.number(2) for line in read_lines(path) if line.keyword == "WAVM"][: len(found.wavelengths_um)]
+    view = replace(
+        benchmark.view_along_y(found.lens, [0.0], found.wavelengths_um),
+        wavelengths=(found.wavelengths_um[found.primary],),
+        object_vergence=1 / distance,
+    )
+
+    def height(y: float) -> float:
+        return float(chief_points(found.lens, replace(view, fields=f64([[0.0, y]])))[0, 1])
+
+    fields = f64([[0.0, benchmark.solve(height, y)] for _, y in found.fields[1]])
+    pupil = benchmark.square_grid(101)
+    rays = trace_fields(found.lens, replace(view, fields=fields, wavelengths=found.wavelengths_um), pupil)
+    theirs = benchmark.rays_of_file(found, found.lens, pupil)
+    torch.testing.assert_close(rays.y, theirs.y, rtol=0, atol=1e-9)
+    assert 2e3 * float(benchmark.weighted_rms(rays, f64(weights)).max()) == pytest.approx(expected, abs=0.005)
 
 
 # ---- files, commands, and what is refused
