@@ -297,6 +297,14 @@ def test_an_object_without_an_image_is_refused(distance, words, capsys):
     assert words in capsys.readouterr().err
 
 
+def test_a_lens_without_an_image_has_figures_at_infinity_alone():
+    lens = replace(random_lens(1), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    view = looking([[0.0, 0.0], [0.0, 0.1]], 50.0)
+    assert figures(lens, replace(view, object_vergence=0.0), 64)["efl_mm"] < 0
+    with pytest.raises(InputError, match="object at 50 mm: the lens forms no real image of it"):
+        figures(lens, view, 64)
+
+
 def test_an_object_in_the_first_element_is_refused():
     """In the hollow of a surface on the axis, but in its glass beside it; a virtual object has no view."""
     lens = make_lens([-1 / 10, -1 / 3], [3.0, 40.0], (GLASS, "air"), semi_diameter=[6.0, 1.0], stop=1)

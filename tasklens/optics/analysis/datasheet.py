@@ -104,12 +104,12 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
     first_order = paraxial(lens, view.reference)
     f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
     working = abs(float(image_scale(lens, view))) * f_number
-    near = {
-        "object_distance_mm": view.object_distance,
-        "magnification": magnification(lens, view),
-        "working_f_number": working,
-    }
-    return (near if view.object_vergence else {}) | {
+    near = {}
+    if view.object_vergence:
+        near["object_distance_mm"] = view.object_distance
+        near["magnification"] = magnification(lens, view)
+        near["working_f_number"] = working
+    return near | {
         "efl_mm": float(first_order.efl),
         "bfl_mm": float(first_order.bfl),
         "image_distance_mm": float(lens.thickness[-1]),

@@ -108,7 +108,7 @@ def image_scale(lens: Lens, view: View) -> Tensor:
 
 
 def magnification(lens: Lens, view: View) -> float:
-    """Compute the paraxial lateral magnification, negative for an inverted image.
+    """Compute the paraxial lateral magnification of an object at a finite distance, negative for an inverted image.
 
     Raises:
         InputError: the lens forms no real image of the object.
