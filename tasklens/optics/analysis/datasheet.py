@@ -89,8 +89,8 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
     `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at the edge of
     the pupil and the largest field. A figure about a lost chief ray is NaN.
 
-    An object at a finite distance has besides `object_distance_mm`, `magnification` and `working_f_number`, of which
-    Airy radius and cut-off are then; angles are those at the centre of the entrance pupil.
+    For an object at a finite distance there are `object_distance_mm`, `magnification` and `working_f_number` too, and
+    Airy radius and cut-off are at that F-number. Angles are those at the centre of the entrance pupil.
 
     Raises:
         InputError: the radius of the stop is not positive and finite; or the lens has no real image of the object.

@@ -24,7 +24,7 @@ def vertex_tangents(lens: Lens, view: View) -> Tensor:
     """Compute the direction tangents (F, 2) of the fields as seen from the first vertex.
 
     Raises:
-        InputError: the object is in the entrance pupil, or this at infinity.
+        InputError: the object is in the entrance pupil, or the entrance pupil is at infinity.
     """
     tangents = view.tangents.to(lens.dtype)
     if not view.object_vergence:
@@ -93,10 +93,10 @@ def object_path(lens: Lens, view: View, rays: Rays) -> Tensor:
 
 
 def image_scale(lens: Lens, view: View) -> Tensor:
-    """Compute how much larger than at infinity the paraxial image of a field is, and its F-number; 1 at infinity.
+    """Compute the ratio k of the paraxial image of a field, k f T, to the one at infinity, f T; so is the F-number.
 
     k = (1 + z v) phi / a,  a the reduced angle -n' u' behind the lens of the paraxial ray from the axis of the object
-    to a height of 1 on the first vertex plane, phi that for v = 0. Images of fields lie at k f T.
+    to a height of 1 on the first vertex plane, and the power phi the same for an object at infinity.
 
     Raises:
         InputError: the lens forms no real image of the object.

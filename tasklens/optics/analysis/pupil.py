@@ -100,8 +100,10 @@ def launch_fields(lens: Lens, view: View, pupil: Tensor, wavelengths: tuple[floa
     else:
         points = pupil * first_order.entrance_pupil_radius
         z = first_order.entrance_pupil_z + lens.surfaces[lens.stop].sag(*points.unbind(-1))
-        x, y = ((points[:, k] - tangents[:, k, None, None] * z) / (1 + z * vergence) for k in (0, 1))
-        point = torch.stack([x, y], -1).expand(-1, len(wavelengths), -1, -1)
+        point = torch.stack([points[:, k] - tangents[:, k, None, None] * z for k in (0, 1)], -1)
+        if vergence:
+            point = point / (1 + z * vergence)[:, None]
+        point = point.expand(-1, len(wavelengths), -1, -1)
         rays = rays_from_object(point, tangents[:, None, None], vergence)
     if vergence:
         check_in_front(lens, view, rays)
