@@ -69,9 +69,9 @@ class RaySpaceSettings(Frozen):
     damping: Positive = Field(0.1, description="Damping of the Gauss-Newton metric, times its diagonal.")
     criterion: Literal["classification", "image_error", "log_image_error", "contrast"] = Field(
         "classification",
-        description="Loss of a capture: cross-entropy of the classifier; mean squared error from the sharp "
-        "image (paper, Eq. 2), or its logarithm; or of a PSF: the contrast, real part of the OTF, lost at 1/4 and "
-        "1/2 of the Nyquist frequency of the present pixels.",
+        description="Loss of a capture: cross-entropy of the classifier, or the loss of the network of `task`; mean "
+        "squared error from the sharp image (paper, Eq. 2), or its logarithm; or of a PSF: the contrast, real part of "
+        "the OTF, lost at 1/4 and 1/2 of the Nyquist frequency of the present pixels.",
     )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
     centre: Literal["pinhole", "chief_ray"] = Field(
