@@ -2,9 +2,10 @@
 
 import pytest
 import torch
+from pycocotools import mask
 
 from tasklens.recognition import object_scenes, objects
-from tasklens.recognition.scores import Detections, average_precision, mean_iou
+from tasklens.recognition.scores import Detections, average_precision, encoded, mean_iou
 
 
 def boxes(*given):
@@ -95,8 +96,8 @@ def own_average_precision(answers, truths, threshold, classes, overlap):
 
 
 def mask_overlap(answer, k, truth, j):
-    both = (answer.masks[k] & truth.masks[j]).sum()
-    return float(both / (answer.masks[k] | truth.masks[j]).sum())
+    one, other = (mask.decode(runs).astype(bool) for runs in (answer.masks[k], truth.masks[j]))
+    return float((one & other).sum() / (one | other).sum())
 
 
 def box_overlap(answer, k, truth, j):
@@ -113,14 +114,14 @@ def test_scores_of_shifted_scenes_against_another_implementation(by, overlap):
     truths, answers = [], []
     for image in range(12):
         labels, masks = scenes.of(image)
-        truths.append(Detections(objects.boxes(masks), labels, None, masks))
+        truths.append(Detections(objects.boxes(masks), labels, None, encoded(masks)))
         moved = torch.stack(
             [m.roll(tuple(torch.randint(-3, 4, (2,), generator=generator).tolist()), (0, 1)) for m in masks]
         )
         kept = torch.rand(len(labels), generator=generator) < 0.8
         other = torch.where(torch.rand(len(labels), generator=generator) < 0.2, (labels + 1) % 10, labels)
         scores = torch.rand(len(labels), generator=generator)
-        answers.append(Detections(objects.boxes(moved)[kept], other[kept], scores[kept], moved[kept]))
+        answers.append(Detections(objects.boxes(moved)[kept], other[kept], scores[kept], encoded(moved[kept])))
     expected = own_average_precision(answers, truths, 0.5, 10, overlap)
     assert average_precision(answers, truths, 10, by)["ap50"] == pytest.approx(expected, abs=1e-6)
     assert 5 < expected < 95

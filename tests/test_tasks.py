@@ -1,14 +1,19 @@
 """Segmentation and detection: losses, gradients at captures, answers, networks, and the study of a task."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import pandas
 import pytest
 import torch
 import yaml
 from examples import changed, finish, random_images, read_rows, tiny_study, trained_network
 from pydantic import ValidationError
+from test_design import problem
 from torch import nn
 
+from tasklens.design.criteria import TaskLoss
+from tasklens.design.supervision import Supervisor
 from tasklens.imaging import Camera
 from tasklens.optics.io import prescription
 from tasklens.pipeline import jobs, report_jobs
@@ -19,6 +24,7 @@ from tasklens.recognition.object_tasks import Detection, Segmentation
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections
 from tasklens.recognition.tasks import CLASSIFICATION
+from tasklens.report import tasks as report_tasks
 from tasklens.runtime.errors import InputError
 from tasklens.study import claims, tables
 from tasklens.study.loading import parse
@@ -87,6 +93,65 @@ def test_detection_of_the_truth_is_perfect():
         dict.fromkeys(("mask_ap", "mask_ap50", "box_ap", "box_ap50"), 100.0)
     )
     assert list(Detection(dataset, OUTPUTS, with_masks=False).scores(answers, indices)) == ["box_ap", "box_ap50"]
+
+
+def test_objects_of_flipped_images_are_flipped():
+    """Boxes and masks that torchvision is given, from left to right."""
+    dataset, seen = data(), []
+
+    class Records(nn.Module):
+        def forward(self, images, targets):
+            seen.append(targets)
+            return {"loss": torch.zeros(())}
+
+    task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(2)
+    for flipped in (NOT_FLIPPED, ~NOT_FLIPPED):
+        task.loss(Records(), dataset.batch(indices), indices, flipped)
+    for plain, mirrored in zip(*seen, strict=True):
+        left, top, right, bottom = plain["boxes"].T
+        assert torch.equal(mirrored["boxes"], torch.stack([32 - right, top, 32 - left, bottom], 1))
+        assert torch.equal(mirrored["masks"], plain["masks"].flip(-1))
+        assert torch.equal(mirrored["labels"], plain["labels"])
+
+
+def test_losses_of_segmentation_are_of_each_image():
+    dataset = data()
+    task, network = Segmentation(dataset, OUTPUTS), Says(torch.zeros(2, 32, 32, dtype=torch.long), 11)
+    losses = task.losses(network, dataset.batch(torch.arange(2)), torch.arange(2))
+    background = [float((objects.semantic(*dataset.of(k)) == 0).double().mean()) for k in range(2)]
+    assert losses.tolist() == pytest.approx([20 * (1 - share) for share in background], rel=1e-4)
+    whole = task.loss(network, dataset.batch(torch.arange(2)), torch.arange(2), NOT_FLIPPED)
+    assert float(whole) == pytest.approx(float(losses.mean()), rel=1e-6)
+
+
+def test_a_detector_judges_a_lens_alike_each_time(start):
+    """It samples boxes at random: the same for each lens, and training goes on with its own random numbers."""
+    torch.manual_seed(0)
+    dataset = data(4)
+    network = task_networks.frozen(task_networks.build("a", settings(BOXES), 10, 32))
+    loss = TaskLoss(network, Detection(dataset, OUTPUTS, with_masks=False))
+    judge = Supervisor(loss, replace(problem(), dataset=dataset.as_images()), None, False, 9)
+    before = torch.get_rng_state()
+    first = judge.validation_loss(start, 1.0)
+    assert torch.equal(torch.get_rng_state(), before)
+    torch.rand(7)
+    assert judge.validation_loss(start, 1.0) == first
+
+
+def test_numbers_of_the_table(tmp_path):
+    """Means over fields and seeds, the worst field of the means over seeds, tasks in their order."""
+    paths = {}
+    for seed, gain in ((0, 0.0), (1, 10.0)):
+        values = {(False, 0): 20.0, (False, 1): 30.0, (True, 0): 50.0, (True, 1): 40.0}
+        rows = [
+            {"elements": "doublet", "design": "d", "task": "z", "seed": seed, "field": field, "metric": "miou",
+             "value": value + gain * tuned, "tuned": tuned}
+            for (tuned, field), value in values.items()
+        ]  # fmt: skip
+        paths["doublet-d", "z", seed] = tmp_path / f"{seed}.csv"
+        pandas.DataFrame(rows).to_csv(paths["doublet-d", "z", seed], index=False)
+    (row,) = report_tasks.collect(paths).to_dict("records")
+    assert (row["frozen"], row["tuned"], row["worst_field"], row["seeds"]) == (25.0, 50.0, 45.0, 2)
 
 
 @pytest.mark.parametrize("given", [SEGMENTATION, BOXES, MASKS], ids=["segmentation", "boxes", "masks"])
@@ -259,6 +324,7 @@ def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
     "change, words",
     [
         ({"task": "depth"}, "designs.for_boxes.task: 'depth' is not one of `tasks.networks`: boxes"),
+        ({"batch_norm": "batch"}, "expected `batch_norm: stored`"),
         ({"augment": True}, "since masks fit the images as they are"),
         ({"finish": TASK_DRIVEN["finish"] | {"size": 16}}, "since masks fit the images as they are"),
     ],

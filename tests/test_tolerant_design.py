@@ -12,7 +12,6 @@ from tasklens.design.criteria import Contrast, TaskLoss
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
-from tasklens.optics.tolerancing import focus
 from tasklens.study.tolerance_settings import Grade
 
 PHONE, COMMERCIAL = map(Grade.model_validate, ("phone_moulding", "commercial_moulding"))
@@ -39,9 +38,11 @@ def test_built_lenses_are_drawn_anew(start):
     assert torch.isinf(first.semi_diameter[1:]).all()  # apertures stay open in a design
 
 
-def test_a_built_lens_carries_the_gradient_of_the_design(start, monkeypatch):
-    """Of the image points of its rays by a curvature and a thickness, against differences at the same errors."""
-    monkeypatch.setattr(focus, "focused", lambda lens, view, peak: (lens, 0.0))
+def test_a_built_lens_carries_the_gradient_of_the_design(start):
+    """Of the image points of its rays by a curvature and a thickness, against differences at the same errors.
+
+    It is focused at both: the image plane moves with the design.
+    """
     without_form = PHONE.model_copy(update={"irregularity_fringes": 0.0})  # of which the height goes with the aperture
     lens, made, pupil = spot_lens(start), supervisor(without_form), sobol_disc(16, seed=0)
 

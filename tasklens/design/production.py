@@ -45,7 +45,7 @@ class Production:
     camera: Callable[[Tensor], Camera]
     classifier: Callable[[Tensor], Tensor]
 
-    def build(self, fractions: Tensor, peak: float) -> tuple[Lens, float]:
+    def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:
         """Return a lens with errors (P,) over their tolerances, focused as `focus.focused`, and its shift [mm]."""
         return focus.focused(built(self.lens, self.errors, fractions, self.view.reference), self.view, peak)
 
@@ -88,7 +88,7 @@ def built_lenses(
     drawn = draw(production.errors, count, seed)
     for k in range(len(rows) - 1, count):
         lens, shift = production.build(drawn[k], peak)
-        rows.append({"lens": k} | production.measure(lens, images) | {"focus_um": 1e3 * shift})
+        rows.append({"lens": k} | production.measure(lens, images) | {"focus_um": 1e3 * float(shift)})
         progress(k + 1, accuracy=rows[-1]["accuracy"])
         part.save(k + 1, rows=rows)
     part.finish(rows=rows)
@@ -123,8 +123,10 @@ def allotted(production: Production, displacements: Tensor, count: int, seed: in
         images: not those by which lenses are reported.
 
     Returns:
-        None if even the tightest tolerances that are tried do not suffice.
+        None if even the tightest tolerances that are tried do not suffice, or no light comes to some field.
     """
+    if not displacements.isfinite().all():
+        return None
     peak = focus.peak(production.lens, production.view)
     drawn = draw(production.errors, count, seed + _ALLOCATION_SEED)
     least = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS

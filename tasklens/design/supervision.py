@@ -27,6 +27,7 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.tolerancing import focus
 from tasklens.optics.tolerancing.errors import built, draw, errors
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.tolerance_settings import Grade
 
@@ -135,7 +136,7 @@ class Supervisor:
         view, design = self.problem.view, lens.detached()
         clear = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
         found = errors(replace(design, semi_diameter=clear), self.grade)
-        peak = focus.peak(design, view)
+        peak = focus.peak(lens, view)
         drawn = draw(found, count, seed)
         return [focus.focused(built(lens, found, each, view.reference), view, peak)[0] for each in drawn]
 
@@ -166,12 +167,18 @@ class Supervisor:
         light = self.illumination(lens)
         return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
 
-    def validation_loss(self, lens: Lens, pixels: float) -> float:
-        """Compute the mean loss of a lens, or of lenses built from it, on a fixed part of the training images."""
-        every = self.as_built(lens, self.problem.seed, _VALIDATION_BUILT)
-        return sum(self._validation_loss(each, pixels) for each in every) / len(every)
-
     @torch.no_grad()
+    def validation_loss(self, lens: Lens, pixels: float) -> float:
+        """Compute the mean loss of a lens, or of lenses built from it, on a fixed part of the training images.
+
+        Networks that draw random numbers, as detectors do when they sample boxes, draw the same for every lens.
+        """
+        every, before = self.as_built(lens, self.problem.seed, _VALIDATION_BUILT), random_state()
+        torch.manual_seed(self.problem.seed)
+        loss = sum(self._validation_loss(each, pixels) for each in every) / len(every)
+        set_random_state(before)
+        return loss
+
     def _validation_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the mean loss of one lens, without augmentation."""
         _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)

@@ -52,8 +52,9 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
     order = torch.randperm(len(kept), generator=torch.Generator().manual_seed(seed))[:limit]
     classes = {identity: label for label, identity in enumerate(sorted(names))}
     progress = Progress(f"reading {folder / split}", len(order))
-    images, owners, labels, masks = [], [], [], []
-    for step, entry in enumerate((kept[k] for k in order.tolist()), 1):
+    images = torch.empty(len(order), 3, size, size, dtype=torch.uint8)
+    owners, labels, masks = [], [], []
+    for k, entry in enumerate(kept[k] for k in order.tolist()):
         whole = folders.decode(folder / split / entry["file_name"])
         if whole.size != (entry["width"], entry["height"]):
             raise FileError(
@@ -61,7 +62,7 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
                 f"not {entry['width']} x {entry['height']}"
             )
         fitted = ImageOps.fit(whole, (size, size), Image.Resampling.BICUBIC)
-        images.append(torch.from_numpy(numpy.array(fitted)).permute(2, 0, 1))
+        images[k] = torch.from_numpy(numpy.array(fitted)).permute(2, 0, 1)
         for annotation in by_image[entry["id"]]:
             where = f"{path}: annotation {annotation.get('id')!r} of {entry['file_name']}"
             if annotation["category_id"] not in classes:
@@ -70,18 +71,21 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
             small = ImageOps.fit(Image.fromarray(255 * mask), (size, size), Image.Resampling.BOX)
             left = torch.from_numpy(numpy.array(small)) > 127
             if int(left.sum()) >= _LEAST_PIXELS:
-                owners.append(step - 1)
+                owners.append(k)
                 labels.append(classes[annotation["category_id"]])
-                masks.append(left)
-        progress(step)
+                masks.append(packed(left[None]))
+        progress(k + 1)
     missing = [names[identity] for identity, label in classes.items() if label not in set(labels)]
     if missing:
-        raise FileError(f"{path}: no object of {', '.join(missing)} in the {len(images)} images that were chosen")
+        raise FileError(
+            f"{path}: no object of {', '.join(missing)} in the {len(images)} images that were chosen; take more "
+            "(`train`, `test`), or another seed"
+        )
     return ObjectDataset(
-        torch.stack(images),
+        images,
         torch.tensor(owners),
         torch.tensor(labels),
-        packed(torch.stack(masks)),
+        torch.cat(masks),
         tuple(names[identity] for identity in classes),
     )
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from tasklens.recognition import objects, task_networks
 from tasklens.recognition.objects import ObjectDataset
-from tasklens.recognition.scores import Detections, average_precision, mean_iou
+from tasklens.recognition.scores import Detections, average_precision, encoded, mean_iou
 from tasklens.recognition.tasks import Task
 from tasklens.study.task_settings import TaskSettings
 
@@ -37,19 +37,26 @@ class Segmentation(_OfObjects):
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         """Compute the mean cross-entropy of all pixels."""
+        return self._each(network, captures, labels, flipped).mean()
+
+    def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
+        """Compute the mean cross-entropy (N,) of the pixels of each capture."""
+        return self._each(network, captures, labels, torch.zeros_like(labels, dtype=torch.bool))
+
+    def _each(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         pairs = zip(labels.tolist(), flipped.tolist(), strict=True)
         wanted = torch.stack([objects.semantic(*self.masks(*pair)) for pair in pairs]).to(captures.device)
-        return F.cross_entropy(self._logits(network, captures), wanted)
+        return F.cross_entropy(self._logits(network, captures), wanted, reduction="none").mean((1, 2))
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
-        """Return the likeliest class (H, W) of each pixel."""
-        return list(self._logits(network, captures).argmax(1).cpu())
+        """Return the likeliest class (H, W) of each pixel, uint8."""
+        return list(self._logits(network, captures).argmax(1).byte().cpu())
 
     def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
         """Return `miou` [%]."""
-        wanted = torch.stack([objects.semantic(*self.masks(k, False)) for k in labels.tolist()])
-        return {"miou": mean_iou(torch.stack(list(answers)), wanted, 1 + len(self.dataset.classes))}
+        true = (objects.semantic(*self.masks(k, False)) for k in labels.tolist())
+        return {"miou": mean_iou(answers, true, 1 + len(self.dataset.classes))}
 
     def _logits(self, network: nn.Module, captures: Tensor) -> Tensor:
         """Return the logits (B, 1 + C, H, W) of background and classes for captures in [0, 1]."""
@@ -87,7 +94,9 @@ class Detection(_OfObjects):
             is_class = labels[:, None] == known
             kept = is_class.any(1)  # published networks know other classes too
             classes = is_class[kept].int().argmax(1)
-            found.append(Detections(boxes[kept], classes, scores[kept], None if masks is None else masks[kept]))
+            found.append(
+                Detections(boxes[kept], classes, scores[kept], None if masks is None else encoded(masks[kept]))
+            )
         return found
 
     def scores(self, answers: Sequence[Detections], labels: Tensor) -> Mapping[str, float]:
@@ -95,7 +104,7 @@ class Detection(_OfObjects):
         true = []
         for index in labels.tolist():
             classes, masks = self.dataset.of(index)
-            true.append(Detections(objects.boxes(masks), classes, None, masks))
+            true.append(Detections(objects.boxes(masks), classes, None, encoded(masks)))
         found: dict[str, float] = {}
         for by in ("mask", "box") if self.with_masks else ("box",):
             found |= {

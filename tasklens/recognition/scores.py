@@ -1,6 +1,6 @@
 """Scores of segmentation and detection: mean intersection over union, and COCO's average precision."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -11,14 +11,17 @@ import torch
 from torch import Tensor
 
 
-def mean_iou(found: Tensor, true: Tensor, classes: int) -> float:
+def mean_iou(found: Iterable[Tensor], true: Iterable[Tensor], classes: int) -> float:
     """Compute the mean over classes of intersection over union [%]; classes that are nowhere are left out.
 
     Args:
-        found, true: class of each pixel, any shape, 0 to `classes` - 1.
+        found, true: class of each pixel of each image, 0 to `classes` - 1.
         classes: number of classes, with the background.
     """
-    pairs = torch.bincount((true * classes + found).flatten(), minlength=classes**2).reshape(classes, classes).double()
+    pairs = torch.zeros(classes**2, dtype=torch.double)
+    for answer, wanted in zip(found, true, strict=True):
+        pairs += torch.bincount((wanted.long() * classes + answer.long()).flatten(), minlength=classes**2)
+    pairs = pairs.reshape(classes, classes)
     both, union = pairs.diagonal(), pairs.sum(0) + pairs.sum(1) - pairs.diagonal()
     return 100 * float((both[union > 0] / union[union > 0]).mean())
 
@@ -31,13 +34,21 @@ class Detections:
         boxes: (K, 4) left, top, right, bottom edge [pixels].
         labels: (K,) classes.
         scores: (K,) confidence; None: true objects.
-        masks: (K, H, W) bool; None: none.
+        masks: (K,) run lengths of the masks, as of `encoded`; None: none.
     """
 
     boxes: Tensor
     labels: Tensor
     scores: Tensor | None = None
-    masks: Tensor | None = None
+    masks: Sequence[Mapping[str, Any]] | None = None
+
+
+def encoded(masks: Tensor) -> list[dict[str, Any]]:
+    """Return the run lengths of masks (K, H, W) bool, by pycocotools: a hundredth of their memory."""
+    from pycocotools import mask as encoding
+
+    columns = numpy.asfortranarray(masks.permute(1, 2, 0).numpy().astype("uint8"))
+    return encoding.encode(columns) if len(masks) else []
 
 
 def average_precision(
@@ -99,7 +110,7 @@ def _entries(image: Detections, number: int, by: str) -> list[dict[str, Any]]:
             row["score"] = float(image.scores[k])
         if by == "mask":
             assert image.masks is not None  # whoever asks for masks has them
-            row["segmentation"] = encoding.encode(numpy.asfortranarray(image.masks[k].numpy().astype("uint8")))
-            row["area"] = float(image.masks[k].sum())
+            row["segmentation"] = image.masks[k]
+            row["area"] = float(encoding.area(image.masks[k]))
         rows.append(row)
     return rows

@@ -63,10 +63,11 @@ def markdown(
     ]
     allotted = frame[["error", "unit", "tolerance", "allotted"]]
     drawing = (
-        "No tolerances that were tried, down to a 32nd of the grade's, keep 95 % of the lenses within one point."
+        "No tolerances that were tried, the tightest about a 32nd of the grade's, keep 95 % of lenses within one point."
         if frame["allotted"].isna().all()
-        else "With the tolerances in the last column, loose where they cost little, 95 % of lenses lose at most one "
-        "point on minival images.\n\n" + right_aligned(rounded(allotted, {"tolerance": ".4g", "allotted": ".2g"}))
+        else "With the tolerances in the last column, loose where they cost little, at least 95 % of the lenses "
+        "that were built to choose them lose at most one point, on minival images.\n\n"
+        + right_aligned(rounded(allotted, {"tolerance": ".4g", "allotted": ".2g"}))
     )
     digits = {"tolerance": ".4g", "moved_um": ".2f", "traced_um": ".2f", "accuracy_change": "+.2f"}
     parts = [

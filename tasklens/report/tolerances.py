@@ -16,10 +16,10 @@ _ALPHA = 0.05
 
 _NOTE = """\
 Study `{study}`, {grade}, {built} built lenses of each design and seed, focused by their MTF, measured by the
-classifier of the design on the same {images} test images at nine fields. Accuracy [%] of the design and of built lenses
-(mean, and what 95 of 100 reach); `lost`: the difference [points]; `yield`: built lenses that lose at most 1 and 3
-points [%]; medians of the RMS spot [um] and of the MTF at a quarter of Nyquist's frequency; `failed`: lenses that let
-no light through to some field."""
+classifier of the design on the same test images, at most {images}, at nine fields. Accuracy [%] of the design and of
+built lenses (mean, and what 95 of 100 reach); `lost`: the difference [points]; `yield`: built lenses that lose at most
+1 and 3 points [%]; medians of the RMS spot [um] and of the MTF at a quarter of Nyquist's frequency; `failed`: lenses
+that let no light through to some field."""
 
 _QUESTION = """\
 **Do task-driven lenses tolerate more?** What a task-driven lens loses less what the baseline loses [points, 95 %

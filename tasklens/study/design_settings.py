@@ -168,6 +168,8 @@ class TaskDrivenSettings(SupervisedSettings):
             raise ValueError(
                 "task: expected no `polish`, no `size` and `augment: false`, since masks fit the images as they are"
             )
+        if self.task is not None and self.batch_norm == "batch":
+            raise ValueError("task: expected `batch_norm: stored`, by which its network is frozen")
         return self
 
 

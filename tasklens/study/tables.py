@@ -186,7 +186,16 @@ class BuiltContents(Frozen):
 
 
 def built(study: Study) -> BuiltContents:
-    """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for."""
+    """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for.
+
+    Raises:
+        StudyError: captures have diffraction.
+    """
+    if study.capture.diffraction:
+        raise StudyError(
+            "tolerances: lenses are built by rays alone, while classifiers of this study have learned captures with "
+            "diffraction; expected `capture: {diffraction: false}`"
+        )
     lenses = [study.lens(name) for name in _chosen(study, study.tolerances.designs)]
     pairs = (
         (lens.name, other.name)

@@ -22,16 +22,19 @@ _FITTED = 2  # of them to each side of the best, by a parabola
 _RAYS = 256  # per field and colour
 
 
-def peak(lens: Lens, view: View) -> float:
-    """Find the shift of the image plane of the largest MTF, the mean over fields and both orientations [mm]."""
+def peak(lens: Lens, view: View) -> Tensor:
+    """Find the shift of the image plane of the largest MTF, the mean over fields and both orientations [mm].
+
+    It is that of a parabola through the planes nearest to the best one, and differentiable in the lens.
+    """
     step = _RANGE * view.efl / _STEPS
     values = through_focus(lens, view.in_all_quadrants(), -_STEPS * step, step, 2 * _STEPS + 1)
     best = int(values[_FITTED:-_FITTED].argmax()) + _FITTED
     x = torch.arange(-_FITTED, _FITTED + 1, dtype=torch.float64)
     near = values[best - _FITTED : best + _FITTED + 1]
-    _, slope, bend = torch.linalg.lstsq(x[:, None] ** torch.arange(3), near[:, None]).solution[:, 0].tolist()
-    offset = -0.5 * slope / bend if bend < 0 else 0.0
-    return (best - _STEPS + max(-1.0, min(1.0, offset))) * step
+    _, slope, bend = torch.linalg.pinv(x[:, None] ** torch.arange(3)) @ near
+    offset = -0.5 * slope / bend if bend < 0 else torch.zeros_like(bend)
+    return (best - _STEPS + offset.clamp(-1, 1)) * step
 
 
 def through_focus(lens: Lens, view: View, first: float, step: float, count: int) -> Tensor:
@@ -63,13 +66,13 @@ def through_focus(lens: Lens, view: View, first: float, step: float, count: int)
     return torch.stack(found)
 
 
-def focused(lens: Lens, view: View, nominal_peak: float) -> tuple[Lens, float]:
+def focused(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]:
     """Focus a built lens: its MTF is largest as far from its image plane as that of the design, `nominal_peak` [mm].
 
     Returns:
-        The lens, and the shift of its image plane [mm].
+        The lens, and the shift of its image plane [mm]; both are differentiable in both lenses.
     """
-    shift = peak(lens.detached(), view) - nominal_peak
+    shift = peak(lens, view) - nominal_peak
     thickness = lens.thickness.clone()
     thickness[-1] += shift
     return replace(lens, thickness=thickness), shift

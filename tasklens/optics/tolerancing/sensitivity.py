@@ -12,6 +12,7 @@ from torch import Tensor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
 from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays
 from tasklens.optics.tolerancing.errors import Error, built
 from tasklens.optics.view import View
 
@@ -26,11 +27,13 @@ def displacements(lens: Lens, view: View, found: Sequence[Error], rays: int) -> 
     Args:
         found: P errors of the lens.
         rays: number of pupil points per field and colour.
+
+    Returns:
+        Infinite for all errors where no light comes to some field.
     """
     view, pupil = view.in_all_quadrants(), sobol_disc(rays, seed=0)
     nominal = trace_fields(lens, view, pupil)
-    centre = chief_points(lens, view)
-    core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
+    core = _core(lens, view, nominal)
     if not core.any(-1).any(-1).all():
         return torch.full((len(found),), torch.inf, dtype=torch.float64)
 
@@ -51,8 +54,7 @@ def traced_displacements(lens: Lens, view: View, found: Sequence[Error], rays: i
     """Compute the same with errors one at a time, of both signs, from traced rays; infinite where a field is lost."""
     view, pupil = view.in_all_quadrants(), sobol_disc(rays, seed=0)
     nominal = trace_fields(lens, view, pupil)
-    centre = chief_points(lens, view)
-    core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
+    core = _core(lens, view, nominal)
 
     def squared(fractions: Tensor) -> float:
         moved = trace_fields(built(lens, found, fractions, view.reference), view, pupil)
@@ -65,6 +67,12 @@ def traced_displacements(lens: Lens, view: View, found: Sequence[Error], rays: i
 
     both = [squared(e) + squared(-e) for e in torch.eye(len(found), dtype=torch.float64)]
     return 1e3 * (torch.tensor(both, dtype=torch.float64) / 2).clamp(min=0).sqrt()
+
+
+def _core(lens: Lens, view: View, rays: Rays) -> Tensor:
+    """Tell which rays (F, W, N) are of the core; none of a field without light."""
+    centre = chief_points(lens, view)
+    return rays.valid & (distances(rays, centre) <= encircled_energy_radius(rays, centre, 0.5)[:, None, None])
 
 
 def _mean(product: Tensor, core: Tensor) -> Tensor:
