@@ -29,13 +29,15 @@ def start():
 # Those that take longest, which two processes begin with: else the last of them would keep one waiting.
 LONGEST = (
     "test_workflow_runs.py",
+    "test_structure.py",
     "test_checkpoints.py",
+    "test_cli.py",
+    "test_simulation.py",
     "test_task_design.py",
-    "test_workflow.py",
     "test_benchmarks.py",
 )
 
 
 def pytest_collection_modifyitems(items):
-    order = {f"test_{name}": k for k, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: order.get(item.path.stem, len(LONGEST)))
+    order = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))

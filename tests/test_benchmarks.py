@@ -23,7 +23,7 @@ from tasklens.study.settings import ClassifierSettings
         ("network", "ratio", ["--rounds", "1"]),
         ("cost", "GPU-hours", ["config/smoke.yaml"]),
         ("cluster", "peak [GB]", ["config/smoke.yaml"]),
-        ("growth", "growth [%]", []),
+        pytest.param("growth", "growth [%]", [], marks=pytest.mark.slow),
         ("existing_lenses", "ray by ray", []),
     ],
 )

@@ -50,6 +50,7 @@ def test_plain_python_traces_the_same_rays(tmp_path):
         torch.testing.assert_close(plain, compiled, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_processor_without_wide_vectors(tmp_path):
     """The same rays, compiled for the least x86-64 (or this architecture's) processor."""
     code = (
@@ -63,6 +64,7 @@ def test_a_processor_without_wide_vectors(tmp_path):
     assert float(run(code, **least)) == pytest.approx(float(run(code)), rel=1e-13)
 
 
+@pytest.mark.slow
 def test_compiled_code_is_kept_on_disk(tmp_path):
     """In a folder for this text of the modules; another process loads it, and traces the same bits with it."""
     code = (

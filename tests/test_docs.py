@@ -30,7 +30,7 @@ def test_examples_run(page, number, monkeypatch, capsys):
     assert capsys.readouterr().out
 
 
-@pytest.mark.tutorial
+@pytest.mark.slow
 def test_commands_of_the_tutorial_run(tmp_path):
     """In a folder with the photographs of the tests and the published lenses; it takes two minutes."""
     for name in ("docs", "tests"):

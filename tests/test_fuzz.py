@@ -313,6 +313,7 @@ def check_study(path: Path, content: str) -> None:
             assert [loading.parse(loading.resolved(point)) for point in points] == points
 
 
+@pytest.mark.slow
 @examples(450)
 @given(changed(STUDY))
 def test_a_study_is_read_or_refused(folder, content):

@@ -278,7 +278,7 @@ def test_gradients(name):
             exact(found[key], expected[key], 1e-10 * scale)
 
 
-@pytest.mark.parametrize("name", DERIVED)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "steep" else n for n in DERIVED])
 def test_forward_mode(name):
     """Along random changes of each parameter of the lens, and of all start values: to 1e-10 of the largest element."""
     lens, start = CASES[name]()
