@@ -23,7 +23,7 @@ def test_scenes_hold_visible_objects():
     assert numbers.min() >= 1 and numbers.max() == object_scenes.MOST
     assert set(found.labels.tolist()) == set(range(len(scenes.CLASSES)))
     for image in range(80):
-        labels, masks = found.of(image)
+        labels, masks = found.objects_of(image)
         assert len(labels) == len(masks) == numbers[image]
         assert masks.sum(0).max() == 1
         assert ((masks.sum((1, 2)) > 0.02 * 64**2) & (masks.sum((1, 2)) < 0.25 * 64**2)).all()
@@ -42,7 +42,7 @@ def test_masks_are_where_the_texture_is():
     found = rendered(40)
     grey = found.images.float().mean(1)
     detail = (grey - torch.nn.functional.avg_pool2d(grey[:, None], 5, 1, 2)[:, 0]).abs()
-    inside = torch.stack([found.of(k)[1].any(0) for k in range(40)])
+    inside = torch.stack([found.objects_of(k)[1].any(0) for k in range(40)])
     assert detail[inside].mean() > 1.5 * detail[~inside].mean()
 
 
@@ -76,7 +76,9 @@ def test_files_hold_a_split(tmp_path):
     assert again.classes == found.classes and len(again) == 10
     for name in ("images", "owner", "labels", "masks"):
         assert torch.equal(getattr(again, name), getattr(found, name))
-    assert torch.equal(again.of(3)[1], found.of(3)[1]) and again.as_images().labels.tolist() == list(range(10))
+    assert torch.equal(again.objects_of(3)[1], found.objects_of(3)[1]) and again.as_images().labels.tolist() == list(
+        range(10)
+    )
 
 
 def test_files_of_different_splits_are_refused(tmp_path):
@@ -130,8 +132,8 @@ def test_a_folder_of_coco_is_read(tmp_path):
     found = coco.read(coco_folder(tmp_path), "val", 64, None, seed=0)
     assert found.classes == ("dog", "cat") and len(found) == 2
     assert sorted(torch.bincount(found.owner).tolist()) == [1, 2]
-    first = next(k for k in range(2) if len(found.of(k)[0]) == 2)
-    labels, masks = found.of(first)
+    first = next(k for k in range(2) if len(found.objects_of(k)[0]) == 2)
+    labels, masks = found.objects_of(first)
     assert labels.tolist() == [1, 0]  # cat, dog
     # The square of 32 x 32 begins at column 4, and is doubled.
     assert objects.boxes(masks).tolist() == [[0, 8, 48, 40], [4, 20, 24, 40]]

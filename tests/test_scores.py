@@ -113,7 +113,7 @@ def test_scores_of_shifted_scenes_against_another_implementation(by, overlap):
     generator = torch.Generator().manual_seed(0)
     truths, answers = [], []
     for image in range(12):
-        labels, masks = scenes.of(image)
+        labels, masks = scenes.objects_of(image)
         truths.append(Detections(objects.boxes(masks), labels, None, encoded(masks)))
         moved = torch.stack(
             [m.roll(tuple(torch.randint(-3, 4, (2,), generator=generator).tolist()), (0, 1)) for m in masks]

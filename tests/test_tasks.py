@@ -63,7 +63,7 @@ def test_segmentation_of_a_network_that_knows():
     """Its loss is near zero, and 100 % are right; flipped images have flipped objects."""
     dataset = data()
     task, indices = Segmentation(dataset, OUTPUTS), torch.arange(2)
-    truth = torch.stack([objects.semantic(*dataset.of(k)) for k in range(2)])
+    truth = torch.stack([objects.semantic(*dataset.objects_of(k)) for k in range(2)])
     knows = Says(truth, 11)
     captures = dataset.batch(indices)
     assert float(task.loss(knows, captures, indices, NOT_FLIPPED)) < 1e-6
@@ -80,7 +80,7 @@ def test_detection_of_the_truth_is_perfect():
         def forward(self, images):
             found = []
             for k in range(len(images)):
-                labels, masks = dataset.of(k)
+                labels, masks = dataset.objects_of(k)
                 scores = torch.ones(len(labels))
                 found.append({"boxes": objects.boxes(masks), "labels": labels + 1, "scores": scores,
                               "masks": masks[:, None].float()})  # fmt: skip
@@ -118,7 +118,7 @@ def test_losses_of_segmentation_are_of_each_image():
     dataset = data()
     task, network = Segmentation(dataset, OUTPUTS), Says(torch.zeros(2, 32, 32, dtype=torch.long), 11)
     losses = task.losses(network, dataset.batch(torch.arange(2)), torch.arange(2))
-    background = [float((objects.semantic(*dataset.of(k)) == 0).double().mean()) for k in range(2)]
+    background = [float((objects.semantic(*dataset.objects_of(k)) == 0).double().mean()) for k in range(2)]
     assert losses.tolist() == pytest.approx([20 * (1 - share) for share in background], rel=1e-4)
     whole = task.loss(network, dataset.batch(torch.arange(2)), torch.arange(2), NOT_FLIPPED)
     assert float(whole) == pytest.approx(float(losses.mean()), rel=1e-6)

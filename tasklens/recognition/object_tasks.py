@@ -15,7 +15,7 @@ from tasklens.study.task_settings import TaskSettings
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of torchvision's networks
 
 
-class _OfObjects(Task):
+class ObjectTask(Task):
     """A task on the objects of images.
 
     Args:
@@ -28,11 +28,11 @@ class _OfObjects(Task):
 
     def masks(self, index: int, flipped: bool) -> tuple[Tensor, Tensor]:
         """Return the labels (K,) and masks (K, H, W) of the objects of an image."""
-        labels, masks = self.dataset.of(index)
+        labels, masks = self.dataset.objects_of(index)
         return labels, masks.flip(-1) if flipped else masks
 
 
-class Segmentation(_OfObjects):
+class Segmentation(ObjectTask):
     """The class of each pixel, background among them; scored by mean intersection over union."""
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ class Segmentation(_OfObjects):
         return network((captures - mean) / std)["out"][:, [0, *self.outputs]]
 
 
-class Detection(_OfObjects):
+class Detection(ObjectTask):
     """Boxes of objects, and their masks if the network finds masks; scored by COCO's average precision."""
 
     def __init__(self, dataset: ObjectDataset, outputs: Sequence[int], with_masks: bool):
@@ -103,7 +103,7 @@ class Detection(_OfObjects):
         """Return `box_ap`, `box_ap50`, and of masks `mask_ap`, `mask_ap50` [%]; masks first."""
         true = []
         for index in labels.tolist():
-            classes, masks = self.dataset.of(index)
+            classes, masks = self.dataset.objects_of(index)
             true.append(Detections(objects.boxes(masks), classes, None, encoded(masks)))
         found: dict[str, float] = {}
         for by in ("mask", "box") if self.with_masks else ("box",):

@@ -36,7 +36,7 @@ class ObjectDataset:
     def __len__(self) -> int:
         return len(self.images)
 
-    def of(self, image: int) -> tuple[Tensor, Tensor]:
+    def objects_of(self, image: int) -> tuple[Tensor, Tensor]:
         """Return the labels (K,) of the objects of an image, and their masks (K, H, W) bool."""
         first, last = torch.searchsorted(self.owner, torch.tensor([image, image + 1])).tolist()
         return self.labels[first:last], unpacked(self.masks[first:last], self.images.shape[-2:])

@@ -29,22 +29,22 @@ def run(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) 
     lens, view = prescription.read(inputs.lens)[0].lens, view_of_spec(settings.spec)
     test, minival = (dataset.read(*files, device=device) for files in (inputs.test, inputs.minival))
     classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
-    light = psf_files.read(inputs.psf).illumination.to(device)
-    line = Production(
+    illumination = psf_files.read(inputs.psf).illumination.to(device)
+    studied = Production(
         lens,
         view,
         errors(lens, wanted.grade),
-        lambda grid: Camera.of(settings.capture, grid.to(device), light),
+        lambda grid: Camera.of(settings.capture, grid.to(device), illumination),
         classifier,
     )
     shown = _images(test, wanted.images)
-    moved_um = displacements(lens, view, line.errors, _RAYS)
-    rows = production.built_lenses(line, wanted.lenses, settings.seed, shown, checkpoint)
+    moved_um = displacements(lens, view, studied.errors, _RAYS)
+    rows = production.built_lenses(studied, wanted.lenses, settings.seed, shown, checkpoint)
     worst = moved_um.argsort(descending=True)[:_WORST].tolist()
-    changes = production.one_at_a_time(line, worst, rows[0]["accuracy"], shown)
+    changes = production.one_at_a_time(studied, worst, rows[0]["accuracy"], shown)
     tried = min(wanted.lenses, production.TRIED)
-    by_drawing = both_axes(line.errors, moved_um)
-    allotted = production.allotted(line, by_drawing, tried, settings.seed, _images(minival, wanted.images))
+    by_drawing = both_axes(studied.errors, moved_um)
+    allotted = production.allotted(studied, by_drawing, tried, settings.seed, _images(minival, wanted.images))
     found = [
         {
             "error": error.name,
@@ -56,7 +56,7 @@ def run(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) 
             "allotted": None if allotted is None else error.tolerance * float(allotted[k]),
         }
         for k, (error, traced) in enumerate(
-            zip(line.errors, traced_displacements(lens, view, line.errors, _RAYS), strict=True)
+            zip(studied.errors, traced_displacements(lens, view, studied.errors, _RAYS), strict=True)
         )
     ]
     write_rows(outputs.lenses, rows)
