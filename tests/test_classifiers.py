@@ -41,6 +41,11 @@ def test_a_published_head_for_other_classes_is_no_reference():
     """Without training it would judge at random; found before anything is downloaded."""
     with pytest.raises(InputError, match="1000 outputs, 10 are wanted"):
         classifiers.build(ClassifierSettings(model="resnet18.a1_in1k", pretrained=True), names(10))
+    untrained = ClassifierSettings(
+        model="resnet18.a1_in1k", pretrained=True, training={"epochs": 0, "learning_rate": 1e-3}
+    )
+    with pytest.raises(InputError, match="1000 outputs, 10 are wanted"):
+        classifiers.build(untrained, names(10))
 
 
 @pytest.mark.parametrize("model", ["resnet18", "vit_tiny_patch16_224.augreg_in21k_ft_in1k"])

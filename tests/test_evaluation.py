@@ -52,7 +52,7 @@ class Dimming(Camera):
         super().__init__(torch.zeros(len(factors), 3, 3, 3))
         self.factors = torch.tensor(factors)[:, None, None, None, None]
 
-    def grid(self, images):
+    def grid(self, images, generator=None):
         return self.factors * images
 
     def single(self, images, fields, noise=None):
@@ -109,7 +109,7 @@ def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
     alone = [evaluation.measure([each], splits, pipeline)[0] for each in classifiers]
     rendered = []
     grid = pipeline.camera.grid
-    monkeypatch.setattr(pipeline.camera, "grid", lambda images: rendered.append(len(images)) or grid(images))
+    monkeypatch.setattr(pipeline.camera, "grid", lambda images, _: rendered.append(len(images)) or grid(images))
     assert evaluation.measure(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
     assert rendered == [64, 26, 6]
 

@@ -56,7 +56,7 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Stage, dict]]:
     for stage in STAGES.values():
         if callable(stage.patterns) and not stage.outputs(study):
             continue  # the study has no such jobs
-        if stage is report_jobs.tolerances and study.capture.diffraction:
+        if stage in (report_jobs.tolerances, jobs.production) and study.capture.diffraction:
             continue  # refused: see below
         for found in wildcards_of(stage, study):
             yield (stage.name, *(value for name, value in found.items() if name != "seed")), stage, found
@@ -149,6 +149,8 @@ def test_diffraction_changes_no_design():
         assert STAGES[stage].plan(study, lens="singlet-imaging1", seed=0, **rest).inputs["psf"] == psf
     with pytest.raises(StudyError, match="tolerances: lenses are built by rays alone"):
         report_jobs.tolerances.plan(study)
+    with pytest.raises(StudyError, match="tolerances: lenses are built by rays alone"):
+        jobs.production.plan(study, lens="singlet-imaging1", seed=0)
 
 
 def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():

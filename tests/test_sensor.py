@@ -68,11 +68,12 @@ def test_dim_fields_are_noisier_and_as_bright():
 
 
 def test_measurements_repeat_their_noise_and_training_draws_it():
-    """And a share of a batch is a part of the whole, so that processes see what one would."""
+    """Of each batch its own; and a share of a batch is a part of the whole, so that processes see what one would."""
     pipeline = CapturePipeline(Camera(point(2), sensor=SensorSettings(gain=16)))
     images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(0))
     assert torch.equal(pipeline.all_fields(images), pipeline.all_fields(images))
     assert not torch.equal(pipeline.all_fields(images)[0], images)
+    assert not torch.equal(pipeline.all_fields(images, 1), pipeline.all_fields(images, 2))
     drawn = [pipeline.one_field(images, torch.Generator().manual_seed(s)) for s in (0, 0, 1)]
     assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
     part = pipeline.one_field(images, torch.Generator().manual_seed(0), slice(2, 5))

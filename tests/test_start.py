@@ -26,6 +26,15 @@ def test_flat_start_keeps_the_limits_and_has_no_power(elements):
     assert worst_margin(margins)[1] >= 0
 
 
+def test_a_short_flat_start_has_less_space_behind_its_plates():
+    """0.36 focal lengths from stop to sensor: the plates keep their least thickness."""
+    spec, limits = Spec(field_of_view_deg=40.0, kernel_size=11), Constraints(flat_track=0.36)
+    lens = flat(materials("COC"), spec, limits)
+    assert float(lens.thickness[1]) == pytest.approx(limits.min_centre_thickness)
+    assert limits.min_back_focus < float(lens.thickness[-1]) < 0.35 * spec.efl_mm
+    assert float(lens.thickness.sum()) == pytest.approx(0.36 * spec.efl_mm)
+
+
 def test_variables_there_and_back():
     """Assembling what was taken out changes nothing; assembling other values changes these and no others."""
     lens = random_lens(0)

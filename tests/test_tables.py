@@ -197,6 +197,14 @@ def test_a_partial_table_has_what_has_been_measured(study, lost):
     assert "Not measured yet: doublet-imaging1." in Path("results/tiny/tables/table1-partial.md").read_text()
 
 
+def test_a_partial_table_of_sharp_images_alone(study):
+    """The first that a study measures; of two seeds."""
+    for lens in study.lenses:
+        for seed in study.seeds:
+            metrics_file(study, lens, "small", seed).unlink(missing_ok=True)
+    assert list(partial(study).index) == ["reference"]
+
+
 def partial(study) -> pandas.DataFrame:
     Path("study.yaml").write_text(dump(study))
     assert main(["run", "table", "study.yaml", "table1", "--partial"]) == 0

@@ -17,7 +17,7 @@ from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
 HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
-BUFFER = 0.01  # margin that designs aim at [mm; a tenth of it without a unit], since a soft penalty ends short of it
+BUFFER = 0.01  # margin that designs aim at, as soft penalties end short of it [mm; a tenth for fractions and angles]
 
 
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:

@@ -12,7 +12,7 @@ from tasklens.design.driver import History, Step, divergence, run
 from tasklens.design.gradient_descent import GradientDescent
 from tasklens.design.problem import Problem
 from tasklens.design.schedule import geometric
-from tasklens.design.supervision import VALIDATIONS, Supervisor, energy_in_window
+from tasklens.design.supervision import LEEWAY_MM, VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.recognition.training import Shuffled
@@ -25,7 +25,8 @@ class JointDescent(GradientDescent):
 
     The network is trained in place, in `train()`, with all captures of a step in one batch for its batch norms; a
     frozen one stays in `eval()`. The result is the lens of the smallest validation loss with the sensor's pixels and
-    the full stop, with the network of its time; before the first validation, the last lens with a finite loss.
+    the full stop, each measured by the network of its time, and one far outside its limits only if all are; before the
+    first validation, the last lens with a finite loss.
     """
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
@@ -40,7 +41,8 @@ class JointDescent(GradientDescent):
         generator = torch.Generator().manual_seed(problem.seed)
         self.order = Shuffled(len(self.supervisor.dataset), settings.batch_size, generator)
         super().__init__(start, problem, settings.steps, settings.learning_rates, order=self.order, **criterion.holders)
-        self.settings, self.least_loss = settings, math.inf
+        self.settings = settings
+        self.least = True, math.inf  # whether the best lens is far outside its limits, and its validation loss
 
     def step(self, step: int) -> Step:
         """Take a step of AdamW on the loss of a batch, with the pixel pitch and stop of this step."""
@@ -62,7 +64,7 @@ class JointDescent(GradientDescent):
         losses, gradient = self.supervisor.loss(indices, grid, stopped, seed)
         if not torch.isfinite(losses.mean() + bounds):
             raise divergence(stopped, view, pupil, losses)
-        if math.isinf(self.least_loss):
+        if math.isinf(self.least[1]):
             self.remember()
         torch.autograd.backward([grid, self.settings.penalty * bounds], [gradient, None])
         self.advance()
@@ -81,20 +83,22 @@ class JointDescent(GradientDescent):
 
     def _validate(self) -> float:
         """Compute the loss of the present lens and network on fixed images, and remember the lens if it is the best."""
-        loss = self.supervisor.validation_loss(self.assemble(), pixels=1.0)
-        if loss < self.least_loss:
-            self.least_loss = loss
+        lens = self.assemble()
+        loss = self.supervisor.validation_loss(lens, pixels=1.0)
+        found = self.penalty(lens).item() > LEEWAY_MM**2, loss
+        if found < self.least:
+            self.least = found
             self.remember()
         return loss
 
     def state(self) -> dict[str, Any]:
         """Return the state of the gradient descent, and the smallest validation loss."""
-        return super().state() | {"least_loss": self.least_loss}
+        return super().state() | {"least": self.least}
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Resume from `state`."""
         super().resume(state)
-        self.least_loss = state["least_loss"]
+        self.least = state["least"]
 
 
 def design(

@@ -9,7 +9,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy
 import torch
@@ -104,11 +103,11 @@ class _Search:
         names = ("curvature", "thickness", *self.orders[:orders])
         return improve(lens, merit, names, evaluations, lambda e: self.progress(next(self.evaluations), rms_um=e))
 
-    def stage(self, orders: int, candidate: Candidate, count: int, budget: int) -> tuple[Lens, float, str]:
+    def stage(self, orders: int, candidate: Candidate, budget: int) -> tuple[Lens, float]:
         """Improve a candidate over the first `orders` asphere orders."""
-        return *self.improve(candidate[2], self.merit, orders, max(2, budget)), f"{orders} orders"
+        return self.improve(candidate[2], self.merit, orders, max(2, budget))
 
-    def hop(self, candidate: Candidate, count: int, budget: int) -> tuple[Lens, float, str]:
+    def hop(self, candidate: Candidate, budget: int) -> tuple[Lens, float]:
         """Improve a candidate by basin hopping: perturb and improve repeatedly, and keep better lenses."""
         best, _, lens = candidate
         for _ in range(max(1, budget // _PERTURBATION_EVALUATIONS)):
@@ -116,7 +115,7 @@ class _Search:
             other, error = self.improve(perturbed, self.merit, _STAGES[-1][1], _PERTURBATION_EVALUATIONS)
             if error < best:
                 best, lens = error, other
-        return lens, best, f"perturbations of {count}"
+        return lens, best
 
     def vignette(self, lens: Lens) -> tuple[Lens, float]:
         """Improve a lens with a clear aperture on each surface in turn; return the best, with its aperture."""
@@ -135,21 +134,23 @@ class _Search:
         return vignetting.clip(clipped, merit.view, surface, loss), error
 
     def best(
-        self, name: str, candidates: list[Candidate], part: float, share: float, improve: Callable[..., Any]
+        self,
+        name: str,
+        candidates: list[Candidate],
+        part: float,
+        share: float,
+        improve: Callable[[Candidate, int], tuple[Lens, float]],
     ) -> list[Candidate]:
         """Improve the best candidates, a fraction `part` of the starts, at least one, with a share of the budget."""
         kept = sorted(candidates, key=lambda candidate: candidate[:2])[: max(1, round(part * self.settings.starts))]
         budget = round(share * self.settings.evaluations / len(kept))
-        return [
-            self._resumable(f"{name}, start {each[1]}", each, partial(improve, each, len(kept), budget))
-            for each in kept
-        ]
+        return [self._resumable(name, each, partial(improve, each, budget)) for each in kept]
 
-    def _resumable(self, name: str, candidate: Candidate, improve: Callable[..., Any]) -> Candidate:
+    def _resumable(self, stage: str, candidate: Candidate, improve: Callable[[], tuple[Lens, float]]) -> Candidate:
         """Improve a candidate, or load the result from the checkpoint."""
-        part = self.checkpoint.part(name)
+        part = self.checkpoint.part(f"{stage}, start {candidate[1]}")
         if part.result is None:
-            lens, error, stage = improve()
+            lens, error = improve()
             part.history.append({"stage": stage, "start": candidate[1], "rms_um": error})
             shape = {key: getattr(lens, key) for key in _SHAPE}
             part.finish(error=error, shape=shape, rng=self.rng.bit_generator.state)
@@ -171,10 +172,10 @@ def design(
     search = _Search(problem, settings, checkpoint)
     starts = random_starts(flat, problem.view, problem.limits, settings.starts, search.rng)
     candidates: list[Candidate] = [(0.0, i, lens) for i, lens in enumerate(starts)]
-    for k, (part, orders, share) in enumerate(_STAGES):
-        candidates = search.best(f"stage {k}", candidates, part, share, partial(search.stage, orders))
+    for part, orders, share in _STAGES:
+        candidates = search.best(f"{orders} orders", candidates, part, share, partial(search.stage, orders))
     for k, (part, share) in enumerate(_PERTURBATIONS):
-        candidates = search.best(f"perturbations {k}", candidates, part, share, search.hop)
+        candidates = search.best(f"perturbations {k + 1}", candidates, part, share, search.hop)
     _, start, lens = min(candidates, key=lambda candidate: candidate[:2])
     if settings.linear_beyond_um is not None:
         lens, error = search.improve(lens, search.finish, _STAGES[-1][1], _FINISH_EVALUATIONS)

@@ -3,10 +3,10 @@
 The variables of a lens have nearly collinear effects on its rays, so that equal steps in each variable cause very
 different displacements on the sensor. With a gradient g, a step d of the variables solves
 
-    minimise  g.d + mu/2 d.(M + damping diag(M + (s / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
+    minimise  g.d + mu/2 d.(M + damping diag(M + (max(s, s0) / scale)^2)) d + w/2 |c + C d|^2,   sqrt(d.M d) = s,
 
-where d.M d is the mean squared displacement of rays, s the step size, `scale` a small change of a variable, and c + C d
-the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
+where d.M d is the mean squared displacement of rays, s the step size, s0 = 3 um, `scale` a small change of a variable,
+and c + C d the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
 Levenberg-Marquardt.
 """
 

@@ -7,16 +7,17 @@ from tasklens.materials.material import AIR, Material
 from tasklens.optics.lens import Lens
 from tasklens.study.settings import Constraints, Spec
 
-_BACK = 0.35  # last space [focal lengths]; small, since fields are separated on plates far from the stop
+_BACK = 0.35  # last space [focal lengths], where there is room; small: far from the stop, fields part on the plates
 _AIR = 0.5  # air spaces [plate thicknesses]
 
 
 def flat(plastics: tuple[Material, ...], spec: Spec, constraints: Constraints) -> Lens:
     """Return plane-parallel plates behind a stop, a lens without power."""
-    elements = len(plastics)
-    back = max(_BACK * spec.efl_mm, constraints.min_back_focus)
-    room = constraints.flat_track * spec.efl_mm - constraints.stop_distance - back
-    plate = room / (elements + _AIR * (elements - 1))
+    plates = len(plastics) + _AIR * (len(plastics) - 1)  # with the air between them, in thicknesses
+    room = constraints.flat_track * spec.efl_mm - constraints.stop_distance
+    last = min(_BACK * spec.efl_mm, room - plates * constraints.min_centre_thickness)
+    back = max(last, constraints.min_back_focus)
+    plate = (room - back) / plates
     media, thickness = [AIR], [constraints.stop_distance]
     for plastic in plastics:
         media += [plastic, AIR]

@@ -19,14 +19,13 @@ from tasklens.design.driver import Descent, History, Step, divergence, run
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import LinearModel, RaySpace
 from tasklens.design.schedule import cosine, geometric
-from tasklens.design.supervision import VALIDATIONS, Supervisor, energy_in_window
+from tasklens.design.supervision import LEEWAY_MM, VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.recognition.training import Shuffled
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import RaySpaceSettings, SupervisedSettings
 
-_LEEWAY_MM = 0.05  # increase of the violation norm above which a step is halved
 _STATE = ("vector", "mean", "averaged", "factor", "failures", "best", "least")
 _PATIENCE = 3  # validations without a better lens
 _HALVINGS = 5  # maximum number of halvings of a step
@@ -83,10 +82,11 @@ class RaySpaceDescent(Descent):
             numbers["validation_loss"] = self._validate()
             pixels, step_um = self._schedule((step - 1) / self.steps)
         leaf = self.vector.clone().requires_grad_()
-        (lens,) = self.supervisor.as_built(self.space.lens(leaf), self.seed + step)
+        design = self.space.lens(leaf)
+        (lens,) = self.supervisor.as_built(design, self.seed + step)
         pupil = sobol_disc(self.design.rays, self.seed + step)
         rays, grid = self.supervisor.trace(lens, pupil, pixels)
-        losses, gradient = self.supervisor.loss(indices, grid, lens, self.seed + step)
+        losses, gradient = self.supervisor.loss(indices, grid, design, self.seed + step)
         (slope,) = torch.autograd.grad(grid, leaf, gradient)
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         self.averaged += 1
@@ -117,7 +117,7 @@ class RaySpaceDescent(Descent):
         loss = self._validation_loss(self.vector)
         if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
             self.least = self.least[0], self._validation_loss(self.best)
-        found = self.model.violation_norm > _LEEWAY_MM, loss
+        found = self.model.violation_norm > LEEWAY_MM, loss
         if math.isfinite(loss) and found <= self.least:
             self.least, self.best, self.failures = found, self.vector, 0
             return loss
@@ -146,7 +146,7 @@ class RaySpaceDescent(Descent):
         for halvings in range(_HALVINGS + 1):
             moved = self.vector + change / 2**halvings
             model = self.space.linearise(moved)
-            if model.violation_norm <= self.model.violation_norm + _LEEWAY_MM:
+            if model.violation_norm <= self.model.violation_norm + LEEWAY_MM:
                 break
         return moved, model
 
@@ -192,18 +192,18 @@ def design(
         size, centre = part.size, part.centre
         return Supervisor(criterion, problem, size, settings.augment, settings.micro_batch, centre, settings.tolerances)
 
-    def descend(lens: Lens, part: RaySpaceSettings, label: str) -> tuple[float, Lens]:
+    def descend(lens: Lens, part: RaySpaceSettings, label: str) -> tuple[tuple[bool, float], Lens]:
         seed = int(torch.randint(2**31, (), generator=generator))
         descent = RaySpaceDescent(lens, supervisor(part), settings, part, seed)
         found, rows = run(descent, label, checkpoint)
         history.extend(rows)
-        return descent.least[1], found
+        return descent.least, found
 
     competing = dict(candidates)
     if settings.restart is not None and settings.refinement is not None:
         labels = [f"restart {k + 1} of {settings.restarts}" for k in range(settings.restarts)]
         restarts = [descend(start, settings.restart, label) for label in labels]
-        least, lens = descend(min(restarts, key=lambda found: found[0])[1], settings.refinement, "refinement")
+        (_, least), lens = descend(min(restarts, key=lambda found: found[0])[1], settings.refinement, "refinement")
         if settings.finish is None:
             return lens, {"validation_loss": least}, history
         competing["refinement"] = lens
@@ -212,6 +212,6 @@ def design(
     losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items() if candidates}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     chosen = min(competing, key=lambda name: losses.get(name, 0.0))
-    least, lens = descend(competing[chosen], settings.finish, "finish")
+    (_, least), lens = descend(competing[chosen], settings.finish, "finish")
     origin: dict[str, Any] = {"start": chosen} if chosen in candidates else {}
     return lens, origin | {"validation_loss": least, "candidate_losses": losses}, history

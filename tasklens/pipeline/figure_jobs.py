@@ -80,7 +80,7 @@ def captures(study: Study) -> Plan:
     settings = Slice(
         captures={lens: study.capture_of(lens) for lens in contents.lenses},
         restoration=study.restoration if restored else None,
-        classifiers={name: study.classifier(name) for name in dict.fromkeys(used)},
+        classifiers={name: study.network(name) for name in dict.fromkeys(used)},
     )
     inputs = {
         "test": split(study, "test"),

@@ -43,7 +43,7 @@ def split(study: Study, name: str) -> list[Path]:
 @stage(f"{STAGES}.reference.run", {"weights": "classifiers/reference/{classifier}.safetensors"}, resumable=True)
 def reference(study: Study, classifier: str) -> Plan:
     """Train a classifier on the sharp images, or take its published weights."""
-    settings = study.classifier(classifier)
+    settings = study.network(classifier)
     return Plan(settings, {"train": split(study, "train"), "published": settings.weights}, gpus=1)
 
 
@@ -228,7 +228,7 @@ def reproduce(study: Study, lens: str, measured_name: str, seed: int) -> Plan:
     captures, inputs = _captures(study, lens, restored, seed)
     inputs["test"] = split(study, "test")
     inputs["weights"] = measurement(study, lens, measured_name, seed, "weights")
-    return Plan(Slice(**captures, classifier=study.classifier(classifier)), inputs, gpus=1)
+    return Plan(Slice(**captures, classifier=study.network(classifier)), inputs, gpus=1)
 
 
 def measurement(study: Study, lens: str, measured_name: str, seed: int, output: str) -> Path:
@@ -279,12 +279,13 @@ def task_fine_tune(study: Study, lens: str, task: str, seed: int) -> Plan:
 )
 def production(study: Study, lens: str, seed: int) -> Plan:
     """Build lenses of a design in simulation, with errors of manufacture, and measure them."""
+    paper_tables.check_rays_alone(study)
     settings = Slice(
         lens=lens,
         seed=seed,
         spec=study.spec_of(study.lens(lens).elements),
-        capture=study.capture_of(lens).model_copy(update={"diffraction": False}),
-        classifier=study.classifier(study.supervisor),
+        capture=study.capture_of(lens),
+        classifier=study.network(study.supervisor),
         tolerances=study.tolerances.model_copy(update={"designs": None}),
     )
     inputs = {

@@ -72,7 +72,7 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
     outputs = None if settings.outputs == "classes" else imagenet_outputs(classes)
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
     pretrained = settings.pretrained and weights is None
-    if pretrained and settings.training is None:
+    if pretrained and not (settings.training and settings.training.epochs):
         published = timm.get_pretrained_cfg(settings.model)
         if published is not None and published.num_classes != count:
             raise InputError(

@@ -35,9 +35,13 @@ class CapturePipeline:
         drawn = None if self.camera.sensor is None else noise(images.shape, generator)[share]
         return self._restored(self.camera.single(images[share], send(fields[share], images.device), drawn))
 
-    def all_fields(self, images: Tensor) -> Tensor:
-        """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera."""
-        captures = images[None] if self.camera is None else self.camera.grid(images)
+    def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
+        """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.
+
+        Noise is the same for all lenses; `batch`, a number, makes it differ from that of other batches.
+        """
+        drawn = torch.Generator().manual_seed(batch)
+        captures = images[None] if self.camera is None else self.camera.grid(images, drawn)
         return torch.stack([self._restored(field) for field in captures])
 
     def _restored(self, captures: Tensor) -> Tensor:
@@ -74,7 +78,7 @@ def evaluate(
     progress = Progress(label, len(batches))
     for step, indices in enumerate(batches[part.step :], part.step + 1):
         images, labels = dataset.batch(indices)
-        captures = pipeline.all_fields(images)
+        captures = pipeline.all_fields(images, step)
         predicted = torch.stack([torch.stack([each(field).argmax(-1) for field in captures]) for each in classifiers])
         found.append(((predicted == labels).cpu(), psnr(captures, images).cpu()))
         progress(step)
@@ -136,7 +140,7 @@ def losses(
     progress = Progress(label, len(batches))
     for step, indices in enumerate(batches, 1):
         images, labels = dataset.batch(indices)
-        captures = pipeline.all_fields(images)
+        captures = pipeline.all_fields(images, step)
         fields = [F.cross_entropy(classifier(field), labels, reduction="none") for field in captures]
         found.append(torch.stack(fields).cpu())
         progress(step)
@@ -173,7 +177,7 @@ def scores(network: nn.Module, task: Task, dataset: ImageDataset, pipeline: Capt
     batches = torch.arange(len(dataset)).split(_BATCH)
     progress = Progress("scores", len(batches))
     for step, indices in enumerate(batches, 1):
-        captures = pipeline.all_fields(dataset.batch(indices)[0])
+        captures = pipeline.all_fields(dataset.batch(indices)[0], step)
         found = [list(task.answers(network, field)) for field in captures]
         answers = [a + b for a, b in zip(answers, found, strict=True)] if answers else found
         progress(step)

@@ -4,7 +4,6 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
-TABLES = ("table1", "table2", "table3", "table4")
 _KEYS = ("elements", "design", "classifier")
 
 
@@ -34,11 +33,11 @@ def differences(old: Path, new: Path) -> list[Difference]:
     Tables that one of them has not made are left out too.
     """
     found = []
-    for table in TABLES:
-        paths = [folder / "tables" / f"{table}.csv" for folder in (old, new)]
-        if not all(path.exists() for path in paths):
+    for path in sorted((old / "tables").glob("table?.csv")):
+        other, table = new / "tables" / path.name, path.stem
+        if not other.exists():
             continue
-        before, after = map(numbers_of, paths)
+        before, after = numbers_of(path), numbers_of(other)
         for row, column in dict.fromkeys([*before, *after]):
             values = before.get((row, column)), after.get((row, column))
             if values[0] != values[1]:

@@ -144,7 +144,7 @@ def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
     rows = collect(contents, Measurements(inputs.lenses, inputs.metrics, frozen=inputs.frozen))
     if rows.empty:
         raise FileError(f"{contents.name}: nothing has been measured yet: no metrics of the study {contents.study}")
-    rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name]])))
+    rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name], "minival_accuracy"])))
     table = summarise(contents, rows, published)
     shown = printed(table)
     title = f"Table {contents.name[-1]}: {_TITLES[contents.name]}"

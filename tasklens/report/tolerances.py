@@ -10,9 +10,8 @@ import pandas
 from tasklens.report.bootstrap import holm, interval, p_value, resampled_means, resampled_over_seeds
 from tasklens.report.publish import publish, rounded
 from tasklens.report.tolerance_page import distribution
+from tasklens.report.verdicts import FAILS, HOLDS, verdict
 from tasklens.runtime.files import Files, read_table
-
-_ALPHA = 0.05
 
 _NOTE = """\
 Study `{study}`, {grade}, {built} built lenses of each design and seed, focused by their MTF, measured by the
@@ -23,9 +22,13 @@ that let no light through to some field."""
 
 _QUESTION = """\
 **Do task-driven lenses tolerate more?** What a task-driven lens loses less what the baseline loses [points, 95 %
-interval over built lenses, which have the same errors{over}]: negative where the task-driven lens tolerates more.
-Undecided is what is not significant at 5 % after Holm's correction for all rows; fewer than five seeds only suggest.
-Images are the same for all and not resampled."""
+interval over built lenses{over}]: negative where the task-driven lens tolerates more. Designs of the same elements are
+built with the same errors. Undecided is what is not significant at 5 % after Holm's correction for all rows; fewer than
+five seeds only suggest. Images are the same for all and not resampled."""
+
+
+# The claim is that a lens loses more than its baseline.
+_ANSWERS = {HOLDS: "tolerates less", FAILS: "tolerates more"}
 
 
 def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
@@ -57,7 +60,7 @@ def compare(
         pairs: (lens, baseline).
 
     Returns:
-        A row per pair: difference [points] with its interval, and the verdict.
+        A row per pair: difference [points] with its interval, and the verdict with its reason.
     """
     rows = []
     for lens, baseline in pairs:
@@ -72,8 +75,10 @@ def compare(
         rows.append((lens, baseline, difference, low, high, p_value(means, len(seeds))))
     found = pandas.DataFrame(rows, columns=["lens", "baseline", "difference", "low", "high", "p_holm"])
     found["p_holm"] = holm(found["p_holm"].tolist())
-    answer = found["difference"].map(lambda points: "tolerates more" if points < 0 else "tolerates less")
-    found["verdict"] = answer.where(found["p_holm"] <= _ALPHA, "undecided")
+    numbers = found[["difference", "low", "high", "p_holm"]].to_numpy(float).tolist()
+    told = [verdict(d, low, high, p, len(seeds), over="built lenses") for d, low, high, p in numbers]
+    found["verdict"] = [_ANSWERS.get(answer, answer) for answer, _ in told]
+    found["reason"] = [reason for _, reason in told]
     return found
 
 

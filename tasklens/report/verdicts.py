@@ -28,7 +28,7 @@ from tasklens.study.claims import Claim, Claims
 from tasklens.study.names import SHARP
 
 LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
-HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
+HOLDS, FAILS, UNDECIDED, SUGGESTS = "holds", "does not hold", "undecided", "suggests"
 COLUMNS = [
     *("table", "claim", "lens", "baseline", "classifier"),
     *("difference", "low", "high", "p_holm", "seeds", "verdict", "reason"),
@@ -44,7 +44,7 @@ the accuracy above chance."""
 
 
 def verdict(
-    difference: float, low: float, high: float, p_holm: float, seeds: int, margin: float = 0.0
+    difference: float, low: float, high: float, p_holm: float, seeds: int, margin: float = 0.0, over: str = "images"
 ) -> tuple[str, str]:
     """Return the verdict on a difference, and its reason.
 
@@ -53,13 +53,14 @@ def verdict(
         p_holm: corrected p-value of a difference of minus the margin.
         seeds: number of seeds.
         margin: margin of the claim [points].
+        over: what is resampled beside seeds.
     """
     above = low > -margin
     if p_holm >= 1 - bootstrap.CONFIDENCE or not (above or high < -margin):
         return UNDECIDED, f"within {math.ceil(round(10 * max(-low, high), 6)) / 10:.1f} points"
     if seeds < LEAST_SEEDS:
-        over = "images, one seed" if seeds == 1 else f"images and {seeds} seeds"
-        return f"suggests {difference:+.1f} points ({low:.1f} to {high:.1f} over {over})", "fewer than five seeds"
+        over += ", one seed" if seeds == 1 else f" and {seeds} seeds"
+        return f"{SUGGESTS} {difference:+.1f} points ({low:.1f} to {high:.1f} over {over})", "fewer than five seeds"
     bound = f"-{margin:g} points" if margin else "zero"
     return (HOLDS, f"above {bound}") if above else (FAILS, f"below {bound}")
 

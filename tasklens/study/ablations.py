@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from tasklens.study.design_settings import DesignSettings
+from tasklens.study.layers import laid_over
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, Frozen
@@ -51,7 +52,7 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
         elements=base.elements,
         plastics=base.plastics,
         design_name=design_name,
-        design=_DESIGN.validate_python(_merged(base.design.model_dump(), changes)),
+        design=_DESIGN.validate_python(laid_over(base.design.model_dump(), changes)),
         capture=None if other is None else CaptureSettings.model_validate(capture.model_dump() | other),
     )
 
@@ -71,10 +72,3 @@ def check_differences(entries: Mapping[str, LensEntry], base: Any, capture: Capt
         other = known.setdefault((entry.design, entry.capture or capture), f"the variant {name}")
         if other != f"the variant {name}":
             raise ValueError(f"{where}.{name}: has the same values as {other}; change one, or remove it")
-
-
-def _merged(base: Any, changes: Any) -> Any:
-    """Merge mappings key by key, at any depth; any other value of `changes` replaces that of `base`."""
-    if not (isinstance(base, Mapping) and isinstance(changes, Mapping)):
-        return changes
-    return {**base, **{key: _merged(base.get(key), value) for key, value in changes.items()}}

@@ -12,7 +12,8 @@ class Effort(Frozen):
 
     Attributes:
         lens: name of the lens.
-        tried: lenses tried: steps of descents, or evaluations of least squares; zero for imported lenses.
+        tried: lenses tried: steps of descents, or evaluations of the search by least squares, without its last tens to
+            hundreds under strict limits; zero for imported lenses.
         chosen_from: names of the lenses that it may have been started from, and of those that these were.
     """
 

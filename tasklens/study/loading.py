@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
+from tasklens.study.layers import laid_over
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
@@ -91,15 +92,6 @@ def read(path: str | Path) -> Mapping:
             "expected a study without it"
         )
     return content
-
-
-def laid_over(below: Mapping, above: Mapping) -> dict:
-    """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced."""
-    merged = dict(below)
-    for key, value in above.items():
-        under = merged.get(key)
-        merged[key] = laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
-    return merged
 
 
 def load(*paths: str | Path) -> Study:

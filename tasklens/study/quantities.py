@@ -27,7 +27,7 @@ Small = Annotated[Whole, Field(gt=0, le=1000)]  # levels, blocks, processes: eac
 Batch = Annotated[Whole, Field(gt=0, le=2**16)]  # images at once: 10 GB with 224 pixels
 Rays = Annotated[Whole, Field(gt=0, le=2**20)]  # per field and colour: 10 GB
 Steps = Annotated[Whole, Field(gt=0, le=10**8)]  # ten days at 10 ms each
-Seed = Annotated[Whole, Field(ge=0, lt=2**63)]
+Seed = Annotated[Whole, Field(ge=0, lt=2**31)]  # descents multiply it by their steps
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Part = Annotated[float, Field(gt=0, le=1)]
 Positive = Annotated[float, Field(gt=0, le=1e12)]

@@ -116,7 +116,7 @@ class Constraints(Frozen):
     min_back_focus: Length = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
     max_track: Length = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
     max_slope: float = Field(0.57, gt=0, le=100, description="Largest slope d sag / d r of a surface.")
-    stop_distance: Length = Field(0.1, description="Distance from stop to first surface of a flat start [mm].")
+    stop_distance: Length = Field(0.1, description="Distance from stop to first surface [mm].")
     flat_track: float = Field(
         1.3, gt=0, le=100, description="Distance from stop to sensor of a flat start [focal lengths]."
     )

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from tasklens.runtime.errors import InputError
+from tasklens.study.layers import laid_over
 from tasklens.study.loading import parse
 from tasklens.study.study import Study
 
@@ -48,7 +49,7 @@ def study(
     """
     if method not in methods():
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
-    designs = _with_starts(method, _merged(methods()[method], settings))
+    designs = _with_starts(method, laid_over(methods()[method], settings))
     side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
     found = parse(
         {
@@ -80,10 +81,3 @@ def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[
             raise InputError(f"candidates: {name!r} is not one of the other methods {', '.join(methods())}")
         found = _with_starts(name, methods()[name]) | found
     return {**found, method: settings}
-
-
-def _merged(base: Any, changes: Any) -> Any:
-    """Merge mappings key by key, at any depth."""
-    if not (isinstance(base, Mapping) and isinstance(changes, Mapping)):
-        return changes
-    return {**base, **{key: _merged(base.get(key), value) for key, value in changes.items()}}

@@ -97,7 +97,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         spec=study.spec_of(entry.elements),
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
-        classifier=study.classifier(study.supervisor) if entry.classified and not entry.other_task else None,
+        classifier=study.network(study.supervisor) if entry.classified and not entry.other_task else None,
         task=entry.other_task,
         network=None if entry.other_task is None else study.task(entry.other_task),
         rays=study.evaluation_rays,
@@ -185,17 +185,22 @@ class BuiltContents(Frozen):
     images: int
 
 
+def check_rays_alone(study: Study) -> None:
+    """Raise StudyError for built lenses of a study whose captures have diffraction."""
+    if study.capture.diffraction:
+        raise StudyError(
+            "tolerances: lenses are built by rays alone, while classifiers of this study have learned captures with "
+            "diffraction; expected `capture: {diffraction: false}`"
+        )
+
+
 def built(study: Study) -> BuiltContents:
     """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for.
 
     Raises:
         StudyError: captures have diffraction.
     """
-    if study.capture.diffraction:
-        raise StudyError(
-            "tolerances: lenses are built by rays alone, while classifiers of this study have learned captures with "
-            "diffraction; expected `capture: {diffraction: false}`"
-        )
+    check_rays_alone(study)
     lenses = [study.lens(name) for name in _chosen(study, study.tolerances.designs)]
     pairs = (
         (lens.name, other.name)

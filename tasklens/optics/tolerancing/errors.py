@@ -78,8 +78,7 @@ def errors(lens: Lens, grade: Grade) -> list[Error]:
         if first:
             add("air_space", first - 1, grade.air_space_um, "um", 1e-3)
         for i in range(first, last + 1):
-            if lens.curvature[i]:
-                add("radius", i, grade.radius_percent, "%", 1e-2)
+            add("radius", i, grade.radius_percent, "%", 1e-2)  # of flat ones too: designs begin flat
             if grade.irregularity_fringes:
                 radius = _radius(lens, i)
                 form_um = 1e3 * grade.irregularity_fringes * _FRINGE_MM * 2 * radius / _TEST_DIAMETER_MM
@@ -143,7 +142,8 @@ def built(lens: Lens, found: Sequence[Error], fractions: Tensor, reference: floa
     for i in sorted({error.surface for error in found if error.kind.startswith("surface")}):
         moved = moved.with_surface_moved(i, decentre[i], tilt[i])
     decentre, tilt = pair("element_decentre"), pair("element_tilt")
-    for first, last in elements(lens):
+    first_surfaces = {error.surface for error in found if error.kind.startswith("element")}
+    for first, last in (each for each in elements(lens) if each[0] in first_surfaces):
         moved = moved.with_element_moved(first, last, decentre[first], tilt[first])
     return moved
 

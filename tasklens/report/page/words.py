@@ -8,11 +8,10 @@ from typing import Any
 import pandas
 
 from tasklens.report.optimality import Gap
-from tasklens.report.verdicts import FAILS, HOLDS, LEAST_SEEDS
+from tasklens.report.verdicts import FAILS, HOLDS, LEAST_SEEDS, SUGGESTS
 
 SHOWN, SUGGESTED, UNDECIDED = "shown", "suggested", "undecided"
 FOR, AGAINST = "for", "against"
-_SUGGESTS = "suggests"
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ def judged(row: Mapping[Any, Any], margin: float) -> tuple[str, str]:
         return FOR, SHOWN
     if row["verdict"] == FAILS:
         return AGAINST, SHOWN
-    if str(row["verdict"]).startswith(_SUGGESTS):
+    if str(row["verdict"]).startswith(SUGGESTS):
         return (FOR if row["low"] > -margin else AGAINST), SUGGESTED
     return UNDECIDED, UNDECIDED
 
