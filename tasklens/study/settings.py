@@ -179,6 +179,7 @@ class ClassifierSettings(Frozen):
 
     model: str = Field(description="timm's name of the network, with the tag of its weights.")
     arguments: dict[str, Any] = Field({}, description="Keywords for `timm.create_model`, such as a smaller width.")
+    seed: Seed = Field(0, description="Seed of its first weights, and of its training on sharp images.")
     pretrained: bool = Field(False, description="Start from the weights of timm's hub.")
     weights: Path | None = Field(
         None,

@@ -13,8 +13,8 @@ def run(settings: ClassifierSettings, inputs: Files, outputs: Files, checkpoint:
     """Write the weights."""
     device = claim()
     train = dataset.read(*inputs.train, device=device)
-    torch.manual_seed(0)
+    torch.manual_seed(settings.seed)
     classifier = classifiers.build(settings, train.classes).to(device)
     if settings.training is not None:
-        training.fit({settings.model: classifier}, train, settings.training, 0, "reference", checkpoint=checkpoint)
+        training.fit({settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint)
     write_tensors(outputs.weights, classifier.network.state_dict(), {"model": settings.model})
