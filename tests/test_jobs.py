@@ -9,8 +9,10 @@ from pathlib import Path
 from re import fullmatch
 
 import pytest
+import torch
 import yaml
-from examples import changed, tiny_study, with_imported, write
+from examples import changed, finish, tiny_study, with_imported, write
+from safetensors.torch import load_file
 
 from tasklens.cli import run as commands
 from tasklens.materials.catalogues import builtin
@@ -151,6 +153,22 @@ def test_diffraction_changes_no_design():
         report_jobs.tolerances.plan(study)
     with pytest.raises(StudyError, match="tolerances: lenses are built by rays alone"):
         jobs.production.plan(study, lens="singlet-imaging1", seed=0)
+
+
+def test_a_network_of_another_seed(tmp_path, monkeypatch):
+    """It has other weights, and lenses for image quality are not designed again."""
+    monkeypatch.chdir(tmp_path)
+    given = tiny_study()
+    other = changed(given, "classifiers.small.seed", 1) | {"name": "other"}
+    studies = [parse(each) for each in (given, other, given | {"name": "same"})]
+    for study in studies:
+        finish(jobs.images, study)
+    first, second, same = (load_file(finish(jobs.reference, study, classifier="small").weights) for study in studies)
+    assert all(torch.equal(first[name], same[name]) for name in first)
+    assert not any(torch.equal(first[name], second[name]) for name in first if name.endswith("conv1.weight"))
+    before, after = slices(given), slices(other | {"name": given["name"]})
+    touched = {job[1] for job in before if before[job] != after[job] and job[0] == "design"}
+    assert touched == {each[1] for each in before if each[0] == "design" and ("task" in each[1] or "end_to" in each[1])}
 
 
 def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():

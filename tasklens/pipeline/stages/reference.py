@@ -16,5 +16,7 @@ def run(settings: ClassifierSettings, inputs: Files, outputs: Files, checkpoint:
     torch.manual_seed(settings.seed)
     classifier = classifiers.build(settings, train.classes).to(device)
     if settings.training is not None:
-        training.fit({settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint)
+        training.fit(
+            {settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint
+        )
     write_tensors(outputs.weights, classifier.network.state_dict(), {"model": settings.model})
