@@ -10,6 +10,10 @@ folder=${SLURM_TEST:-/run/tasklens-slurm}
 export SLURM_CONF=$folder/slurm.conf
 
 down() {
+    # Jobs outlive their daemons, and the node that was set down.
+    for step in $(pgrep -x slurmstepd || true); do
+        for job in $(pgrep -P "$step" || true); do kill -KILL -- "-$job" 2> /dev/null || true; done
+    done
     for name in slurmd slurmctld munged; do
         if [[ -f $folder/$name.pid ]]; then kill "$(cat "$folder/$name.pid")" 2> /dev/null || true; fi
     done

@@ -96,6 +96,8 @@ def main() -> int:
     failed = [line.strip() for line in (parent / "slurm/output.txt").read_text().splitlines() if "FAILED" in line]
     print(*failed, sep="\n")
     unhurt = [name for name in FAILING if name not in " ".join(failed)]
+    # Without cgroups, a job that SLURM has killed can leave its Snakemake behind.
+    subprocess.run(["pkill", "-KILL", "-f", str(code / "Snakefile")], check=False)
     found = differences(contents(parent / "slurm"), contents(parent / "here"))
     print(", ".join(found) if found else "equal", *(f"{name}: nothing happened to it" for name in unhurt), sep="\n")
     if status or faults or found or unhurt:
