@@ -1,6 +1,7 @@
 """The page of a study: what it says of verdicts, which values it marks, and what it lists as missing."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -189,6 +190,7 @@ def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():
     assert charts.regime_map("map", "", pandas.DataFrame(rows | numbers | {"difference": 3 * [numpy.nan]})) is None
 
 
+DOUBLET = Path(__file__).parents[1] / "docs/results/headline/lenses/doublet-tasklens.yaml"
 STUDY = parse(tiny_study())
 
 
@@ -229,6 +231,21 @@ def test_the_page_of_a_half_finished_study_shows_what_there_is(monkeypatch, tmp_
     assert '<table id="table1">' in page and '<table id="verdicts">' in page and "abc123" in page
     assert "71.0 % through tasklens, the best designed by the task" in page
     assert "Shown: tasklens is 2.0 points more accurate" in page
+
+
+def test_a_table_that_is_older_than_a_lens_says_so(monkeypatch, tmp_path):
+    """Tables of other targets are not made again with the report."""
+    monkeypatch.chdir(tmp_path)
+    lens, table = (
+        Path("results/tiny/lenses/singlet-tasklens/seed0/lens.yaml"),
+        Path("results/tiny/tables/merit_function.csv"),
+    )
+    write(lens, DOUBLET.read_text())
+    write(table, "lens,score\nsinglet-tasklens,1.0\n")
+    said = "Older than these lenses, so maybe of earlier ones: singlet-tasklens."
+    for seconds, older in ((-1, True), (1, False)):
+        os.utime(table, times=(0, lens.stat().st_mtime + seconds))
+        assert (said in partial_page(monkeypatch, tmp_path)) == older
 
 
 def test_a_page_that_is_too_large_is_refused(monkeypatch, tmp_path):

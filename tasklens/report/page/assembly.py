@@ -67,7 +67,11 @@ def render(settings: Slice, inputs: Files) -> str:
         "tables": [_table(name, frames[name]) for name in settings.tables if name in frames],
         "verdicts": _table("verdicts", frames["verdicts"]) if "verdicts" in frames else None,
         "more": [_table(name, frame) for name, frame in frames.items() if name in ("psf_tail", "effort")],
-        "further": [_table(name, frame) for name, frame in frames.items() if name in settings.optional],
+        "further": [
+            _table(name, frames[name], _of_earlier_lenses(path, inputs))
+            for name, path in settings.optional.items()
+            if name in frames
+        ],
         "drawn": {name: pictures.link(path) for name, path in settings.optional_figures.items() if path.exists()},
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
         "comparisons": _comparisons(settings, frames),
@@ -136,10 +140,16 @@ def _gaps(settings: Slice, inputs: Files) -> dict[str, Any]:
     return found
 
 
-def _table(name: str, frame: pandas.DataFrame) -> tables.Table:
+def _of_earlier_lenses(path: Path, inputs: Files) -> str:
+    """Say so if a lens has been designed after an optional table was made, which no target makes again by itself."""
+    later = [lens for lens, file in inputs.lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
+    return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
+
+
+def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
     caption = _CAPTIONS.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
     spread = _SPREAD if any(str(column).endswith(STD) for column in frame) else ""
-    return tables.build(name, caption, frame, spread)
+    return tables.build(name, caption, frame, spread + note)
 
 
 def _comparisons(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
