@@ -173,7 +173,7 @@ def test_published_weights_reproduce_their_accuracy():
     images = torch.stack([folders.read(file, 224) for file in found.files])
     dataset = data.ImageDataset(images, found.labels, found.classes)
     classifier = classifiers.build(settings, found.classes).eval()
-    correct, _ = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline())
+    correct = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline()).correct
     assert float(correct[0].double().mean()) == pytest.approx(0.990, abs=0.0041)
     rows = evaluation.zero_shot(classifier, dataset, evaluation.CapturePipeline())
     assert [row["metric"] for row in rows] == ["zero_shot_accuracy"]

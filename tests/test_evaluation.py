@@ -22,6 +22,12 @@ class Brightness(nn.Module):
         return -(images.mean((1, 2, 3))[:, None] - torch.tensor([0.1, 0.5, 0.9])).abs()
 
 
+def measured(classifiers, splits, pipeline):
+    """Rows of classifiers that are not trained in between."""
+    found = {name: evaluation.evaluate(classifiers, images, pipeline) for name, images in splits.items()}
+    return evaluation.measure(classifiers, splits["test"], **found, captured=pipeline.camera is not None)
+
+
 def grey_images(values, labels) -> data.ImageDataset:
     images = torch.tensor(values, dtype=torch.uint8)[:, None, None, None].expand(-1, 3, 16, 16).contiguous()
     return data.ImageDataset(images, torch.tensor(labels), ("dark", "medium", "bright"))
@@ -30,10 +36,10 @@ def grey_images(values, labels) -> data.ImageDataset:
 def test_evaluation_against_a_hand_count():
     """Four of five grey images are sorted as labelled; without a camera there is one field and no error."""
     dataset = grey_images([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
-    correct, quality = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
-    assert correct.tolist() == [[[True, True, True, False, True]]]
-    assert quality.shape == (1, 5)
-    ((rows, predictions_by_image),) = evaluation.measure(
+    found = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
+    assert found.correct.tolist() == [[[True, True, True, False, True]]]
+    assert found.psnr_db.shape == (1, 5)
+    ((rows, predictions_by_image),) = measured(
         [Brightness()], {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
     )
     assert [row["field0"] for row in predictions_by_image] == [1, 1, 1, 0, 1]
@@ -62,7 +68,7 @@ class Dimming(Camera):
 def test_losses_by_hand():
     """Logits are minus the distances from 0.1, 0.5 and 0.9; field 1 halves the light. 90 images take two batches."""
     dataset = grey_images([51, 204] * 45, [0, 2] * 45)
-    found = evaluation.losses(Brightness(), dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    found = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5]))).losses[0]
     assert found.shape == (2, 90)
     for field, values in enumerate([(0.2, 0.8), (0.1, 0.4)]):
         for image, (value, label) in enumerate(zip(values, (0, 2), strict=True)):
@@ -77,12 +83,12 @@ def test_losses_by_hand():
 def test_every_field_is_evaluated_on_every_image():
     """Field 1 halves the light: 240 is taken for medium there, and 120 for dark."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    correct, quality = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
-    assert correct.shape == (1, 2, 90) and quality.shape == (2, 90)
-    assert correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
+    found = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    assert found.correct.shape == (1, 2, 90) and found.psnr_db.shape == (2, 90)
+    assert found.correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
-    torch.testing.assert_close(quality[1, :3], expected, rtol=0, atol=1e-3)
-    ((rows, predictions_by_image),) = evaluation.measure(
+    torch.testing.assert_close(found.psnr_db[1, :3], expected, rtol=0, atol=1e-3)
+    ((rows, predictions_by_image),) = measured(
         [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     )
     assert predictions_by_image[:3] == [
@@ -106,11 +112,11 @@ def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
             return -super().forward(images)
 
     classifiers = [Brightness(), Contrary()]
-    alone = [evaluation.measure([each], splits, pipeline)[0] for each in classifiers]
+    alone = [measured([each], splits, pipeline)[0] for each in classifiers]
     rendered = []
     grid = pipeline.camera.grid
     monkeypatch.setattr(pipeline.camera, "grid", lambda images, _: rendered.append(len(images)) or grid(images))
-    assert evaluation.measure(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
+    assert measured(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
     assert rendered == [64, 26, 6]
 
 
@@ -123,8 +129,8 @@ def test_restoration_stands_between_camera_and_classifier():
 
     dataset = grey_images([10, 240, 120], [0, 2, 1])
     pipeline = evaluation.CapturePipeline(Dimming([0.5, 0.5]), Double())
-    correct, quality = evaluation.evaluate([Brightness()], dataset, pipeline)
-    assert correct.all() and (quality > 80).all()
+    found = evaluation.evaluate([Brightness()], dataset, pipeline)
+    assert found.correct.all() and (found.psnr_db > 80).all()
     seen = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
     torch.testing.assert_close(seen, dataset.images.float() / 255, rtol=0, atol=1e-6)
 
@@ -141,7 +147,7 @@ def test_training_sees_a_random_field_per_image():
 def test_the_worst_images_are_one_in_a_hundred():
     """Of 250 images of as many greys, halved in brightness, the three brightest lose most."""
     dataset = grey_images(list(range(1, 251)), [0] * 250)
-    ((rows, _),) = evaluation.measure(
+    ((rows, _),) = measured(
         [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
     )
     found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")

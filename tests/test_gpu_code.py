@@ -45,10 +45,9 @@ def fine_tuning(device, start) -> list[float]:
     network, pipeline = small_network(0).to(device), CapturePipeline(camera(device))
     settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10)
     training.fit({"network": network}, data(device), settings, 0, "test", pipeline.one_field)
-    correct, quality = evaluation.evaluate([network], data(device), pipeline)
-    losses = evaluation.losses(network, data(device), pipeline, "losses")
-    assert {each.device for each in (correct, quality, losses)} == {CPU}  # they are written
-    return [*correct.flatten().float().tolist(), *quality.flatten().tolist(), *losses.flatten().tolist()]
+    found = vars(evaluation.evaluate([network], data(device), pipeline)).values()
+    assert {each.device for each in found} == {CPU}  # they are written
+    return [value for each in found for value in each.flatten().float().tolist()]
 
 
 def restoring(device, start) -> list[float]:

@@ -171,7 +171,7 @@ def test_classification_is_a_task_too():
     """Its scores are the accuracies of `evaluation`, and the mean of its losses is its loss."""
     dataset, network = random_images(40, 16, 3, seed=2), trained_network(0)
     pipeline = CapturePipeline(Camera(torch.full((2, 3, 1, 1), 1.0) * torch.tensor([1.0, 0.5])[:, None, None, None]))
-    correct, _ = evaluation.evaluate([network], dataset, pipeline)
+    correct = evaluation.evaluate([network], dataset, pipeline).correct
     found = evaluation.scores(network, CLASSIFICATION, dataset, pipeline)
     assert [row["value"] for row in found] == pytest.approx((100 * correct[0].double().mean(-1)).tolist())
     captures, labels = dataset.batch(torch.arange(5))

@@ -40,7 +40,7 @@ def test_networks_that_train_together_end_as_if_alone():
 def test_training_learns_and_ends_in_eval():
     network = trained_network(0, epochs=20)
     assert not network.training
-    correct, _ = evaluation.evaluate([network], random_images(60, 16, 3, seed=2), evaluation.CapturePipeline())
+    correct = evaluation.evaluate([network], random_images(60, 16, 3, seed=2), evaluation.CapturePipeline()).correct
     assert correct.double().mean() > 0.9
 
 
@@ -62,7 +62,7 @@ def test_what_the_classifier_sees_is_what_it_learns_from():
         capture,
     )
     assert len(ranges) == 120 and all(0 <= low < high <= 1 for low, high in ranges)
-    correct, _ = evaluation.evaluate([network], dataset, evaluation.CapturePipeline())
+    correct = evaluation.evaluate([network], dataset, evaluation.CapturePipeline()).correct
     assert correct.double().mean() < 0.5
 
 

@@ -51,6 +51,21 @@ class CapturePipeline:
             return self.restoration(captures)
 
 
+@dataclass(frozen=True)
+class Evaluation:
+    """Answers of C classifiers to N images at F fields.
+
+    Attributes:
+        correct: (C, F, N) whether the classification is correct, bool.
+        losses: (C, F, N) cross-entropies.
+        psnr_db: (F, N) PSNR of the captures [dB].
+    """
+
+    correct: Tensor
+    losses: Tensor
+    psnr_db: Tensor
+
+
 @torch.no_grad()
 def evaluate(
     classifiers: Sequence[Callable[[Tensor], Tensor]],
@@ -58,42 +73,45 @@ def evaluate(
     pipeline: CapturePipeline,
     label: str = "evaluation",
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> tuple[Tensor, Tensor]:
-    """Classify N images at F fields, which are captured once for all classifiers.
+) -> Evaluation:
+    """Classify all images at all fields; they are captured once for all classifiers.
 
     Args:
         classifiers: functions from images (B, 3, H, W) to logits (B, C).
         label: label of progress lines, and name of the part of the checkpoint.
         checkpoint: checkpoint of the job.
-
-    Returns:
-        Whether each classifier classifies each image correctly at each field, (classifiers, F, N) bool, and the PSNR of
-        its capture [dB], (F, N).
     """
     part = checkpoint.part(label)
     if part.result is not None:
-        return part.result["correct"], part.result["quality"]
-    found = [] if part.state is None else [(part.state["correct"], part.state["quality"])]
+        return Evaluation(**part.result)
+    found = [] if part.state is None else [Evaluation(**part.state)]
     batches = torch.arange(len(dataset)).split(_BATCH)
     progress = Progress(label, len(batches))
     for step, indices in enumerate(batches[part.step :], part.step + 1):
         images, labels = dataset.batch(indices)
         captures = pipeline.all_fields(images, step)
-        predicted = torch.stack([torch.stack([each(field).argmax(-1) for field in captures]) for each in classifiers])
-        found.append(((predicted == labels).cpu(), psnr(captures, images).cpu()))
+        correct, losses = zip(*(_answers(each, captures, labels) for each in classifiers), strict=True)
+        quality = psnr(captures, images)
+        found.append(Evaluation(torch.stack(correct).cpu(), torch.stack(losses).cpu(), quality.cpu()))
         progress(step)
         if checkpoint.due():
             found = [_joined(found)]
-            part.save(step, correct=found[0][0], quality=found[0][1])
-    correct, quality = _joined(found)
-    part.finish(correct=correct, quality=quality)
-    return correct, quality
+            part.save(step, **vars(found[0]))
+    whole = _joined(found)
+    part.finish(**vars(whole))
+    return whole
 
 
-def _joined(found: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
+    """Return whether captures (F, B, 3, H, W) are classified correctly, (F, B) bool, and the cross-entropies (F, B)."""
+    logits = torch.stack([classifier(field) for field in captures])
+    losses = F.cross_entropy(logits.flatten(0, 1), labels.repeat(len(captures)), reduction="none")
+    return logits.argmax(-1) == labels, losses.reshape(logits.shape[:2])
+
+
+def _joined(found: Sequence[Evaluation]) -> Evaluation:
     """Concatenate the results of batches."""
-    correct, quality = zip(*found, strict=True)
-    return torch.cat(correct, -1), torch.cat(quality, -1)
+    return Evaluation(*(torch.cat(values, -1) for values in zip(*(vars(each).values() for each in found), strict=True)))
 
 
 def zero_shot(
@@ -114,38 +132,9 @@ def zero_shot(
     if classifier.outputs is None or len(classifier.outputs) == classifier.network.num_classes:
         return []
     among_all = replace(dataset, labels=classifier.outputs.cpu()[dataset.labels])
-    correct, _ = evaluate([classifier.all_outputs], among_all, pipeline, label, checkpoint)
-    values = (100 * correct[0].double().mean(-1)).tolist()
+    correct = evaluate([classifier.all_outputs], among_all, pipeline, label, checkpoint).correct[0]
+    values = (100 * correct.double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
-
-
-@torch.no_grad()
-def losses(
-    classifier: Callable[[Tensor], Tensor],
-    dataset: ImageDataset,
-    pipeline: CapturePipeline,
-    label: str = "losses",
-    checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> Tensor:
-    """Compute the cross-entropy (F, N) of a classifier for N images at F fields.
-
-    Args:
-        label, checkpoint: as of `evaluate`.
-    """
-    part = checkpoint.part(label)
-    if part.result is not None:
-        return part.result["losses"]
-    found = []
-    batches = torch.arange(len(dataset)).split(_BATCH)
-    progress = Progress(label, len(batches))
-    for step, indices in enumerate(batches, 1):
-        images, labels = dataset.batch(indices)
-        captures = pipeline.all_fields(images, step)
-        fields = [F.cross_entropy(classifier(field), labels, reduction="none") for field in captures]
-        found.append(torch.stack(fields).cpu())
-        progress(step)
-    part.finish(losses=torch.cat(found, 1))
-    return torch.cat(found, 1)
 
 
 @torch.no_grad()
@@ -203,31 +192,27 @@ def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
 
 
 def measure(
-    classifiers: Sequence[Classifier],
-    splits: dict[str, ImageDataset],
-    pipeline: CapturePipeline,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
+    classifiers: Sequence[Classifier], dataset: ImageDataset, test: Evaluation, minival: Evaluation, captured: bool
 ) -> list[tuple[list[dict], list[dict]]]:
-    """Measure accuracy and PSNR of classifiers on captures, as means and by image.
+    """Return accuracies and PSNR of classifiers, as means and by image.
 
     Args:
-        splits: data sets `test` and `minival`.
-        checkpoint: checkpoint of the job.
+        dataset: test images.
+        test, minival: evaluations of the classifiers on test and minival images.
+        captured: whether the images were captured by a camera; there is no PSNR without one.
 
     Returns:
         Of each classifier rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of
-        the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. There is no PSNR
-        without a camera. And the rows of `by_image` for the test images: 1 if classified correctly, else 0.
+        the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. And the rows of
+        `by_image` for the test images: 1 if classified correctly, else 0.
     """
-    correct, quality = evaluate(classifiers, splits["test"], pipeline, "test", checkpoint)
-    chosen, _ = evaluate(classifiers, splits["minival"], pipeline, "minival", checkpoint)
     found = []
-    for classifier, test, minival in zip(classifiers, correct, chosen, strict=True):
-        rows = _metrics(test, minival, quality if pipeline.camera is not None else None)
-        answers = splits["test"].classes if classifier.outputs is None else classifier.outputs
+    for classifier, correct, chosen in zip(classifiers, test.correct, minival.correct, strict=True):
+        rows = _metrics(correct, chosen, test.psnr_db if captured else None)
+        answers = dataset.classes if classifier.outputs is None else classifier.outputs
         whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
         rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
-        found.append((rows, by_image(test.int(), splits["test"])))
+        found.append((rows, by_image(correct.int(), dataset)))
     return found
 
 

@@ -39,15 +39,13 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
             for name, each in settings.classifiers.items()
         }
         pipeline = _capture_pipeline(settings, inputs, group.device)
-        before: dict[str, list[dict]] = {}
-        frozen: dict[str, list[dict]] = {}
+        every = list(networks.values())
+        zero_shot: dict[str, list[dict]] = {}
         if group.is_first:
             for name, network in networks.items():
                 label = f"zero-shot evaluation of {name}"
-                before[name] = evaluation.zero_shot(network.eval(), splits["test"], pipeline, label, checkpoint)
-                label = f"losses of {name}, frozen"
-                losses = evaluation.losses(network, splits["minival"], pipeline, label, checkpoint)
-                frozen[name] = evaluation.by_image(losses, splits["minival"])
+                zero_shot[name] = evaluation.zero_shot(network.eval(), splits["test"], pipeline, label, checkpoint)
+            before = evaluation.evaluate(every, splits["minival"], pipeline, "minival, before training", checkpoint)
         training.fit(
             networks,
             splits["train"],
@@ -60,13 +58,17 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
         )
     if not group.is_first:
         return
-    measured = evaluation.measure(list(networks.values()), splits, pipeline, checkpoint)
-    for (name, network), (metrics, predictions) in zip(networks.items(), measured, strict=True):
+    test = evaluation.evaluate(every, splits["test"], pipeline, "test", checkpoint)
+    after = before
+    if settings.training.epochs:
+        after = evaluation.evaluate(every, splits["minival"], pipeline, "minival", checkpoint)
+    measured = evaluation.measure(every, splits["test"], test, after, pipeline.camera is not None)
+    for (name, network), losses, (metrics, predictions) in zip(networks.items(), before.losses, measured, strict=True):
         model = {"model": settings.classifiers[name].model}
         write_tensors(outputs[name].weights, network.network.state_dict(), model)
         rows = settings.rows | {"classifier": name}
-        write_rows(outputs[name].frozen, frozen[name])
-        write_rows(outputs[name].metrics, [rows | row for row in before[name] + metrics])
+        write_rows(outputs[name].frozen, evaluation.by_image(losses, splits["minival"]))
+        write_rows(outputs[name].metrics, [rows | row for row in zero_shot[name] + metrics])
         write_rows(outputs[name].predictions, predictions)
 
 
@@ -76,8 +78,8 @@ def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkp
     test = dataset.read(*inputs.test, device=device)
     classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
     pipeline = _capture_pipeline(settings, inputs, device)
-    correct, _ = evaluation.evaluate([classifier], test, pipeline, "test", checkpoint)
-    write_rows(outputs.predictions, evaluation.by_image(correct[0].int(), test))
+    correct = evaluation.evaluate([classifier], test, pipeline, "test", checkpoint).correct[0]
+    write_rows(outputs.predictions, evaluation.by_image(correct.int(), test))
 
 
 def _capture_pipeline(settings: Slice, inputs: Files, device: torch.device) -> CapturePipeline:
