@@ -21,7 +21,7 @@ from tasklens.pipeline.digest import digest_of
 from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
 from tasklens.runtime.checkpoints import Checkpoint
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import FileError, read_tensors
 from tasklens.study.settings import TrainingSettings
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
@@ -120,6 +120,28 @@ def test_classifiers_are_fine_tuned_together_as_if_alone(workplace):
                 Path(path).unlink()
         assert run("fine-tune", "singlet-imaging1", name) == 0
     assert {path: Path(path).read_bytes() for path in expected} == expected
+
+
+def test_a_network_that_is_not_trained_is_measured_once(workplace, monkeypatch):
+    """Without epochs: minival images are captured once, for losses and accuracy; weights are those of the reference."""
+    captured = []
+    evaluate = evaluation.evaluate
+    monkeypatch.setattr(evaluation, "evaluate", lambda *rest: captured.append(len(rest[1])) or evaluate(*rest))
+    assert run(*JOBS["fine_tuning"]) == 0
+    folder = Path("results/tiny/metrics/singlet-imaging1/seed0")
+    losses = (folder / "small-frozen.csv").read_bytes()
+    assert captured == [10, 20, 10]
+    Path("study.yaml").write_text(yaml.safe_dump(changed(STUDY, "fine_tuning.epochs", 0)))
+    captured.clear()
+    assert run(*JOBS["fine_tuning"]) == 0
+    assert captured == [10, 20]
+    assert (folder / "small-frozen.csv").read_bytes() == losses
+    weights = [
+        read_tensors(Path(f"results/tiny/classifiers/{place}/small.safetensors"))[0]
+        for place in ("reference", "singlet-imaging1/seed0")
+    ]
+    assert all(torch.equal(value, weights[1][name]) for name, value in weights[0].items())
+    Path("study.yaml").write_text(yaml.safe_dump(STUDY))
 
 
 def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypatch, tmp_path):
