@@ -69,7 +69,7 @@ def noise(tiny: bool) -> ImageDataset:
 def design(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
     """Task-driven design by a frozen network: two short restarts, and a refinement with all other steps."""
     dataset, spec, limits = noise(tiny), Spec(), Constraints()
-    classifier = frozen(Classifier(timm.create_model("resnet18", num_classes=10, **NETWORK)))
+    classifier = frozen(Classifier(timm.create_model("resnet18", num_classes=10, **NETWORK)), dataset.images)
     problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
     settings = TaskDrivenSettings(
         method="task",

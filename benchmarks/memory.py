@@ -39,7 +39,7 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
     steps = RaySpaceSettings(steps=2, pixels=(2, 1))  # no validation before the second step
     settings = TaskDrivenSettings(method="task", batch_size=count, rays=256, restart=steps, refinement=steps)
-    supervisor = Supervisor(TaskLoss(frozen(classifier)), problem, None, settings.augment, captures)
+    supervisor = Supervisor(TaskLoss(frozen(classifier, images)), problem, None, settings.augment, captures)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
     RaySpaceDescent(plates, supervisor, settings, steps, seed=0).step(1)

@@ -79,7 +79,8 @@ def noise(count: int, size: int, device: torch.device) -> ImageDataset:
 
 def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: int, rounds: int, device: torch.device):
     """Durations of a step of task-driven design, and of the frozen network alone on as many captures."""
-    classifier, dataset = frozen(Classifier(network)).to(device), noise(count, size, device)
+    dataset = noise(count, size, device)
+    classifier = frozen(Classifier(network), dataset.images).to(device)
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
     steps = RaySpaceSettings(steps=rounds + 2, pixels=(20, 19))  # no validation before the last step
     settings = TaskDrivenSettings(method="task", batch_size=count, rays=rays, restart=steps, refinement=steps)

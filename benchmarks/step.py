@@ -73,7 +73,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     captures = timed * len(problem.view.fields)
     ours, nothing = (
         Supervisor(TaskLoss(each), problem, None, augment=False, micro_batch=captures)
-        for each in (frozen(network), Average())
+        for each in (frozen(network, dataset.images), Average())
     )
     indices = torch.arange(timed)
     for step in range(rounds + 1):

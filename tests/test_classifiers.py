@@ -192,7 +192,7 @@ def test_a_frozen_copy_judges_alike_and_remembers_less(model):
             nn.init.uniform_(module.running_var, 0.5, 1.5)
     size = classifier.network.pretrained_cfg["input_size"][-1]
     images = torch.rand(2, 3, size, size, dtype=torch.float64)
-    frozen, found = classifiers.frozen(classifier), []
+    frozen, found = classifiers.frozen(classifier, images), []
     assert classifier.training and all(p.requires_grad for p in classifier.parameters())
     assert not frozen.training and not any(p.requires_grad for p in frozen.parameters())
     for network in (frozen, classifier.eval().requires_grad_(False)):
@@ -216,12 +216,12 @@ def test_batch_norms_of_a_frozen_network_by_the_batch():
     """Captures of half the contrast give what the whole gives; nothing stored changes, and no weight has a gradient."""
     classifier = trained_network(0)
     before = copy.deepcopy(classifier.state_dict())
-    frozen = classifiers.frozen(classifier, "batch")
     images, _ = random_images(12, 16, 3, seed=1).batch(torch.arange(12))
+    frozen = classifiers.frozen(classifier, images, "batch")
     images.requires_grad_()
     whole, faint = frozen(images), frozen(0.5 * images + 0.25)
     assert float((whole - faint).detach().abs().max()) < 0.05 * float(whole.detach().abs().max())
-    stored = classifiers.frozen(classifier)
+    stored = classifiers.frozen(classifier, images)
     difference = stored(images) - stored(0.5 * images + 0.25)
     assert float(difference.detach().abs().max()) > 0.2 * float(whole.detach().abs().max())
     whole.sum().backward()

@@ -69,7 +69,7 @@ def design(device, start) -> list[float]:
 def supervision(device, start) -> list[float]:
     """Losses of a lens by a frozen network, and their gradient at the PSFs."""
     problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
-    supervisor = Supervisor(TaskLoss(frozen(small_network(0)).to(device)), problem, None, False, 7)
+    supervisor = Supervisor(TaskLoss(frozen(small_network(0), data(device).images).to(device)), problem, None, False, 7)
     _, grid = supervisor.trace(start, sobol_disc(64, seed=0), 2.0)
     losses, gradient = supervisor.loss(torch.arange(4), grid, start, seed=0)
     assert losses.device == gradient.device == CPU and gradient.dtype == grid.dtype

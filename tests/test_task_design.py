@@ -47,8 +47,9 @@ def designed(network, lens, limits=LIMITS, **settings):
     restart, refinement = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
     given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
     design = TaskDrivenSettings(method="task", **(given | settings))
-    criteria = {"classification": lambda part: TaskLoss(frozen(network, design.batch_norm))}
-    return supervised.design(lens, {}, criteria, problem(limits), design)[::2]
+    posed = problem(limits)
+    supervisor = TaskLoss(frozen(network, posed.dataset.images, design.batch_norm))
+    return supervised.design(lens, {}, {"classification": lambda part: supervisor}, posed, design)[::2]
 
 
 def spot_lens(start):

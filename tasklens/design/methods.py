@@ -132,6 +132,7 @@ def _supervised(
 ) -> tuple[Lens, Notes, History]:
     """Design by a supervisor; return the lens, what its file says of its origin, and the history."""
     opened = {name: open_apertures(lens) for name, lens in candidates.items()}
+    dataset = problem.dataset
     criteria: dict[str, Callable[[RaySpaceSettings], CaptureCriterion | Contrast]] = {
         "image_error": lambda part: ImageError(logarithm=False),
         "log_image_error": lambda part: ImageError(logarithm=True),
@@ -144,8 +145,8 @@ def _supervised(
         by_task = TaskLoss(task_networks.frozen(classifier), task)
         criteria["classification"] = lambda part: by_task
     elif isinstance(settings, TaskDrivenSettings):
-        assert classifier is not None  # it supervises
-        supervisor = TaskLoss(frozen(classifier, settings.batch_norm))
+        assert classifier is not None and dataset is not None  # they supervise
+        supervisor = TaskLoss(frozen(classifier, dataset.images, settings.batch_norm))
         criteria["classification"] = lambda part: supervisor
     elif isinstance(settings, JointRaySpaceSettings):
         assert classifier is not None

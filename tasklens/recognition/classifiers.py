@@ -7,7 +7,7 @@ import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import shorten
-from typing import Literal
+from typing import Literal, TypeVar
 
 import huggingface_hub
 import timm
@@ -18,11 +18,13 @@ from timm.models import load_checkpoint
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from tasklens.recognition.folding import fold_batch_norms
 from tasklens.runtime.devices import half_precision
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study.settings import ClassifierSettings
 
+_Network = TypeVar("_Network", bound=nn.Module)
 _REACH_S = 5.0  # to reach the hub
 _LONGEST = 300  # characters of an error of a reader of weights, some of which are a page
 
@@ -142,17 +144,19 @@ def imagenet_outputs(classes: Sequence[str]) -> Tensor:
     return torch.tensor([indices[name] for name in classes])
 
 
-def frozen(classifier: nn.Module, batch_norm: Literal["stored", "batch"] = "stored") -> nn.Module:
+def frozen(classifier: _Network, images: Tensor, batch_norm: Literal["stored", "batch"] = "stored") -> _Network:
     """Return a copy in `eval()` without parameter gradients, differentiable in its images.
 
     Args:
-        batch_norm: "stored" statistics make batch norms constant affine maps, which need no memory for their inputs:
-            almost half of the memory of a ResNet. "batch" uses the statistics of the batch, and leaves the stored ones
-            unchanged.
+        images: (B, 3, H, W) images of the size that it reads; their content does not matter.
+        batch_norm: "stored" statistics make batch norms constant affine maps, which are folded into convolutions; that
+            takes a quarter of the time and almost half of the memory of a ResNet. "batch" uses the statistics of the
+            batch, and leaves the stored ones unchanged.
     """
     copied = copy.deepcopy(classifier).eval().requires_grad_(False)
     if batch_norm == "stored":
-        return freeze_batch_norm_2d(copied)
+        fold_batch_norms(copied, images[:1])
+        return freeze_batch_norm_2d(copied).to(memory_format=torch.channels_last)
     for module in copied.modules():
         if isinstance(module, _BatchNorm):
             module.train()

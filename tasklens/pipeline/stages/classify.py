@@ -8,6 +8,8 @@ from restoration import nafnet
 from tasklens.imaging import Camera
 from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset, evaluation, training
+from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
@@ -39,13 +41,13 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
             for name, each in settings.classifiers.items()
         }
         pipeline = _capture_pipeline(settings, inputs, group.device)
-        every = list(networks.values())
         zero_shot: dict[str, list[dict]] = {}
         if group.is_first:
-            for name, network in networks.items():
+            untrained = _frozen(networks, splits["test"])
+            for name, network in zip(networks, untrained, strict=True):
                 label = f"zero-shot evaluation of {name}"
-                zero_shot[name] = evaluation.zero_shot(network.eval(), splits["test"], pipeline, label, checkpoint)
-            before = evaluation.evaluate(every, splits["minival"], pipeline, "minival, before training", checkpoint)
+                zero_shot[name] = evaluation.zero_shot(network, splits["test"], pipeline, label, checkpoint)
+            before = evaluation.evaluate(untrained, splits["minival"], pipeline, "minival, before training", checkpoint)
         training.fit(
             networks,
             splits["train"],
@@ -58,11 +60,11 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
         )
     if not group.is_first:
         return
-    test = evaluation.evaluate(every, splits["test"], pipeline, "test", checkpoint)
-    after = before
+    trained, after = _frozen(networks, splits["test"]), before
+    test = evaluation.evaluate(trained, splits["test"], pipeline, "test", checkpoint)
     if settings.training.epochs:
-        after = evaluation.evaluate(every, splits["minival"], pipeline, "minival", checkpoint)
-    measured = evaluation.measure(every, splits["test"], test, after, pipeline.camera is not None)
+        after = evaluation.evaluate(trained, splits["minival"], pipeline, "minival", checkpoint)
+    measured = evaluation.measure(list(networks.values()), splits["test"], test, after, pipeline.camera is not None)
     for (name, network), losses, (metrics, predictions) in zip(networks.items(), before.losses, measured, strict=True):
         model = {"model": settings.classifiers[name].model}
         write_tensors(outputs[name].weights, network.network.state_dict(), model)
@@ -72,11 +74,16 @@ def _fine_tune(settings: Slice, inputs: Files, outputs: Mapping[str, Files], che
         write_rows(outputs[name].predictions, predictions)
 
 
+def _frozen(networks: Mapping[str, Classifier], images: ImageDataset) -> list[Classifier]:
+    return [classifiers.frozen(network, images.images) for network in networks.values()]
+
+
 def reproduce(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) -> None:
     """Write the predictions of the stored weights through the stored PSFs."""
     device = claim()
     test = dataset.read(*inputs.test, device=device)
-    classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
+    trained = classifiers.build(settings.classifier, test.classes, inputs.weights).to(device)
+    classifier = classifiers.frozen(trained, test.images)
     pipeline = _capture_pipeline(settings, inputs, device)
     correct = evaluation.evaluate([classifier], test, pipeline, "test", checkpoint).correct[0]
     write_rows(outputs.predictions, evaluation.by_image(correct.int(), test))

@@ -28,7 +28,8 @@ def run(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) 
     wanted = settings.tolerances
     lens, view = prescription.read(inputs.lens)[0].lens, view_of_spec(settings.spec)
     test, minival = (dataset.read(*files, device=device) for files in (inputs.test, inputs.minival))
-    classifier = classifiers.build(settings.classifier, test.classes, inputs.weights).eval().to(device)
+    trained = classifiers.build(settings.classifier, test.classes, inputs.weights).to(device)
+    classifier = classifiers.frozen(trained, test.images)
     illumination = psf_files.read(inputs.psf).illumination.to(device)
     studied = Production(
         lens,

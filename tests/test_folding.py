@@ -1,0 +1,86 @@
+"""Batch norms folded into convolutions: the same function of the images, in fewer operations."""
+
+import copy
+
+import pytest
+import timm
+import torch
+from torch import nn
+
+from tasklens.recognition.folding import fold_batch_norms
+
+
+def normalised(model: nn.Module) -> nn.Module:
+    """The network as after training, with statistics that do something, in float64."""
+    torch.manual_seed(0)
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            if module.affine:
+                nn.init.uniform_(module.weight, 0.5, 1.5)
+                nn.init.normal_(module.bias, std=0.1)
+            nn.init.normal_(module.running_mean, std=0.1)
+            nn.init.uniform_(module.running_var, 0.5, 1.5)
+    return model.double().eval().requires_grad_(False)
+
+
+def batch_norms(model: nn.Module) -> int:
+    return sum(isinstance(module, nn.BatchNorm2d) for module in model.modules())
+
+
+def answers(model: nn.Module, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Logits, and their gradient at the images."""
+    leaf = images.clone().requires_grad_()
+    logits = model(leaf)
+    (gradient,) = torch.autograd.grad(logits.square().sum(), leaf)
+    return logits.detach(), gradient
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "left"),
+    [
+        ("resnet18", {"layers": (1, 1, 1, 1), "channels": (8, 16, 32, 64)}, 0),
+        ("mobilenetv2_050", {"pad_type": "same"}, 0),
+        ("mobilenetv3_small_050", {}, 0),
+        ("regnetx_002", {}, 0),
+        ("resnetv2_18", {"norm_layer": "batchnorm2d", "layers": (1, 1, 1, 1), "channels": (8, 16, 32, 64)}, None),
+        ("densenet121", {"growth_rate": 8, "block_config": (2, 2)}, None),
+        ("swin_tiny_patch4_window7_224", {"img_size": 64, "window_size": 4, "embed_dim": 24, "depths": (2, 2)}, 0),
+    ],
+)
+def test_networks_of_timm_compute_the_same(name, arguments, left):
+    """Values and gradients; no batch norm is left where each follows a convolution, some where they precede it."""
+    model = normalised(timm.create_model(name, num_classes=5, **arguments))
+    images = torch.rand(2, 3, 64, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    folded = copy.deepcopy(model)
+    fold_batch_norms(folded, images[:1].float())
+    assert batch_norms(folded) == left if left is not None else 0 < batch_norms(folded) < batch_norms(model)
+    for found, expected in zip(answers(folded, images), answers(model, images), strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-12)
+
+
+class Awkward(nn.Module):
+    """What must not be folded: an output that two read, a convolution called twice, an activation in between."""
+
+    def __init__(self):
+        super().__init__()
+        self.conv1, self.norm1 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
+        self.conv2, self.norm2 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
+        self.conv3, self.norm3 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
+        self.conv4, self.norm4 = nn.Conv2d(3, 3, 3, padding=1, bias=False), nn.BatchNorm2d(3, affine=False)
+
+    def forward(self, images):
+        made = self.conv1(images)
+        images = made + self.norm1(made).relu()
+        images = self.norm2(self.conv2(self.conv2(images)))
+        images = self.norm3(self.conv3(images).relu_())
+        return self.norm4(self.conv4(images)).mean((2, 3))
+
+
+def test_only_what_nothing_else_reads_is_folded():
+    model = normalised(Awkward())
+    images = torch.rand(2, 3, 8, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    folded = copy.deepcopy(model)
+    fold_batch_norms(folded, images)
+    assert batch_norms(folded) == 3 and not isinstance(folded.norm4, nn.BatchNorm2d)
+    for found, expected in zip(answers(folded, images), answers(model, images), strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-12)
