@@ -62,7 +62,7 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(script, tmp_path, monke
 
 
 def test_the_advantage_is_that_over_the_other_lens(script):
-    """Of two seeds with 10 and 14 points more 12; with one seed and no spread over photographs the interval is a point."""
+    """Of two seeds with 10 and 14 points more it is 12; with one seed, alike for each photograph, it has no width."""
     other = pandas.DataFrame({0: numpy.linspace(0, 60, 40), 1: numpy.linspace(10, 70, 40)})
     found = {"sharp": other[[0]], "doublet-task": other.add([10, 14]), "doublet-plain": other, "triplet-plain": other}
     rows = {row[0]: row for row in script.rows(found, "task")}
