@@ -375,8 +375,8 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/optics/analysis/diffraction.py", "_MARGIN = 8.0", "_MARGIN = 9.0", OPTICS),
         (
             "tasklens/pipeline/stages/classify.py",
-            "network.eval(), splits",
-            "network, splits",
+            "test.images)",
+            "test.images[:2])",
             SEE - {"restore", "captures"},
         ),
         ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail", *FIGURES}),
