@@ -146,6 +146,28 @@ def test_a_descent_that_destroys_a_lens_returns_its_best(start):
     assert again[0]["validation_loss"] == pytest.approx(min(validated), rel=1e-6)
 
 
+class Confident(Contrast):
+    """The same with a weight on the answer, so that training it lowers the loss whatever the lens does."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = nn.Parameter(torch.zeros(()))
+
+    def forward(self, images):
+        return super().forward(images) + torch.stack([self.weight, 0 * self.weight, 0 * self.weight])
+
+
+def test_a_network_that_learns_does_not_hide_that_its_lens_is_destroyed(start):
+    """The loss is least at the end, by what the network has learned; the lens is still that of the least blur."""
+    given = {"steps": 20, "learning_rates": RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
+    lens, history = descended(Confident(), start, network_learning_rate=0.5, **given)
+    validated = [row["validation_loss"] for row in history]
+    assert min(validated) == validated[-1] < validated[0] - 0.1
+    blur = {"network_learning_rate": None, "steps": 2, "classes": 1}
+    before, after = (descended(Contrast(), each, **blur)[1][0]["validation_loss"] for each in (start, lens))
+    assert after <= before + 1e-9
+
+
 def test_descent_is_deterministic(start):
     first, again = (descended(small_network(), start)[0] for _ in range(2))
     for name in ("curvature", "thickness", "alpha"):

@@ -24,3 +24,10 @@ def test_converged_is_below_the_least_or_within_two_errors(difference, converged
     found = gap(own + difference + noise, {"other": own, "far": own + 9})
     assert found.error == pytest.approx(0.01, rel=1e-9)
     assert found.converged is converged
+
+
+@pytest.mark.parametrize("more, converged", [(9e-5, True), (2e-4, False)])
+def test_a_lens_that_a_design_returned_unchanged_is_no_better_than_itself(more, converged):
+    """Losses that differ by rounding, alike for all images."""
+    own = pandas.Series([1.0, 2.0, 3.0])
+    assert gap(own + more, {"candidate": own}).converged is converged

@@ -207,6 +207,37 @@ def test_a_better_candidate_is_finished_instead(start):
         torch.testing.assert_close(lens.curvature, sharp.curvature, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("finished, kept", [(1.5, "sharp"), (0.5, "finished")])
+def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, finished, kept):
+    """Losses by a list: plates 2, sharp 1, then the finished lens; the lens file has that of the lens which it is."""
+    losses = iter([2.0, 1.0, finished])
+    monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
+    finish = RaySpaceSettings(steps=2, pixels=(5, 5), step_size=1.0, criterion="log_image_error")
+    given = {"batch_size": 4, "rays": 16, "augment": False, "candidates": ["plates", "sharp"], "finish": finish}
+    design = ImageQualitySettings(method="image_quality", **given)
+    sharp, plates = start, replace(start, curvature=0 * start.curvature)
+    candidates = {"plates": plates, "sharp": sharp}
+    lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(NO_LIMITS), design)
+    assert origin["validation_loss"] == min(1.0, finished) and origin["start"] == "sharp"
+    assert torch.equal(lens.curvature, sharp.curvature) is (kept == "sharp")
+    assert history[-1] == {"phase": "finished", "validation_loss": finished}
+
+
+def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
+    """48 of 300 images lead, 192 others choose, each time the same."""
+    seen = []
+    supervisor = Supervisor(ImageError(True), replace(problem(), dataset=random_images(300, 16, 3, 0)), None, False, 36)
+    images = Supervisor.images
+    monkeypatch.setattr(
+        Supervisor, "images", lambda self, indices, augment: seen.append(indices) or images(self, indices, augment)
+    )
+    for loss in (supervisor.validation_loss, supervisor.selection_loss) * 2:
+        loss(start, 1.0)
+    assert [len(indices) for indices in seen] == [48, 192, 48, 192]
+    assert torch.equal(seen[0], seen[2]) and torch.equal(seen[1], seen[3])
+    assert not set(seen[0].tolist()) & set(seen[1].tolist())
+
+
 def test_distortion_costs_nothing_about_the_chief_ray(start):
     """Behind a lens in focus for 3 % more distance, light is where its chief ray is, not where a pinhole's is."""
     view = problem().view

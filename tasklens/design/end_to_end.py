@@ -25,8 +25,8 @@ class JointDescent(GradientDescent):
 
     The network is trained in place, in `train()`, with all captures of a step in one batch for its batch norms; a
     frozen one stays in `eval()`. The result is the lens of the smallest validation loss with the sensor's pixels and
-    the full stop, each measured by the network of its time, and one far outside its limits only if all are; before the
-    first validation, the last lens with a finite loss.
+    the full stop, and one far outside its limits only if all are; each validation compares the best lens with the
+    present one by the network of that step. Before the first validation it is the last lens with a finite loss.
     """
 
     def __init__(self, start: Lens, classifier: nn.Module, problem: Problem, settings: JointDescentSettings):
@@ -85,6 +85,8 @@ class JointDescent(GradientDescent):
         """Compute the loss of the present lens and network on fixed images, and remember the lens if it is the best."""
         lens = self.assemble()
         loss = self.supervisor.validation_loss(lens, pixels=1.0)
+        if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
+            self.least = self.least[0], self.supervisor.validation_loss(self.lens(), pixels=1.0)
         found = self.penalty(lens).item() > LEEWAY_MM**2, loss
         if found < self.least:
             self.least = found

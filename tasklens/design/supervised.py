@@ -4,7 +4,9 @@ Gradient descent from flat plates ends in poor lenses, for two reasons: equal st
 different ray displacements, and results depend strongly on the image order. So each step is measured in ray
 displacement (see `ray_space`), and of several restarts from the plates the one with the smallest validation loss is
 refined. It competes with imaging lenses, if there are any, for a last descent, the finish. Losses of a few images say
-little about a lens: each descent ends with the lens of the smallest loss on a fixed set of images.
+little about a lens: each descent ends with the lens of the smallest loss on a fixed set of images. Candidates are
+judged by other images than those, and so is the finished lens: one that has only learned the images of its descent
+loses to the candidate that is better.
 """
 
 import math
@@ -173,15 +175,16 @@ def design(
     settings: SupervisedSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Lens, dict[str, Any], History]:
-    """Refine the best restart from `start`, and finish it, or a candidate of a smaller validation loss.
+    """Refine the best restart from `start`, and finish it, or a candidate of a smaller loss.
 
     Args:
         candidates: lenses by name.
         criteria: makers of criteria by the names that descents call them; one is made for each descent.
 
     Returns:
-        The lens; what its file says of its origin: the validation loss, those of all candidates before the finish, and
-        the candidate that it was finished from as `start`; and the history of all descents.
+        The lens: the finished one, or a candidate that is better by a criterion that is not trained along. What its
+        file says of its origin: its loss, those of all candidates on the same images, and the candidate that it was
+        finished from as `start`. And the history of all descents.
     """
     torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     generator = torch.Generator().manual_seed(problem.seed)
@@ -209,9 +212,14 @@ def design(
         competing["refinement"] = lens
     assert settings.finish is not None  # candidates have one
     finisher, pixels = supervisor(settings.finish), settings.finish.pixels[1]
-    losses = {name: finisher.validation_loss(each, pixels) for name, each in competing.items() if candidates}
+    losses = {name: finisher.selection_loss(each, pixels) for name, each in competing.items() if candidates}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     chosen = min(competing, key=lambda name: losses.get(name, 0.0))
     (_, least), lens = descend(competing[chosen], settings.finish, "finish")
     origin: dict[str, Any] = {"start": chosen} if chosen in candidates else {}
+    if candidates and not finisher.criterion.trained:
+        least = finisher.selection_loss(lens, pixels)
+        history.append({"phase": "finished", "validation_loss": least})
+        if least > losses[chosen]:
+            lens, least = competing[chosen], losses[chosen]
     return lens, origin | {"validation_loss": least, "candidate_losses": losses}, history

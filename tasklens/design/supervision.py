@@ -33,6 +33,7 @@ from tasklens.study.tolerance_settings import Grade
 
 VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
 _VALIDATION_IMAGES = 48  # a batch of 8 photographs has losses from 0.1 to 2 for the same lens
+_SELECTION_IMAGES = 192  # others: a descent of 1000 steps fits the 48
 _VALIDATION_RAYS = 1024  # rays per field and colour
 _VALIDATION_BUILT = 8  # built lenses, where the design is for these
 _VALIDATION_SEED = 9001  # added to the seed: not the lenses that are reported, nor the images of the first steps
@@ -169,26 +170,34 @@ class Supervisor:
         light = self.illumination(lens)
         return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
 
-    @torch.no_grad()
     def validation_loss(self, lens: Lens, pixels: float) -> float:
-        """Compute the mean loss of a lens, or of lenses built from it, on a fixed part of the training images.
+        """Compute the mean loss of a lens, or of lenses built from it, on fixed images, by which a descent is led."""
+        return self._fixed_loss(lens, pixels, slice(_VALIDATION_IMAGES))
+
+    def selection_loss(self, lens: Lens, pixels: float) -> float:
+        """Compute the same on more and, where there are as many, other images, by which lenses are chosen."""
+        return self._fixed_loss(lens, pixels, slice(-_SELECTION_IMAGES, None))
+
+    @torch.no_grad()
+    def _fixed_loss(self, lens: Lens, pixels: float, part: slice) -> float:
+        """Compute the mean loss of a lens, or of lenses built from it, on a part of the training images in fixed order.
 
         Networks that draw random numbers, as detectors do when they sample boxes, draw the same for every lens.
         """
         every = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         light, before = self.illumination(lens), random_state()
         torch.manual_seed(self.problem.seed)
-        loss = sum(self._validation_loss(each, light, pixels) for each in every) / len(every)
+        loss = sum(self._loss_on(part, each, light, pixels) for each in every) / len(every)
         set_random_state(before)
         return loss
 
-    def _validation_loss(self, lens: Lens, light: Tensor | None, pixels: float) -> float:
+    def _loss_on(self, part: slice, lens: Lens, light: Tensor | None, pixels: float) -> float:
         """Compute the mean loss of one lens at a relative illumination (F,), without augmentation."""
         _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
         if isinstance(self.criterion, Contrast):
             return float(self.criterion.losses(grid).mean())
         generator = torch.Generator().manual_seed(self.problem.seed + _VALIDATION_SEED)
-        fixed = torch.randperm(len(self.dataset), generator=generator)[:_VALIDATION_IMAGES]
+        fixed = torch.randperm(len(self.dataset), generator=generator)[part]
         images, labels = self.images(fixed, augment=False)
         capture = self.capture
         camera = Camera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)

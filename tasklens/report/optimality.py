@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import pandas
 
 _ERRORS = 2.0  # paired standard errors within which the loss counts as the least
+_SAME = 1e-4  # difference of losses below which two lenses are one, such as a design and a candidate that it returned
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,8 @@ class Gap:
 
     @property
     def converged(self) -> bool:
-        """True if the loss is the least, or not above it by more than twice the standard error."""
-        return self.difference <= _ERRORS * self.error
+        """True if the loss is the least, or not above it by more than twice the standard error and 1e-4."""
+        return self.difference <= _ERRORS * self.error + _SAME
 
 
 def gap(loss: pandas.Series, others: Mapping[str, pandas.Series]) -> Gap:
