@@ -36,7 +36,7 @@ _COLUMNS = {
         "failed",
     ],
     "table2": ["parameters_m", "reference_accuracy", "accuracy"],
-    "table3": ["accuracy", "frozen_loss", "gap", "energy_in_window", "worst_margin", "failed"],
+    "table3": ["accuracy", "frozen_loss", "energy_in_window", "worst_margin", "failed"],
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
 _DIGITS = {"": ".2f", "energy": ".3f", "frozen": ".3f", "gap": "+.3f", "worst": ".3f"}

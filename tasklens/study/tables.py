@@ -23,7 +23,7 @@ class TableContents(Frozen):
         name: `table1` .. `table4`.
         lenses, classifiers, seeds: names and seeds of its rows.
         restored: whether captures are restored.
-        gaps: the other lenses of an optimality gap, by supervised lens, in tables 1 and 3.
+        gaps: the other lenses of an optimality gap, by supervised lens, in table 1, which has all lenses that compete.
     """
 
     study: str
@@ -62,7 +62,7 @@ def table(study: Study, name: str) -> TableContents:
         classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
         seeds=study.seeds,
         restored=name == "table4",
-        gaps=_gaps(study, [lens.name for lens in lenses]) if name in ("table1", "table3") else {},
+        gaps=_gaps(study, [lens.name for lens in lenses]) if name == "table1" else {},
     )
 
 
