@@ -112,7 +112,7 @@ READERS = [
     ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail", "design", "production")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
-    ("designs.imaging1.steps", 4, lambda job: job in (("design", "singlet-imaging1"), ("effort",))),
+    ("designs.imaging1.steps", 4, lambda job: job in (("design", "singlet-imaging1"), ("effort",), ("regimes",))),
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measured(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts",), ("verify",), ("captures",))),
     ("capture.outside_window", "renormalise",

@@ -23,6 +23,7 @@ from tasklens.study.claims import (
     OVER_IMAGING1,
     OVER_LEAST_SQUARES,
 )
+from tasklens.study.effort import tried_in_all
 from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
 
@@ -327,6 +328,9 @@ def test_map_of_regimes():
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
     assert rows["plastics"].to_dict() == {"doublet": 2, "triplet": 3}
+    for elements in ("doublet", "triplet"):
+        assert rows["tried_task"][elements] == tried_in_all(study, f"{elements}-tasklens")
+        assert rows["tried_imaging"][elements] == tried_in_all(study, rows["baseline"][elements])
     assert "doublet-imaging2" in outputs.md.read_text()
 
 

@@ -92,7 +92,9 @@ def verdicts(study: Study) -> Plan:
 def regimes(study: Study) -> Plan:
     """Make the table of the gain of task-driven design by element counts and specifications."""
     claims = paper_claims.regime_claims(study)
-    return Plan(claims, _claimed(study, claims))
+    lenses = {lens for claim in claims.claims for lens in (claim.lens, *claim.baselines)}
+    tried = {lens: paper_effort.tried_in_all(study, lens) for lens in sorted(lenses)}
+    return Plan(Slice(claims=claims, tried=tried), _claimed(study, claims))
 
 
 @stage(f"{REPORT}.ablations.make", _published("ablation_{ablation}"))

@@ -60,6 +60,8 @@ HEADINGS = {
     "f_number": Heading("F-number", "", ".1f"),
     "rms_task_um": Heading("RMS, task", "um", ".1f"),
     "rms_imaging_um": Heading("RMS, imaging", "um", ".1f"),
+    "tried_task": Heading("lenses tried, task", "", ".0f"),
+    "tried_imaging": Heading("lenses tried, imaging", "", ".0f"),
 }
 
 

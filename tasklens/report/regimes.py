@@ -1,5 +1,6 @@
 """Gain of task-driven design over the best imaging lens, by element counts and specifications."""
 
+from collections.abc import Mapping
 from statistics import mean
 
 import pandas
@@ -10,16 +11,26 @@ from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
 from tasklens.runtime.files import Files
 from tasklens.study.claims import Claims
+from tasklens.study.settings import Slice
 
 _NOTE = """\
 Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens of the seed by minival [points],
-its 95 % interval, and the mean RMS spots of the two [um]. A difference is undecided that is not significant at 5 %
+its 95 % interval; of both the mean RMS spots [um], and how many lenses were tried in the mean, with those that they
+were chosen from (core-minutes: target `effort`). A difference is undecided that is not significant at 5 %
 after Holm's correction for all rows; fewer than five seeds only suggest it."""
 
 
-def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
-    """Return a row per task-driven lens: specification, difference [points] with interval, RMS spots [um]."""
+def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements) -> pandas.DataFrame:
+    """Return a row per task-driven lens: specification, difference [points] with interval, RMS spots [um], effort.
+
+    Args:
+        tried: number of lenses that were tried, by lens.
+    """
     rows = verdicts.collect(claims, measurements)
+    compared = [
+        [(claim.lens, measurements.strongest_baseline(claim, seed), seed) for seed in claims.seeds]
+        for claim in claims.claims
+    ]
 
     def rms_um(lens: str, seed: int) -> float:
         return measurements.lens_values(lens, seed)["rms_spot_um"]
@@ -36,11 +47,10 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
             "difference": rows["difference"],
             "low": rows["low"],
             "high": rows["high"],
-            "rms_task_um": [mean(rms_um(claim.lens, seed) for seed in claims.seeds) for claim in claims.claims],
-            "rms_imaging_um": [
-                mean(rms_um(measurements.strongest_baseline(claim, seed), seed) for seed in claims.seeds)
-                for claim in claims.claims
-            ],
+            "rms_task_um": [mean(rms_um(own, seed) for own, _, seed in pairs) for pairs in compared],
+            "rms_imaging_um": [mean(rms_um(other, seed) for _, other, seed in pairs) for pairs in compared],
+            "tried_task": [round(mean(tried[own] for own, _, _ in pairs)) for pairs in compared],
+            "tried_imaging": [round(mean(tried[other] for _, other, _ in pairs)) for pairs in compared],
             "baseline": rows["baseline"],
             "seeds": rows["seeds"],
             "verdict": rows["verdict"],
@@ -48,8 +58,9 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     )
 
 
-def make(claims: Claims, inputs: Files, outputs: Files) -> None:
+def make(settings: Slice, inputs: Files, outputs: Files) -> None:
     """Write the table as CSV and Markdown."""
-    rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
+    claims, measured = settings.claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
+    rows = collect(claims, settings.tried, measured)
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
     publish(outputs, "Where it pays", rows, shown, _NOTE.format(study=claims.study))

@@ -47,6 +47,11 @@ def effort(study: Study) -> Efforts:
     return Efforts(study=study.name, seeds=study.seeds, efforts=tuple(efforts))
 
 
+def tried_in_all(study: Study, lens: str) -> int:
+    """Return how many lenses were tried for one, with those of the lenses that it was chosen from."""
+    return sum(_tried(study.lens(name).design) for name in (lens, *_chosen_from(study, lens)))
+
+
 def _chosen_from(study: Study, lens: str) -> tuple[str, ...]:
     nearest = (*candidates(study, lens), *starts(study, lens))
     return tuple(dict.fromkeys([*nearest, *(other for near in nearest for other in _chosen_from(study, near))]))
