@@ -16,8 +16,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tasklens.design.constraints import first_order_margins
 from tasklens.design.merit import Merit
 from tasklens.design.variables import Variables
+from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
@@ -29,6 +31,7 @@ _LIMIT_WEIGHT = 1000.0  # w [1/mm^2]
 _MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
 _REPAIR_STEP_UM = 2.0  # step size of the repair
 _REPAIR_STEPS = 20  # maximum number of steps of the repair
+_REPAIRS = 4  # maximum number of repairs, each with a tighter limit on distortion
 
 
 @dataclass(frozen=True)
@@ -99,10 +102,24 @@ class RaySpace:
 def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     """Repair violated limits of a lens by steps of small ray displacement.
 
+    Distortion is repaired at the heights of the merit function. Where it is too large at a field in between, again with
+    a limit that is tighter by twice as much.
+
     Returns:
         The lens, or that of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
         its limits were evaluated [mm].
     """
+    asked = limits
+    for _ in range(_REPAIRS):
+        lens, clear = _repaired(lens, view, asked)
+        margin = float(first_order_margins(lens, limits, view, chief_rays(lens, view))["distortion"].min())
+        if margin >= 0:
+            break
+        asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * margin)})
+    return lens, clear
+
+
+def _repaired(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     space = RaySpace(lens, view, limits)
     vector = space.start
     found = []
