@@ -59,13 +59,15 @@ def test_networks_of_timm_compute_the_same(name, arguments, left):
 
 
 class Awkward(nn.Module):
-    """What must not be folded: an output that two read, a convolution called twice, an activation in between."""
+    """Not to be folded: an output that two read, a convolution called twice, an activation, a module of two names."""
 
     def __init__(self):
         super().__init__()
         self.conv1, self.norm1 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
         self.conv2, self.norm2 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
         self.conv3, self.norm3 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
+        self.conv5, self.norm5 = nn.Conv2d(3, 3, 3, padding=1), nn.BatchNorm2d(3)
+        self.other = self.norm5
         self.conv4, self.norm4 = nn.Conv2d(3, 3, 3, padding=1, bias=False), nn.BatchNorm2d(3, affine=False)
 
     def forward(self, images):
@@ -73,6 +75,7 @@ class Awkward(nn.Module):
         images = made + self.norm1(made).relu()
         images = self.norm2(self.conv2(self.conv2(images)))
         images = self.norm3(self.conv3(images).relu_())
+        images = self.other(self.conv5(images))
         return self.norm4(self.conv4(images)).mean((2, 3))
 
 
@@ -81,6 +84,6 @@ def test_only_what_nothing_else_reads_is_folded():
     images = torch.rand(2, 3, 8, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     folded = copy.deepcopy(model)
     fold_batch_norms(folded, images)
-    assert batch_norms(folded) == 3 and not isinstance(folded.norm4, nn.BatchNorm2d)
+    assert batch_norms(folded) == 4 and not isinstance(folded.norm4, nn.BatchNorm2d)
     for found, expected in zip(answers(folded, images), answers(model, images), strict=True):
         torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-12)

@@ -53,7 +53,9 @@ def _pairs(network: nn.Module, images: Tensor) -> list[tuple[nn.Conv2d, nn.Batch
     for hook in hooks:
         hook.remove()
     readers = _readers(answer.grad_fn)
-    return [(a, b) for node, a, b in found if readers[node] == 1 and calls[a] == calls[b] == 1]
+    places = Counter(module for _, module in network.named_modules(remove_duplicate=False))  # by which it may be called
+    once = {module for module, count in calls.items() if count == places[module] == 1}
+    return [(a, b) for node, a, b in found if readers[node] == 1 and {a, b} <= once]
 
 
 def _readers(last: Any) -> Counter[Any]:
