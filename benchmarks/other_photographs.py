@@ -72,9 +72,7 @@ def main(argv: list[str] | None = None) -> None:
     parser = arguments(__doc__.splitlines()[0])
     parser.add_argument("study", help="file of a study that has run")
     parser.add_argument("folder", type=Path, help="photographs, a folder per class")
-    parser.add_argument(
-        "--designs", nargs="+", default=["tasklens", "image_psnr", "image_contrast", "image_error", "imaging2"]
-    )
+    parser.add_argument("--designs", nargs="+", default=DESIGNS)
     options = parser.parse_args(argv)
     study = loading.load(options.study)
     lenses = [lens for lens in study.lenses if study.lens(lens).design_name in options.designs]

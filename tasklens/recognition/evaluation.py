@@ -104,7 +104,7 @@ def evaluate(
 
 def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
     """Return whether captures (F, B, 3, H, W) are classified correctly, (F, B) bool, and the cross-entropies (F, B)."""
-    logits = torch.stack([classifier(field) for field in captures])
+    logits = torch.stack([torch.cat([classifier(part) for part in field.split(_BATCH)]) for field in captures])
     losses = F.cross_entropy(logits.flatten(0, 1), labels.repeat(len(captures)), reduction="none")
     return logits.argmax(-1) == labels, losses.reshape(logits.shape[:2])
 
@@ -146,12 +146,8 @@ def classify(
     Returns:
         Whether each is classified correctly, (F, N) bool, and the cross-entropy (F, N).
     """
-    captures = pipeline.all_fields(images)
-    logits = torch.cat([classifier(part) for part in captures.flatten(0, 1).split(_BATCH)])
-    repeated = labels.repeat(len(captures))
-    losses = F.cross_entropy(logits, repeated, reduction="none")
-    shape = len(captures), len(labels)
-    return (logits.argmax(-1) == repeated).reshape(shape).cpu(), losses.reshape(shape).cpu()
+    correct, losses = _answers(classifier, pipeline.all_fields(images), labels)
+    return correct.cpu(), losses.cpu()
 
 
 @torch.no_grad()

@@ -14,11 +14,13 @@ class Effort(Frozen):
         lens: name of the lens.
         tried: lenses tried: steps of descents, or evaluations of the search by least squares, without its last tens to
             hundreds under strict limits; zero for imported lenses.
+        tried_in_all: the same, with those of the lenses in `chosen_from`.
         chosen_from: names of the lenses that it may have been started from, and of those that these were.
     """
 
     lens: str
     tried: int
+    tried_in_all: int
     chosen_from: tuple[str, ...]
 
 
@@ -40,7 +42,12 @@ def effort(study: Study) -> Efforts:
     wanted = dict.fromkeys(table_lenses(study))
     wanted |= dict.fromkeys(other for lens in wanted for other in _chosen_from(study, lens))
     efforts = (
-        Effort(lens=name, tried=_tried(study.lens(name).design), chosen_from=_chosen_from(study, name))
+        Effort(
+            lens=name,
+            tried=_tried(study.lens(name).design),
+            tried_in_all=tried_in_all(study, name),
+            chosen_from=_chosen_from(study, name),
+        )
         for name in study.lenses
         if name in wanted
     )
