@@ -2,8 +2,10 @@
 
 import json
 import zipfile
+from pathlib import Path
 
 import pytest
+import yaml
 from examples import changed, tiny_study, write
 from typer.testing import CliRunner
 
@@ -11,6 +13,7 @@ from tasklens.cli.app import app, main
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages
 from tasklens.study.loading import dump, load, parse
 
+ROOT = Path(__file__).parents[1]
 TABLE = "elements,design,accuracy,rms_spot_um,accuracy_paper\n,reference,80,,75\nsinglet,imaging1,{},{},60\n"
 
 
@@ -98,6 +101,10 @@ def test_a_new_study_of_photographs(place):
     assert str(found.images.folder) == "photos" and found.images.size == 224
     assert found.images.minival == 160  # a fifth of 800
     assert found.classifiers["resnet18"].model == "resnet18" and found.classifiers["resnet18"].pretrained
+    published = yaml.safe_load(
+        (ROOT / "config/photographs.yaml").read_text()
+    )  # a step costs twelve of the default study's
+    assert found.designs["tasklens"].finish.steps == published["designs"]["tasklens"]["finish"]["steps"]
     write("mine.safetensors", "")
     options = ["--networks", "resnet18.a1_in1k", "--weights", "mine.safetensors", "--minutes", "9999", "--force"]
     assert study("new", "mine", "--yes", "--images", "photos", *options) == 0

@@ -21,7 +21,7 @@ from tasklens.study.settings import ImageSettings
 from tasklens.study.study import Study
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
-_LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
+LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
 _COMPARABLE = 20_000  # training images; with more, nothing measured here says how long jobs take
 _LIMIT = 4.0  # time limit of a job over the longest job of its stage
 _LEAST_LIMIT_MIN = 10.0
@@ -128,7 +128,9 @@ class Durations:
 
 def durations_of(study: Study) -> Durations:
     """Return the durations of a study; where nothing is known of a stage, of a study with images like its own."""
-    similar = "photographs" if study.images.size >= _LARGE else "small"
+    similar = "small"
+    if study.images.size >= LARGE:
+        similar = "photographs_fine_tuned" if study.fine_tuning.epochs else "photographs"
     return Durations(study.name, results(study), similar if _training_images(study.images) <= _COMPARABLE else "")
 
 

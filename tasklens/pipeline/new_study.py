@@ -10,16 +10,18 @@ import yaml
 
 from tasklens.pipeline.changes import in_one_line
 from tasklens.pipeline.digest import ROOT
-from tasklens.pipeline.forecast import Durations, duration, durations_of
+from tasklens.pipeline.forecast import LARGE, Durations, duration, durations_of
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study import tables as paper_tables
 from tasklens.study.design_settings import LeastSquaresSettings
+from tasklens.study.layers import laid_over
 from tasklens.study.loading import parse
 from tasklens.study.names import SHARP
 from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"
+_OF_LARGE_IMAGES = [ROOT / "config" / name for name in ("photographs.yaml", "photographs_fine_tuned.yaml")]
 ELEMENTS = {"singlet": ["COC"]} | yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))["elements"]
 _CORE = ("tasklens", "image_error", "image_contrast", "imaging2", "imaging3")
 _LEAST = ("tasklens", "image_error", "imaging2")
@@ -71,7 +73,7 @@ class Wish:
 
 def content(wish: Wish, cut: Cut) -> dict[str, Any]:
     """Return the keys of the study file: the default study with what is wished, and cut."""
-    base = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+    base = _base(wish.size)
     names = [re.sub("[^a-z0-9_]", "_", network.lower()) for network in wish.networks]  # resnet18.a1_in1k
     designs = {name: _design(base["designs"], name, cut) for name in cut.designs or base["designs"]}
     images: dict[str, Any] = {"size": wish.size, "minival": base["images"]["minival"], "seed": 0}
@@ -102,6 +104,15 @@ def content(wish: Wish, cut: Cut) -> dict[str, Any]:
     return found
 
 
+def _base(size: int) -> dict[str, Any]:
+    """Return the default study; for large images with steps of designs and networks as in those of photographs."""
+    base = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+    for path in _OF_LARGE_IMAGES if size >= LARGE else ():
+        above = yaml.safe_load(path.read_text(encoding="utf-8"))
+        base |= {key: laid_over(base[key], above.get(key, {})) for key in ("designs", "fine_tuning", "restoration")}
+    return base
+
+
 def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
     """Return a design of the default study, of candidates that are kept, with a fraction of the steps."""
     kept = cut.designs or tuple(designs)
@@ -130,7 +141,7 @@ def _network(networks: Mapping[str, Any], wish: Wish, name: str) -> dict[str, An
 def seconds(study: Study, cores: int) -> float:
     """Estimate the duration of the target `tables` on some cores of the machine of `config/durations.csv` [s].
 
-    A job takes what a job of its stage takes in the default study, or with large images in that of photographs. The
+    A job takes what a job of its stage takes in the default study, or with large images in those of photographs. The
     jobs that wait for each other take their sum, on however many cores: images, reference, designs, a fine-tuning.
     """
     guesses, default = durations_of(study), Durations("small", "")
