@@ -19,7 +19,7 @@ from tasklens.design.criteria import (
 )
 from tasklens.design.driver import History
 from tasklens.design.problem import Problem
-from tasklens.design.ray_space import repair
+from tasklens.design.ray_space import repair, with_clear_apertures
 from tasklens.design.start import flat
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -170,15 +170,12 @@ def open_apertures(lens: Lens) -> Lens:
 
 
 def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
-    """Add clear apertures (S,) [mm] to surfaces without one; return the lens and the notes for its file.
-
-    They vignette stray rays: task-driven lenses have strongly curved rims, where a few marginal rays have large errors.
-    """
+    """Add clear apertures (S,) [mm] to surfaces without one; return the lens and the notes for its file."""
     view = view_of_spec(wanted.spec)
     margins = manufacturing_margins(lens, wanted.constraints, torch.minimum(clear, lens.semi_diameter))
     margins |= first_order_margins(lens, wanted.constraints, view, chief_rays(lens, view))
     name, value = worst_margin(margins)
-    lens = replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))
+    lens = with_clear_apertures(lens, clear)
     notes = {
         "spec": wanted.spec.model_dump(mode="json"),
         "origin": origin,

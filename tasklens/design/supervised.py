@@ -5,8 +5,8 @@ different ray displacements, and results depend strongly on the image order. So 
 displacement (see `ray_space`), and of several restarts from the plates the one with the smallest validation loss is
 refined. It competes with imaging lenses, if there are any, for a last descent, the finish. Losses of a few images say
 little about a lens: each descent ends with the lens of the smallest loss on a fixed set of images. Candidates are
-judged by other images than those, and so is the finished lens: one that has only learned the images of its descent
-loses to the candidate that is better.
+judged by other images than those, and so is the finished lens, with its limits repaired: one that has only learned the
+images of its descent, or loses by the repair what it had won, gives way to the candidate.
 """
 
 import math
@@ -19,7 +19,7 @@ from torch import Tensor
 from tasklens.design.criteria import CaptureCriterion, Contrast
 from tasklens.design.driver import Descent, History, Step, divergence, run
 from tasklens.design.problem import Problem
-from tasklens.design.ray_space import LinearModel, RaySpace
+from tasklens.design.ray_space import LinearModel, RaySpace, repair, with_clear_apertures
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.supervision import LEEWAY_MM, VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -218,7 +218,9 @@ def design(
     (_, least), lens = descend(competing[chosen], settings.finish, "finish")
     origin: dict[str, Any] = {"start": chosen} if chosen in candidates else {}
     if candidates and not finisher.criterion.trained:
-        least = finisher.selection_loss(lens, pixels)
+        # As its file will have it: a repair of limits between the heights of the merit moves rays, apertures stop some.
+        made = with_clear_apertures(*repair(lens, problem.view, problem.limits))
+        least = finisher.selection_loss(made, pixels)
         history.append({"phase": "finished", "validation_loss": least})
         if least > losses[chosen]:
             lens, least = competing[chosen], losses[chosen]
