@@ -242,6 +242,27 @@ def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, 
     assert history[-1] == {"phase": "finished", "validation_loss": finished}
 
 
+def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
+    """With its limits repaired and its clear apertures, which together can cost what the descent has won."""
+    judged = []
+
+    def selection_loss(supervisor, lens, pixels):
+        judged.append(lens)
+        return 1.0
+
+    monkeypatch.setattr(Supervisor, "selection_loss", selection_loss)
+    finish = RaySpaceSettings(steps=1, pixels=(5, 5), step_size=0.1, criterion="log_image_error")
+    given = {"batch_size": 4, "rays": 16, "augment": False, "candidates": ["start"], "finish": finish}
+    margins = manufacturing_margins(start, LIMITS, clear_semi_diameters(start, LOOKS))
+    least = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05  # broken by 0.05 mm
+    limits = LIMITS.model_copy(update={"min_centre_thickness": least})
+    design = ImageQualitySettings(method="image_quality", **given)
+    lens, _, _ = supervised.design(start, {"start": start}, IMAGE_ERRORS, problem(limits), design)
+    made, _ = repair(lens, LOOKS, limits)
+    assert not torch.equal(made.thickness, lens.thickness) and torch.equal(judged[-1].thickness, made.thickness)
+    assert lens.semi_diameter.isinf().any() and not judged[-1].semi_diameter.isinf().any()
+
+
 def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
     """48 of 300 images lead, 192 others choose, each time the same."""
     seen = []

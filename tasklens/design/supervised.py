@@ -212,15 +212,19 @@ def design(
         competing["refinement"] = lens
     assert settings.finish is not None  # candidates have one
     finisher, pixels = supervisor(settings.finish), settings.finish.pixels[1]
-    losses = {name: finisher.selection_loss(each, pixels) for name, each in competing.items() if candidates}
+
+    def selection_loss(lens: Lens) -> float:
+        # As its file will have it: a repair of limits between the heights of the merit moves rays, apertures stop some.
+        made = with_clear_apertures(*repair(lens, problem.view, problem.limits))
+        return finisher.selection_loss(made, pixels)
+
+    losses = {name: selection_loss(each) for name, each in competing.items() if candidates}
     history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     chosen = min(competing, key=lambda name: losses.get(name, 0.0))
     (_, least), lens = descend(competing[chosen], settings.finish, "finish")
     origin: dict[str, Any] = {"start": chosen} if chosen in candidates else {}
     if candidates and not finisher.criterion.trained:
-        # As its file will have it: a repair of limits between the heights of the merit moves rays, apertures stop some.
-        made = with_clear_apertures(*repair(lens, problem.view, problem.limits))
-        least = finisher.selection_loss(made, pixels)
+        least = selection_loss(lens)
         history.append({"phase": "finished", "validation_loss": least})
         if least > losses[chosen]:
             lens, least = competing[chosen], losses[chosen]
