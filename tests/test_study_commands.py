@@ -101,9 +101,8 @@ def test_a_new_study_of_photographs(place):
     assert str(found.images.folder) == "photos" and found.images.size == 224
     assert found.images.minival == 160  # a fifth of 800
     assert found.classifiers["resnet18"].model == "resnet18" and found.classifiers["resnet18"].pretrained
-    published = yaml.safe_load(
-        (ROOT / "config/photographs.yaml").read_text()
-    )  # a step costs twelve of the default study's
+    # With the steps of the photographs study, each of which costs as much as twelve of the default study's.
+    published = yaml.safe_load((ROOT / "config/photographs.yaml").read_text())
     assert found.designs["tasklens"].finish.steps == published["designs"]["tasklens"]["finish"]["steps"]
     write("mine.safetensors", "")
     options = ["--networks", "resnet18.a1_in1k", "--weights", "mine.safetensors", "--minutes", "9999", "--force"]

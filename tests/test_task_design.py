@@ -243,7 +243,7 @@ def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, 
 
 
 def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
-    """With its limits repaired and its clear apertures, which together can cost what the descent has won."""
+    """With its limits repaired and its clear apertures, which can cost more than the descent has won."""
     judged = []
 
     def selection_loss(supervisor, lens, pixels):
