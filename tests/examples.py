@@ -1,6 +1,7 @@
 """Lenses, rays, networks and studies that several test files build on, and differences to check gradients against."""
 
 import csv
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -145,6 +146,16 @@ def trained_network(seed: int, **settings) -> nn.Module:
     settings = TrainingSettings(**({"epochs": 4, "learning_rate": 1e-2, "batch_size": 10} | settings))
     fit({"network": network}, random_images(60, 16, 3, seed=1), settings, seed, "test")
     return network
+
+
+def studies_we_ship() -> dict[str, list[Path]]:
+    """The files of each study of config/, by the last one's name, as its heading gives them to `--configfile`."""
+    config = Path(__file__).parents[1] / "config"
+    found = {"config.yaml": [config / "config.yaml"]}
+    for path in sorted(config.glob("*.yaml")):
+        if named := re.search(r"--configfile((?: config/\w+\.yaml)+)", path.read_text()):
+            found[path.name] = [config.parent / each for each in named[1].split()]
+    return found
 
 
 def tiny_study() -> dict:

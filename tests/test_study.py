@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from examples import changed, tiny_study, with_imported, write
+from examples import changed, studies_we_ship, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.design_settings import LearningRates
@@ -14,8 +14,7 @@ from tasklens.study.loading import dump, load, parse, read
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
 
-CONFIGS = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
-CONFIGS = [path for path in CONFIGS if "format: 2" in path.read_text()]  # the others are laid over the default study
+STUDIES = studies_we_ship()
 
 
 @pytest.mark.parametrize("section", ["format", "name", "images", "elements", "designs", "supervisor", "fine_tuning"])
@@ -120,10 +119,16 @@ def test_rates_have_presets():
     assert rates(named.model_dump()) == named != rates("ours")
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
-def test_the_studies_we_ship_can_be_read(path):
-    study = load(path)
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_studies_we_ship_can_be_read(name):
+    """By the command in their heading, which ends with themselves."""
+    study = load(*STUDIES[name])
+    assert STUDIES[name][-1].name == name
     assert study.lenses and study.supervisor in study.classifiers
+
+
+def test_each_file_of_config_is_a_study():
+    assert set(STUDIES) == {path.name for path in (Path(__file__).parents[1] / "config").glob("*.yaml")}
 
 
 def test_the_resolved_study_is_the_same_study(tmp_path):
