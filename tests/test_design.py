@@ -10,6 +10,7 @@ from examples import changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import end_to_end, methods
+from tasklens.design.apertures import with_open_apertures
 from tasklens.design.criteria import ImageError, TaskLoss
 from tasklens.design.driver import divergence
 from tasklens.design.problem import Problem
@@ -221,7 +222,7 @@ def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     assert notes["worst_margin"]["value"] == min(notes["margins"].values())
     assert len(notes["margins"]) == 9
     assert chief_points(lens, LOOKS).isfinite().all()
-    reopened = methods.open_apertures(lens)
+    reopened = with_open_apertures(lens)
     assert torch.equal(reopened.semi_diameter, start.semi_diameter)
 
 

@@ -13,6 +13,7 @@ from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
 
 from tasklens.design import least_squares, methods, spot, supervised
+from tasklens.design.apertures import with_open_apertures
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
@@ -137,7 +138,7 @@ def test_a_lens_is_brought_back_within_its_limits(start):
 def test_distortion_is_repaired_between_the_heights_of_the_merit_function():
     """A triplet with 2.9 % at all heights of the merit function has 3.02 at a field in between; its spots stay."""
     file = Path(__file__).parent / "data" / "distorted_between_heights.yaml"
-    lens = methods.open_apertures(prescription.read(file)[0].lens)
+    lens = with_open_apertures(prescription.read(file)[0].lens)
     view, limits = view_of_spec(Spec()), Constraints()
 
     def margin(lens) -> float:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design import end_to_end, imported, least_squares, spot, supervised
+from tasklens.design.apertures import with_clear_apertures, with_open_apertures
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.criteria import (
     CaptureCriterion,
@@ -19,7 +20,7 @@ from tasklens.design.criteria import (
 )
 from tasklens.design.driver import History
 from tasklens.design.problem import Problem
-from tasklens.design.ray_space import repair, with_clear_apertures
+from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -81,7 +82,7 @@ def design(
         start_name = "random paraxial lenses"
     if starts:
         start_name = max(starts, key=lambda name: starts[name][1])
-        start = open_apertures(starts[start_name][0])
+        start = with_open_apertures(starts[start_name][0])
         candidates = {start_name: start}
     problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
     if isinstance(settings, SupervisedSettings):
@@ -131,7 +132,7 @@ def _supervised(
     checkpoint: Checkpoint,
 ) -> tuple[Lens, Notes, History]:
     """Design by a supervisor; return the lens, what its file says of its origin, and the history."""
-    opened = {name: open_apertures(lens) for name, lens in candidates.items()}
+    opened = {name: with_open_apertures(lens) for name, lens in candidates.items()}
     dataset = problem.dataset
     criteria: dict[str, Callable[[RaySpaceSettings], CaptureCriterion | Contrast]] = {
         "image_error": lambda part: ImageError(logarithm=False),
@@ -160,13 +161,6 @@ def _supervised(
         history = history + rows
         found.pop("validation_loss", None)  # of the lens before
     return lens, found, history
-
-
-def open_apertures(lens: Lens) -> Lens:
-    """Return the lens without clear apertures except the stop."""
-    semi_diameter = torch.full_like(lens.semi_diameter, torch.inf)
-    semi_diameter[lens.stop] = lens.semi_diameter[lens.stop]
-    return replace(lens, semi_diameter=semi_diameter)
 
 
 def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:

@@ -11,7 +11,7 @@ Levenberg-Marquardt.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -117,14 +117,6 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
             break
         asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * margin)})
     return lens, clear
-
-
-def with_clear_apertures(lens: Lens, clear: Tensor) -> Lens:
-    """Give surfaces without a clear aperture those of semi-diameters (S,) [mm].
-
-    They vignette stray rays: task-driven lenses have strongly curved rims, where a few marginal rays have large errors.
-    """
-    return replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))
 
 
 def _repaired(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:

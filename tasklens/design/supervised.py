@@ -16,10 +16,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tasklens.design.apertures import with_clear_apertures
 from tasklens.design.criteria import CaptureCriterion, Contrast
 from tasklens.design.driver import Descent, History, Step, divergence, run
 from tasklens.design.problem import Problem
-from tasklens.design.ray_space import LinearModel, RaySpace, repair, with_clear_apertures
+from tasklens.design.ray_space import LinearModel, RaySpace, repair
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.supervision import LEEWAY_MM, VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
