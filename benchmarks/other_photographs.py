@@ -3,8 +3,8 @@
     python benchmarks/other_photographs.py results/photographs/study.yaml FOLDER [--designs tasklens image_psnr]
 
 FOLDER has a folder per class, named by its WordNet id, of photographs with which neither lenses were designed nor
-networks trained. Lenses that the results do not have yet are left out. Differences are those of the first design to
-each other one, with 95 % intervals over photographs and seeds.
+networks trained. Variants of ablations are designs too; lenses that the results do not have yet are left out.
+Differences are those of the first design to each other one, with 95 % intervals over photographs and seeds.
 """
 
 import tempfile
@@ -75,7 +75,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--designs", nargs="+", default=DESIGNS)
     options = parser.parse_args(argv)
     study = loading.load(options.study)
-    lenses = [lens for lens in study.lenses if study.lens(lens).design_name in options.designs]
+    lenses = [name for name, lens in (study.lenses | study.variants).items() if lens.design_name in options.designs]
     found = accuracies(study, options.folder, lenses)
     count = len(found[SHARP])
     title = f"{study.name}: zero-shot accuracy of {study.supervisor} on {count} photographs of {options.folder.name}"
