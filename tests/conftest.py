@@ -3,6 +3,7 @@
 import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["NUMBA_NUM_THREADS"] = "1"  # parallel code of Optiland else gives torch two threads again, and they wait
 os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 import numpy

@@ -305,13 +305,15 @@ def edited(tmp_path, monkeypatch):
         text = (tmp_path / path).read_text()
         assert old in text
         (tmp_path / path).write_text(text.replace(old, new, 1))
-        digest.parse.cache_clear()
-        digest.code_digest.cache_clear()
+        forget()
         return {name: digest.code_digest(stage.function) for name, stage in STAGES.items()}
 
+    def forget() -> None:
+        for cached in (digest.parse, digest.code_and_imports, digest.code_digest):
+            cached.cache_clear()
+
     yield edit
-    digest.parse.cache_clear()
-    digest.code_digest.cache_clear()
+    forget()
 
 
 TASKS = {"task_reference", "task_fine_tune"}

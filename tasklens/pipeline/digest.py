@@ -73,6 +73,13 @@ def parse(module: str) -> ast.Module:
     return tree
 
 
+@cache
+def code_and_imports(module: str) -> tuple[str, set[str]]:
+    """Return the code of one of our modules without docstrings and comments, and our modules that it imports."""
+    tree = parse(module)
+    return ast.dump(tree), imports(tree)
+
+
 def reached_modules(module: str) -> set[str]:
     """Return a module and all modules it imports, directly or indirectly, except those of data only."""
     reached: set[str] = set()
@@ -81,14 +88,14 @@ def reached_modules(module: str) -> set[str]:
         found = waiting.pop()
         if found not in reached and found not in DATA_ONLY:
             reached.add(found)
-            waiting |= imports(parse(found))
+            waiting |= code_and_imports(found)[1]
     return reached
 
 
 @cache
 def code_digest(function: str) -> str:
     """Compute the digest of the code that the function `package.module.function` may run."""
-    trees = (ast.dump(parse(module)) for module in sorted(reached_modules(function.rpartition(".")[0])))
+    trees = (code_and_imports(module)[0] for module in sorted(reached_modules(function.rpartition(".")[0])))
     return hashlib.sha256("\n".join([function, *trees]).encode()).hexdigest()[:16]
 
 
