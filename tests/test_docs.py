@@ -17,7 +17,11 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
-EXAMPLES = [(page, number) for page in PAGES for number in range(len(blocks(page, "python")))]
+EXAMPLES = [
+    pytest.param(page, number, marks=pytest.mark.slow if "training.fit(" in code else ())
+    for page in PAGES
+    for number, code in enumerate(blocks(page, "python"))
+]
 
 
 @pytest.mark.filterwarnings("ignore")
