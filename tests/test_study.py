@@ -131,6 +131,20 @@ def test_each_file_of_config_is_a_study():
     assert set(STUDIES) == {path.name for path in (Path(__file__).parents[1] / "config").glob("*.yaml")}
 
 
+def test_null_in_a_file_that_is_laid_over_another_takes_an_entry_away(tmp_path):
+    """Of the sections with names, as in RFC 7386; alone, null is a mistake like any other."""
+    study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
+    below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
+    write(below, yaml.safe_dump(study))
+    write(above, "{name: above, elements: {singlet: null}, designs: {imaging1: null, tasklens: {finish: null}}}")
+    found = load(below, above)
+    assert set(found.lenses) == {f"doublet-{name}" for name in study["designs"] if name != "imaging1"}
+    assert found.designs["tasklens"].finish is None
+    write(below, yaml.safe_dump(changed(study, "designs.imaging1", None)))
+    with pytest.raises(StudyError, match=r"designs\.imaging1 = null: expected keys and values"):
+        load(below)
+
+
 def test_the_resolved_study_is_the_same_study(tmp_path):
     """What is written for the jobs has every default in it and reads back as an equal."""
     study = parse(tiny_study())

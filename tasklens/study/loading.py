@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import yaml
 from pydantic import ValidationError
@@ -16,6 +16,7 @@ from tasklens.runtime.files import FileError
 from tasklens.study import consistency
 from tasklens.study.layers import laid_over
 from tasklens.study.messages import missing_keys, problems
+from tasklens.study.quantities import Name
 from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
@@ -25,13 +26,16 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     """Validate a mapping and return the study.
 
     Args:
-        files: the files that it was read from, laid over each other, for messages.
+        files: the files that it was read from, for messages; where one is laid over another, an element, design,
+            classifier, imported lens or ablation that is null is taken away.
 
     Raises:
         StudyError: names every wrong key, its value and what was expected; or says that the only file is to be laid
             over another one.
     """
     name = f"{', '.join(map(str, files))}: " if files else ""
+    if len(files) > 1:
+        config = _without_null(config)
     try:
         study = Study.model_validate(dict(config))
         consistency.check(study)
@@ -47,6 +51,21 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     if len(lines) == 1:
         raise StudyError(f"{name}{lines[0]}")
     raise StudyError(f"{name}the study cannot be run:\n" + "\n".join(f"  {line}" for line in lines))
+
+
+def _without_null(config: Mapping) -> dict[str, Any]:
+    """Leave out what is null in the sections that hold entries by name."""
+    named = {
+        key
+        for key, field in Study.model_fields.items()
+        if get_origin(field.annotation) is dict and get_args(field.annotation)[0] == Name
+    }
+    return {
+        key: {name: entry for name, entry in value.items() if entry is not None}
+        if key in named and isinstance(value, Mapping)
+        else value
+        for key, value in config.items()
+    }
 
 
 def _check_plain(value: Any, where: str) -> None:
