@@ -183,7 +183,7 @@ def design(
         criteria: makers of criteria by the names that descents call them; one is made for each descent.
 
     Returns:
-        The lens: the finished one, or a candidate that is better by a criterion that is not trained along. What its
+        The lens: the finished one, or a candidate that is better by a criterion that is not trained jointly. What its
         file says of its origin: its loss, those of all candidates on the same images, and the candidate that it was
         finished from as `start`. And the history of all descents.
     """

@@ -9,7 +9,7 @@ from tasklens.runtime.files import Files
 from tasklens.study.claims import AblationClaims
 
 _NOTE = """\
-Study `{study}`. Difference: accuracy less that of `{base}` [points], with its 95 % interval over test images{seeds};
+Study `{study}`. Difference: accuracy minus that of `{base}` [points], with its 95 % interval over test images{seeds};
 fewer than {least} seeds only suggest it. A variant of the capture is also measured with
 its capture."""
 

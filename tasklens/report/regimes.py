@@ -14,7 +14,7 @@ from tasklens.study.claims import Claims
 from tasklens.study.settings import Slice
 
 _NOTE = """\
-Study `{study}`. Accuracy of the task-driven lens less that of the best imaging lens of the seed by minival [points],
+Study `{study}`. Accuracy of the task-driven lens minus that of the best imaging lens of the seed by minival [points],
 its 95 % interval; of both the mean RMS spots [um], and how many lenses were tried in the mean, with those that they
 were chosen from (core-minutes: target `effort`). A difference is undecided that is not significant at 5 %
 after Holm's correction for all rows; fewer than five seeds only suggest it."""

@@ -23,7 +23,7 @@ OVER_LEAST_SQUARES = "more accurate than the best design by least squares"
 OVER_IMAGING = "more accurate than the best imaging design"  # of any kind; only in `regime_claims`
 OVER_IMAGE_QUALITY = "more accurate than the best design by image error or contrast"
 FEWER_ELEMENTS = "more accurate than the best imaging design with more elements"
-OVER_START = "more accurate than the best lens that it may begin with"  # of designs with the network trained along
+OVER_START = "more accurate than the best lens that it may begin with"  # of designs with the network trained jointly
 OVER_END_TO_END = "at least as accurate as end-to-end design from imaging"
 MARGIN = 1.0  # points by which a lens that is "at least as accurate" may be worse
 OVER_BASE = "more accurate than the design that it varies"  # only in `ablation_claims`
@@ -140,7 +140,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims that compare each task-driven lens with imaging lenses.
 
     The baselines are `imaging1`, designs by least squares, those by image error or contrast, all imaging lenses of
-    the next larger number of elements, and with a network trained along the lenses of which the best one is the start.
+    the next larger number of elements, and with a network trained jointly the lenses of which the best one is the start.
     """
     found = []
     for lens in study.lenses.values():

@@ -54,7 +54,7 @@ class LensEntry(Frozen):
 
     @property
     def task_driven(self) -> bool:
-        """True if the design is by a classifier, frozen or trained along, but not end-to-end as in the paper."""
+        """True if the design is by a classifier, frozen or trained jointly, but not end-to-end as in the paper."""
         design = self.design
         return (isinstance(design, TaskDrivenSettings) and design.task is None) or (
             isinstance(design, JointRaySpaceSettings) and bool(design.candidates)

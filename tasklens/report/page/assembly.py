@@ -24,9 +24,9 @@ _CAPTIONS = {
     "verdicts": "Verdicts on the paper's claims",
     "psf_tail": "Tails of the PSFs about the chief ray: core of 50 % of the light, and what is outside it",
     "effort": "Effort of each design: lenses tried, and minutes of one core",
-    "regimes": "Where it pays: task-driven lens less the best imaging lens",
+    "regimes": "Where it pays: task-driven lens minus the best imaging lens",
     "tolerances": "Built lenses: what each design loses in manufacture",
-    "tolerances_compared": "What a task-driven lens loses in manufacture less what an imaging lens loses [points]",
+    "tolerances_compared": "What a task-driven lens loses in manufacture minus what an imaging lens loses [points]",
     "tasks": "Other tasks: scores of their networks through each lens",
     "merit_function": "Merit functions: what each classifier wants of a lens, by spatial frequency [cycles per pixel]",
 }

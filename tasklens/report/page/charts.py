@@ -151,7 +151,7 @@ def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
         f"{row['elements']} at F/{row['f_number']:g} {row['difference']:+.1f} ({row['low']:+.1f} to {row['high']:+.1f})"
         for row in known.to_dict("records")
     )
-    words = f"Points of accuracy of the task-driven lens less the best imaging lens: {'; '.join(values)}."
+    words = f"Points of accuracy of the task-driven lens minus the best imaging lens: {'; '.join(values)}."
     axes = {"xaxis": {"type": "category"}, "yaxis": {"type": "category", "automargin": True}}
     return _chart(key, title, words, figure, 130 + 70 * len(wide), **axes)
 
