@@ -159,7 +159,7 @@ class Camera:
     def grid(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
-        `generator` is that of the noise; without one it is the same at every call.
+        `generator` is that of the noise, drawn image by image; without one it is the same at every call.
         """
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
@@ -171,7 +171,8 @@ class Camera:
         if self.sensor is None:
             return found
         illumination = self.illumination[:, None].expand(found.shape[:2])
-        return expose(found, self.sensor, illumination, noise(found.shape, generator).to(found))
+        drawn = noise(found.transpose(0, 1).shape, generator).transpose(0, 1)
+        return expose(found, self.sensor, illumination, drawn.to(found))
 
     def single(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).

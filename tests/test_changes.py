@@ -7,7 +7,7 @@ import pytest
 from examples import changed, tiny_study, write
 
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
-from tasklens.pipeline.changes import Change, PlannedJob, amount, changes, overwritten, refusal
+from tasklens.pipeline.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.stage import STAGES
 from tasklens.study.loading import dump, parse, resolved
@@ -113,6 +113,12 @@ def test_several_changed_values_are_told_together(found, tmp_path):
         after = changed(after, f"elements.mine{k}", ["COC"])
     lines = said(found(after), after, tmp_path)
     assert lines[11:-2] == ["  and 2 more changed values", "  together: 2 lenses, 6 classifiers again"]
+
+
+def test_what_takes_long_is_not_overwritten_without_consent():
+    """All that is resumed where it was killed, but images, which are made of nothing else, and reproductions."""
+    long = {stage.name for stage in STAGES.values() if stage.resumable} - {"images", "reproduce"}
+    assert set(COUNTED) == long
 
 
 @pytest.mark.parametrize(

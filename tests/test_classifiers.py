@@ -7,13 +7,15 @@ import numpy
 import pytest
 import timm
 import torch
-from examples import random_images, trained_network
+from examples import changed, random_images, tiny_study, trained_network
 from torch import nn
 
+from tasklens.pipeline import checks
 from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition import dataset as data
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+from tasklens.study.loading import parse
 from tasklens.study.settings import ClassifierSettings, TrainingSettings
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -35,6 +37,17 @@ def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, argumen
     with pytest.raises(InputError, match=f"classifiers.mine: {model}"):
         classifiers.check("mine", settings, size)
     classifiers.check("mine", ClassifierSettings(model="resnet18", pretrained=True), 64)
+
+
+def test_a_supervisor_is_built_for_every_size_that_it_sees():
+    """A ViT has one; a descent by the error of the image may have another, since no network sees that."""
+    vit = {"model": "vit_tiny_patch16_224", "arguments": {"img_size": 16, "patch_size": 8}, "weights": "/nowhere"}
+    study = changed(changed(tiny_study(), "supervisor", "other"), "classifiers.other", vit)
+    study = changed(study, "designs.image_error.restart.size", 8)
+    checks.check(parse(study), networks=True, weights=False)
+    study = changed(study, "designs.tasklens.finish.size", 8)
+    with pytest.raises(InputError, match=r"other for designs\.tasklens\.finish\.size.*8"):
+        checks.check(parse(study), networks=True, weights=False)
 
 
 def test_a_published_head_for_other_classes_is_no_reference():

@@ -195,6 +195,21 @@ def test_a_design_that_diverges_is_a_result(start):
         assert torch.isfinite(getattr(lens, name)).all()
 
 
+class Broken(nn.Module):
+    """A network of finite logits whose gradient is NaN: the slope of a root at zero, times zero."""
+
+    def forward(self, images):
+        return (0 * images).sum((1, 2, 3)).sqrt()[:, None].repeat(1, 3)
+
+
+def test_a_lens_of_nan_is_not_the_best(start):
+    """Its captures are grey, of a finite loss perhaps less than that of plates, and no limit says that it is broken."""
+    lens, history = descended(Broken(), start, network_learning_rate=None)
+    assert history[-1]["phase"] == "test, diverged"
+    for name in ("curvature", "thickness", "alpha"):
+        assert torch.equal(getattr(lens, name), getattr(start, name))
+
+
 def test_the_cause_of_a_divergence_has_a_name(start):
     """The field whose loss broke, and the surface whose numbers did; or the network, where neither did."""
     pupil, losses = sobol_disc(16, 0), torch.zeros(9)

@@ -103,6 +103,10 @@ MISTAKES = [
         ("--method", "task", "--classifier", "resnt", "--weights", "words.pth"),
         "classifiers.network: resnt: Unknown model",
     ),
+    (
+        (*TASK, "--method", "joint_ray_space", "--weights", "words.pth", "--set", "candidates=[image_quality,spot]"),
+        "joint_ray_space begins with one lens, got lens-image_quality, lens-spot; give one of its `candidates` (on the",
+    ),
     (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),
     (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
     (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as finish.steps=200"),

@@ -2,15 +2,19 @@
 
 import itertools
 import math
+from functools import reduce
 from pathlib import Path
 
+import jsonschema
 import pytest
 import yaml
 from examples import changed, studies_we_ship, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.design_settings import LearningRates
-from tasklens.study.loading import dump, load, parse, read
+from tasklens.study.layers import laid_over
+from tasklens.study.loading import dump, load, parse, read, without_null
+from tasklens.study.schema import schema
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
 
@@ -143,6 +147,29 @@ def test_null_in_a_file_that_is_laid_over_another_takes_an_entry_away(tmp_path):
     write(below, yaml.safe_dump(changed(study, "designs.imaging1", None)))
     with pytest.raises(StudyError, match=r"designs\.imaging1 = null: expected keys and values"):
         load(below)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_editors_find_no_mistake_in_the_studies_we_ship(name):
+    """By the schema, which takes plastics as files, and rates and grades by name, as the files of config/ have them."""
+    content = without_null(reduce(laid_over, map(read, STUDIES[name])))
+    jsonschema.validate(content, schema())
+    wrong = content | {"tolerances": {"grade": "by hand"}}
+    assert not jsonschema.Draft202012Validator(schema()).is_valid(wrong)
+
+
+def test_a_psf_window_fits_into_the_images_of_tasks():
+    """Half of it is reflected at their borders, as at those of the images."""
+    network = {
+        "kind": "segmentation",
+        "model": "lraspp_mobilenet_v3_large",
+        "training": {"epochs": 1, "learning_rate": 1},
+    }
+    network["fine_tuning"] = network["training"]
+    study = changed(changed(tiny_study(), "images.size", 64), "spec.kernel_size", 101)
+    assert parse(study | {"tasks": {"scenes": {"size": 64}, "networks": {"pixels": network}}})
+    with pytest.raises(StudyError, match=r"spec\.kernel_size: half of 101 must be less than tasks\.scenes\.size = 32"):
+        parse(study | {"tasks": {"scenes": {"size": 32}, "networks": {"pixels": network}}})
 
 
 def test_the_resolved_study_is_the_same_study(tmp_path):

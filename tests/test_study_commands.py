@@ -10,7 +10,7 @@ from examples import changed, tiny_study, write
 from typer.testing import CliRunner
 
 from tasklens.cli.app import app, main
-from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages
+from tasklens.pipeline import new_study, report_jobs  # noqa: F401  declares the stages
 from tasklens.study.loading import dump, load, parse
 
 ROOT = Path(__file__).parents[1]
@@ -109,6 +109,27 @@ def test_a_new_study_of_photographs(place):
     assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
     own = load("mine.yaml").classifiers["resnet18_a1_in1k"]
     assert (own.model, str(own.weights), own.pretrained) == ("resnet18.a1_in1k", "mine.safetensors", False)
+
+
+def test_the_least_study_of_photographs_has_fewer_of_them(place):
+    """A quarter of 400 - 80 training and 100 test images, as its forecast says."""
+    for path in (f"photos/{s}/{c}/{k}.jpg" for s, n in (("train", 200), ("test", 50)) for c in "ab" for k in range(n)):
+        write(path, "")
+    wish = new_study.Wish("mine", Path("photos"), 64, ("resnet",), {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1)
+    sizes = [new_study.content(wish, cut)["images"] for cut in new_study.CUTS[-2:]]
+    assert "train" not in sizes[0] and (sizes[1]["train"], sizes[1]["test"]) == (80, 25)
+
+
+def test_a_forecast_is_that_of_the_machine_of_the_file(place):
+    """Not of benchmarks that lie where one is; and a network is not the supervisor because its name begins like it."""
+
+    def seconds(*networks: str) -> float:
+        wish = new_study.Wish("mine", None, 64, networks, {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1)
+        return new_study.seconds(parse(new_study.content(wish, new_study.CUTS[0])), 2)
+
+    before = seconds("resnet", "vit")
+    write("benchmarks/design/a.tsv", "s\tmax_rss\n99999\t1\n")
+    assert seconds("resnet", "vit") == before == seconds("resnet", "resnet18")
 
 
 @pytest.mark.parametrize(

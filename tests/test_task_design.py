@@ -38,7 +38,7 @@ from tasklens.study.design_settings import (
     TaskDrivenSettings,
 )
 from tasklens.study.loading import parse
-from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
+from tasklens.study.settings import CaptureSettings, Constraints, SensorSettings, Spec, TrainingSettings
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9, "max_chief_ray_angle_deg": None})
@@ -240,7 +240,20 @@ def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, 
     lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(NO_LIMITS), design)
     assert origin["validation_loss"] == min(1.0, finished) and origin["start"] == "sharp"
     assert torch.equal(lens.curvature, sharp.curvature) is (kept == "sharp")
+    assert origin["finished"] is (kept == "finished")
     assert history[-1] == {"phase": "finished", "validation_loss": finished}
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, finished):
+    """Not of that of a finish which was not kept, nor of a refinement that lost to a candidate."""
+    rows = [{"phase": f"{label}, diverged", "step": 3, "cause": "field 2"} for label in ("refinement", "finish")]
+    origin = {"start": "imaging2", "finished": finished}
+    monkeypatch.setattr(supervised, "design", lambda *given: (start, origin, rows))
+    study = parse(changed(tiny_study(), "elements", {"doublet": ("COC", "OKP4")}))
+    wanted = jobs.design.plan(study, "doublet-image_error", 0).settings
+    _, notes, _ = methods.design(wanted, None, random_images(4, 16, 3, 0), {}, {"imaging2": start})
+    assert notes["origin"].get("diverged") == ("step 3: field 2" if finished else None)
 
 
 def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
@@ -277,6 +290,16 @@ def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
     assert [len(indices) for indices in seen] == [48, 192, 48, 192]
     assert torch.equal(seen[0], seen[2]) and torch.equal(seen[1], seen[3])
     assert not set(seen[0].tolist()) & set(seen[1].tolist())
+
+
+def test_the_noise_of_fixed_images_is_the_same_in_any_micro_batches(start):
+    """One image after another has noise of its own."""
+    posed = replace(problem(), capture=CaptureSettings(sensor=SensorSettings(gain=16)))
+    losses = [
+        Supervisor(ImageError(False), posed, None, False, at_once).validation_loss(start, 1.0)
+        for at_once in (9, 45, 108)
+    ]
+    assert losses == pytest.approx(3 * losses[:1], rel=1e-6)
 
 
 def test_distortion_costs_nothing_about_the_chief_ray(start):

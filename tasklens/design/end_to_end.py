@@ -87,8 +87,9 @@ class JointDescent(GradientDescent):
         loss = self.supervisor.validation_loss(lens, pixels=1.0)
         if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
             self.least = self.least[0], self.supervisor.validation_loss(self.lens(), pixels=1.0)
-        found = self.penalty(lens).item() > LEEWAY_MM**2, loss
-        if found < self.least:
+        penalty = self.penalty(lens).item()
+        found = penalty > LEEWAY_MM**2, loss
+        if math.isfinite(loss + penalty) and found < self.least:  # a lens of NaN has grey captures
             self.least = found
             self.remember()
         return loss

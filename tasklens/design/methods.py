@@ -97,9 +97,13 @@ def design(
         "start": start_name,
         **found,
     }
-    # Only divergence after the selection concerns the lens: a diverged restart may not have been selected.
-    before = ("restart", "refinement") if found.get("start") in candidates else ("restart",)
-    wrong = [row for row in history if "cause" in row and not row["phase"].startswith(before)]
+    # Only divergence of what the lens came from concerns it: a diverged restart or finish may not have been selected.
+    others = ["restart"]
+    if found.get("start") in candidates:
+        others.append("refinement")
+    if not found.get("finished", True):
+        others.append("finish")
+    wrong = [row for row in history if "cause" in row and not row["phase"].startswith(tuple(others))]
     if wrong:
         origin["diverged"] = f"step {wrong[-1]['step']}: {wrong[-1]['cause']}"
     # Limits were soft constraints until here.

@@ -42,6 +42,12 @@ def design(
     section = None if images is None else {"folder": str(images), "size": size, "train": _IMAGES, "minival": 2}
     files = [str(path) for path in materials]
     found = single.study(method, elements, spec, settings or {}, constraints or {}, files, section, classifier)
+    for name, entry in found.lenses.items():
+        if len(first := starts(found, name)) > 1:
+            raise InputError(
+                f"{entry.design_name} begins with one lens, got {', '.join(first)}; give one of its `candidates` "
+                f"(on the command line --set candidates=[{found.lens(first[0]).design_name}])"
+            )
     view = view_of_spec(found.spec)
     made: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
@@ -49,14 +55,11 @@ def design(
         dataset, network = _supervisors(found, Path(folder))
         for name in found.lenses:
             entry = found.lens(name)
-            first = starts(found, name)
-            if len(first) > 1:
-                raise InputError(f"{entry.design_name} begins with one lens, expected one, got {', '.join(first)}")
             made[name], notes, _ = methods.design(
                 lens_design(found, name, seed),
                 network if entry.classified else None,
                 dataset if entry.supervised else None,
-                {other: (made[other], 0.0) for other in first},
+                {other: (made[other], 0.0) for other in starts(found, name)},
                 {other: made[other] for other in candidates(found, name)},
             )
     return made[name], view, notes

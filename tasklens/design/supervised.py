@@ -184,8 +184,8 @@ def design(
 
     Returns:
         The lens: the finished one, or a candidate that is better by a criterion that is not trained jointly. What its
-        file says of its origin: its loss, those of all candidates on the same images, and the candidate that it was
-        finished from as `start`. And the history of all descents.
+        file says of its origin: its loss, those of all candidates on the same images, the candidate that it was
+        finished from as `start`, and whether it is the `finished` one. And the history of all descents.
     """
     torch.manual_seed(problem.seed)  # TrivialAugment uses torch's global generator
     generator = torch.Generator().manual_seed(problem.seed)
@@ -224,9 +224,10 @@ def design(
     chosen = min(competing, key=lambda name: losses.get(name, 0.0))
     (_, least), lens = descend(competing[chosen], settings.finish, "finish")
     origin: dict[str, Any] = {"start": chosen} if chosen in candidates else {}
+    origin["finished"] = True
     if candidates and not finisher.criterion.trained:
         least = selection_loss(lens)
         history.append({"phase": "finished", "validation_loss": least})
         if least > losses[chosen]:
-            lens, least = competing[chosen], losses[chosen]
+            lens, least, origin["finished"] = competing[chosen], losses[chosen], False
     return lens, origin | {"validation_loss": least, "candidate_losses": losses}, history

@@ -204,9 +204,10 @@ class Supervisor:
         found = []
         # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
         at_once = max(1, self.micro_batch // len(grid))
+        noise = torch.Generator().manual_seed(self.problem.seed)  # of one image after another, in any micro-batches
         with self.criterion.evaluating():
             for some, classes in zip(images.split(at_once), labels.split(at_once), strict=True):
-                captures = camera.grid(some)
+                captures = camera.grid(some, noise)
                 sharp, targets = some.repeat(len(grid), 1, 1, 1), classes.repeat(len(grid))
                 found.append(self.criterion.losses(captures.flatten(0, 1), sharp, targets))
         return float(torch.cat(found).mean())

@@ -15,12 +15,15 @@ from tasklens.pipeline.stage import STAGES
 from tasklens.study.loading import load, resolved
 from tasklens.study.study import Study, StudyError
 
-_COUNTED = {  # results that took long, by stage; what is made of them is overwritten without asking
+COUNTED = {  # results that took long, by stage; what is made of them is overwritten without asking
     "design": "lenses",
     "reference": "classifiers",
     "fine_tune": "classifiers",
     "fine_tune_others": "classifiers",
     "restore": "restorations",
+    "production": "toleranced lenses",
+    "task_reference": "task networks",
+    "task_fine_tune": "task networks",
 }
 _SHOWN = 10  # changed values in a message
 
@@ -106,7 +109,7 @@ def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> O
         stored: the resolved study of the last run: its settings are taken where those of outputs are not known.
         jobs: the jobs of the run by label.
     """
-    finished = {label for label, job in jobs.items() if job.exists and job.stage in _COUNTED}
+    finished = {label for label, job in jobs.items() if job.exists and job.stage in COUNTED}
     if not finished or not stored.exists():
         return Overwritten((), (), ())
     try:
@@ -162,14 +165,14 @@ def amount(stages: Iterable[str], study: Study, durations: Durations, cores: int
     stages = list(stages)
     counts: Counter[str] = Counter()
     for stage in stages:
-        counts[_COUNTED[stage]] += len(others(study)) if stage == fine_tune_others.name else 1
+        counts[COUNTED[stage]] += len(others(study)) if stage == fine_tune_others.name else 1
     words = [f"{count} {kind if count > 1 else _one(kind)}" for kind, count in counts.items()]
     known = [seconds for stage in stages if (seconds := durations.seconds(stage)) is not None]
     return f"{', '.join(words)} again" + (f", {duration(sum(known) / cores)}" if known else "")
 
 
 def _one(kind: str) -> str:
-    return {"lenses": "lens"}.get(kind, kind.removesuffix("s"))
+    return kind[:-2] if kind.endswith("lenses") else kind[:-1]
 
 
 def refusal(found: Overwritten, study: Study, durations: Durations, cores: int) -> str | None:

@@ -3,6 +3,7 @@
 from tasklens.optics.tracing.trace import compile_tracer
 from tasklens.recognition import class_folders, object_splits
 from tasklens.runtime.files import FileError
+from tasklens.study import consistency
 from tasklens.study.study import Study
 
 
@@ -49,6 +50,11 @@ def _check_networks(study: Study) -> None:
 
         for name, network in study.tasks.networks.items():
             task_networks.build(name, network.model_copy(update={"pretrained": False}), 2, study.tasks.scenes.size)
-    for name, design in study.designs.items():
-        if size := getattr(design, "size", None):
-            classifiers.check(f"{study.supervisor} for designs.{name}", study.classifiers[study.supervisor], size)
+    sizes = {
+        f"{where}.{key}": part.size
+        for where, lens in consistency.places(study)
+        for key, part in lens.resized.items()
+        if getattr(part, "criterion", "classification") == "classification"
+    }
+    for where, size in sizes.items():
+        classifiers.check(f"{study.supervisor} for {where}", study.classifiers[study.supervisor], size)

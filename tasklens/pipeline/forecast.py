@@ -22,7 +22,7 @@ from tasklens.study.study import Study
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
 LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
-_COMPARABLE = 20_000  # training images; with more, nothing measured here says how long jobs take
+COMPARABLE = 20_000  # training images; with more, nothing measured here says how long jobs take
 _LIMIT = 4.0  # time limit of a job over the longest job of its stage
 _LEAST_LIMIT_MIN = 10.0
 _UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage without benchmarks
@@ -131,16 +131,16 @@ def durations_of(study: Study) -> Durations:
     similar = "small"
     if study.images.size >= LARGE:
         similar = "photographs_fine_tuned" if study.fine_tuning.epochs else "photographs"
-    return Durations(study.name, results(study), similar if _training_images(study.images) <= _COMPARABLE else "")
+    return Durations(study.name, results(study), similar if _training_images(study.images) <= COMPARABLE else "")
 
 
 def _training_images(images: ImageSettings) -> float:
-    """Return the number of training images, counted up to `_COMPARABLE`; infinity where their folder is missing."""
+    """Return the number of training images, counted up to `COMPARABLE`; infinity where their folder is missing."""
     if images.train is not None:
         return images.train
     assert images.folder is not None  # rendered images need counts
     try:
-        return class_folders.count(class_folders.split_folder(images.folder, class_folders.TRAIN), _COMPARABLE + 1)
+        return class_folders.count(class_folders.split_folder(images.folder, class_folders.TRAIN), COMPARABLE + 1)
     except (FileError, OSError):
         return math.inf
 

@@ -10,14 +10,14 @@ import yaml
 
 from tasklens.pipeline.changes import in_one_line
 from tasklens.pipeline.digest import ROOT
-from tasklens.pipeline.forecast import LARGE, Durations, duration, durations_of
+from tasklens.pipeline.forecast import COMPARABLE, LARGE, duration, durations_of, elsewhere
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
+from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.layers import laid_over
 from tasklens.study.loading import parse
-from tasklens.study.names import SHARP
 from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"
@@ -74,15 +74,21 @@ class Wish:
 def content(wish: Wish, cut: Cut) -> dict[str, Any]:
     """Return the keys of the study file: the default study with what is wished, and cut."""
     base = _base(wish.size)
-    names = [re.sub("[^a-z0-9_]", "_", network.lower()) for network in wish.networks]  # resnet18.a1_in1k
+    networks = [re.sub("[^a-z0-9_]", "_", network.lower()) for network in wish.networks]  # resnet18.a1_in1k
     designs = {name: _design(base["designs"], name, cut) for name in cut.designs or base["designs"]}
     images: dict[str, Any] = {"size": wish.size, "minival": base["images"]["minival"], "seed": 0}
     if wish.folder is None:
         images |= {key: max(500, round(base["images"][key] * cut.fraction)) for key in ("train", "test")}
     else:
         images["folder"] = str(wish.folder)
-        split = class_folders.split_folder(wish.folder, class_folders.TRAIN)
-        images["minival"] = max(2, class_folders.count(split, 5 * images["minival"]) // 5)  # of a small folder, a fifth
+        train, test = (
+            class_folders.count(class_folders.split_folder(wish.folder, split), COMPARABLE)
+            for split in (class_folders.TRAIN, class_folders.TEST)
+        )
+        images["minival"] = max(2, min(images["minival"], train // 5))
+        if cut.fraction < 1:
+            images["train"] = max(1, round((train - images["minival"]) * cut.fraction))
+            images["test"] = max(1, round(test * cut.fraction))
     found = {
         "format": base["format"],
         "name": wish.name,
@@ -91,10 +97,10 @@ def content(wish: Wish, cut: Cut) -> dict[str, Any]:
         "images": images,
         "spec": base["spec"] | {"f_number": wish.f_number, "field_of_view_deg": wish.field_of_view_deg},
         "elements": {name: list(plastics) for name, plastics in wish.elements.items()},
-        "supervisor": names[0],
+        "supervisor": networks[0],
         "classifiers": {
             name: _network(base["classifiers"], wish, network)
-            for name, network in zip(names, wish.networks, strict=True)
+            for name, network in zip(networks, wish.networks, strict=True)
         },
         "designs": designs,
         "fine_tuning": base["fine_tuning"],
@@ -144,10 +150,11 @@ def seconds(study: Study, cores: int) -> float:
     A job takes what a job of its stage takes in the default study, or with large images in those of photographs. The
     jobs that wait for each other take their sum, on however many cores: images, reference, designs, a fine-tuning.
     """
-    guesses, default = durations_of(study), Durations("small", "")
+    guesses, default = durations_of(study), elsewhere("small")
     counts = {name: count * len(study.seeds) for name, count in _jobs_of_a_seed(study).items()}
     counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts": 1}
-    each = {stage: guesses.seconds(stage) or default.seconds(stage) or 0.0 for stage in counts}
+    each = {stage: guesses.seconds(stage) or 0.0 for stage in counts}
+    each |= {stage: default[stage].seconds for stage, seconds in each.items() if not seconds and stage in default}
     longest = max(_depth(study, lens) for lens in study.lenses)
     chain = each["images"] + each["reference"] + longest * each["design"] + each["fine_tune"]
     return max(chain, sum(count * each[stage] for stage, count in counts.items()) / cores)
@@ -168,8 +175,8 @@ def _jobs_of_a_seed(study: Study) -> dict[str, int]:
         needed = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)} - lenses.keys()
         lenses |= dict.fromkeys(needed)
         waiting += needed
-    measured = {pair for each in contents for pair in each.measured} | {(SHARP, study.supervisor)}
-    by_supervisor = {pair for pair in measured if pair[1].startswith(study.supervisor)}
+    measured = {pair for each in contents for pair in each.measured} | {(names.SHARP, study.supervisor)}
+    by_supervisor = {pair for pair in measured if names.split(pair[1])[0] == study.supervisor}
     return {
         "design": len(lenses),
         "fine_tune": len(by_supervisor),

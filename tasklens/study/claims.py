@@ -140,7 +140,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims that compare each task-driven lens with imaging lenses.
 
     The baselines are `imaging1`, designs by least squares, those by image error or contrast, all imaging lenses of
-    the next larger number of elements, and with a network trained jointly the lenses of which the best one is the start.
+    the next larger number of elements, and with a network trained jointly the lenses of which the best is the start.
     """
     found = []
     for lens in study.lenses.values():

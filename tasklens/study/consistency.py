@@ -111,25 +111,31 @@ def _check_lenses(study: Study) -> None:
         where = f"specs.{name}" if name in study.specs else "spec"
         spec = study.spec_of(name)
         feasibility.check(name, where, materials, spec, study.constraints, study.images.size)
-    places = [(f"designs.{lens.design_name}", lens) for lens in study.lenses.values()]
-    for name, item in study.ablations.items():
-        places += [(f"ablations.{name}.variants.{other}", study.variant(name, other)) for other in item.variants]
-    for where, lens in places:
+        if study.tasks.networks and spec.kernel_size // 2 >= study.tasks.scenes.size:
+            raise ValueError(
+                f"{where}.kernel_size: half of {spec.kernel_size} must be less than tasks.scenes.size = "
+                f"{study.tasks.scenes.size}, since borders are reflected"
+            )
+    for where, lens in places(study):
         _check_design(study, where, lens)
+
+
+def places(study: Study) -> list[tuple[str, LensEntry]]:
+    """Return all lenses and variants, each with the key of its design."""
+    found = [(f"designs.{lens.design_name}", lens) for lens in study.lenses.values()]
+    for name, item in study.ablations.items():
+        found += [(f"ablations.{name}.variants.{other}", study.variant(name, other)) for other in item.variants]
+    return found
 
 
 def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     design = lens.design
     kernel_size = study.spec_of(lens.elements).kernel_size
-    parts: dict[str, Any] = {"size": design, "polish.size": getattr(design, "polish", None)}
-    if isinstance(design, SupervisedSettings):
-        parts |= {f"{name}.size": descent for name, descent in design.descents.items()}
-    for key, part in parts.items():
-        size = getattr(part, "size", None)
-        if size is not None and not kernel_size // 2 < size <= study.images.size:
+    for key, part in lens.resized.items():
+        if not kernel_size // 2 < part.size <= study.images.size:
             raise ValueError(
                 f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
-                f"and at most images.size = {study.images.size}, got {size}"
+                f"and at most images.size = {study.images.size}, got {part.size}"
             )
     if batch := getattr(design, "batch_size", None):
         feasibility.check_step(f"{where}.batch_size", batch, study.images.size)

@@ -162,6 +162,8 @@ class TaskDrivenSettings(SupervisedSettings):
         _ends_with_classification(self)
         if self.batch_norm == "batch":
             _holds_a_step(self)
+        if self.polish is not None and self.tolerances is not None:
+            raise ValueError("tolerances: expected no `polish`, which sees the lens as designed")
         if self.task is not None and (
             self.augment or self.polish or any(descent.size is not None for descent in self.descents.values())
         ):

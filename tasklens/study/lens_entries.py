@@ -1,6 +1,7 @@
 """Entries of a study's lenses: designed, or imported from files; no torch here."""
 
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, FilePath, field_validator
 
@@ -69,6 +70,15 @@ class LensEntry(Frozen):
     def supervised(self) -> bool:
         """True if the design sees images."""
         return self.classified or isinstance(self.design, SupervisedSettings)
+
+    @property
+    def resized(self) -> dict[str, Any]:
+        """The descents of the design for which images are resized, by the key of that size."""
+        design = self.design
+        parts: dict[str, Any] = {"size": design, "polish.size": getattr(design, "polish", None)}
+        if isinstance(design, SupervisedSettings):
+            parts |= {f"{name}.size": descent for name, descent in design.descents.items()}
+        return {key: part for key, part in parts.items() if getattr(part, "size", None) is not None}
 
     @property
     def constrained(self) -> bool:

@@ -35,7 +35,7 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     """
     name = f"{', '.join(map(str, files))}: " if files else ""
     if len(files) > 1:
-        config = _without_null(config)
+        config = without_null(config)
     try:
         study = Study.model_validate(dict(config))
         consistency.check(study)
@@ -53,7 +53,7 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     raise StudyError(f"{name}the study cannot be run:\n" + "\n".join(f"  {line}" for line in lines))
 
 
-def _without_null(config: Mapping) -> dict[str, Any]:
+def without_null(config: Mapping) -> dict[str, Any]:
     """Leave out what is null in the sections that hold entries by name."""
     named = {
         key

@@ -4,13 +4,15 @@ from typing import Any
 
 from tasklens.study.learning_rates import PRESETS
 from tasklens.study.study import Study
+from tasklens.study.tolerance_settings import GRADES
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of a study as a file spells it: materials also as files, learning rates also by name."""
+    """Return the JSON schema of a study as a file spells it: materials also as files, rates and grades also by name."""
     found = Study.model_json_schema()
-    materials, rates = found["properties"]["materials"], found["$defs"]["LearningRates"]
+    materials = found["properties"]["materials"]
     definitions = {key: materials.pop(key) for key in ("type", "additionalProperties")}
     materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, definitions]
-    found["$defs"]["LearningRates"] = {"anyOf": [{"enum": list(PRESETS)}, rates]}
+    for name, known in (("LearningRates", PRESETS), ("Grade", GRADES)):
+        found["$defs"][name] = {"anyOf": [{"enum": list(known)}, found["$defs"][name]]}
     return found
