@@ -10,7 +10,7 @@ from examples import difference, materials
 
 from tasklens.design import least_squares, spot, vignetting
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.merit import HEIGHTS, VIOLATION_UM_PER_MM, Merit
+from tasklens.design.merit import FIELD_HEIGHTS, VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
 from tasklens.design.random_starts import random_starts
 from tasklens.design.start import flat
@@ -98,7 +98,7 @@ def test_merit_columns_are_the_limit_of_differences(start, reference, linear_bey
     found = merit.linearise(lens)[1](variables.directions(values))
     expected = difference(residuals, vector, 1e-6)
     errors = merit.rays
-    first_order = 1 + 2 * (len(HEIGHTS) - 1)  # focal length, then off the axis distortion and chief-ray angles
+    first_order = 1 + 2 * (len(FIELD_HEIGHTS) - 1)  # focal length, then off the axis distortion and chief-ray angles
     assert (expected[:errors].abs().amax(0) > 1).all() and (expected[-first_order:].abs().amax(1) > 1).sum() > 9
     assert (expected[errors:-first_order].abs().amax(1) > 1).sum() > 60
     torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
@@ -126,7 +126,7 @@ def test_merit_is_the_mean_square_spot(start):
     merit = Merit(LOOKS, easy, "centroid")
     gentle = start.with_stop_scaled(0.3)
     found = float(merit.residuals(gentle).square().sum())
-    heights = torch.tensor(HEIGHTS, dtype=torch.float64)
+    heights = torch.tensor(FIELD_HEIGHTS, dtype=torch.float64)
     fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
     looks = replace(LOOKS, fields=fields)
     rays = trace_fields(gentle, looks, sobol_disc(8192, 0))

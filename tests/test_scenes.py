@@ -3,6 +3,7 @@
 import torch
 
 from tasklens.recognition import scenes
+from tasklens.study.settings import RENDERED_CLASSES
 
 
 def test_scenes_are_balanced_and_shuffled():
@@ -49,3 +50,7 @@ def test_textures_cover_half_of_a_surface():
     for name, texture in scenes._TEXTURES.items():
         if texture is not None:
             assert abs(float((texture(u, v) > 0).float().mean()) - 0.5) < 0.01, name
+
+
+def test_a_study_knows_how_many_classes_there_are():
+    assert len(scenes.CLASSES) == RENDERED_CLASSES

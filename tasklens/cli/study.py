@@ -11,7 +11,7 @@ import typer
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.forecast import Durations, duration, durations_of
-from tasklens.pipeline.stage import results
+from tasklens.pipeline.stage import results, study_file
 from tasklens.report.differences import differences
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
@@ -171,7 +171,7 @@ def _but(unknown: list[str]) -> str:
 
 def _changes(study: Study) -> list[changes.Change]:
     """Return the values that differ from those of the last run of the study; none before the first."""
-    stored = Path(results(study), "study.yaml")
+    stored = Path(study_file(study))
     return changes.changes(loading.read(stored), loading.resolved(study)) if stored.exists() else []
 
 

@@ -16,7 +16,14 @@ from tasklens.optics.tracing.trace import linearise
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
-HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)  # fields as fractions of the largest, near the nine of a specification
+FIELD_HEIGHTS = (
+    0.0,
+    0.25,
+    0.45,
+    0.65,
+    0.88,
+    1.0,
+)  # of the largest, near the nine of a specification
 RINGS, ARMS = 8, 6  # with 6 x 4, spots in the corner became twice as large between the rays
 _APERTURE_RESERVE = 1.01  # clear apertures over the radii that the rays of the merit function use
 _LOST_RAY_UM = 300.0  # residual of a lost ray
@@ -49,7 +56,7 @@ class Merit:
         angle_weight: float = 1.0,
         rim: int = 3,
     ):
-        heights = torch.tensor(HEIGHTS, dtype=torch.float64)
+        heights = torch.tensor(FIELD_HEIGHTS, dtype=torch.float64)
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
         self.view, self.limits = replace(view, fields=fields), limits
         self.reference = reference

@@ -8,12 +8,11 @@ import pandas
 
 from tasklens.pipeline import report_jobs, runs
 from tasklens.pipeline.forecast import duration
-from tasklens.pipeline.stage import results
+from tasklens.pipeline.stage import results, study_file
 from tasklens.report.page import words
+from tasklens.report.verdicts import LEAST_SEEDS
 from tasklens.study.loading import at_points
 from tasklens.study.study import Study
-
-_ENOUGH_SEEDS = 5  # of which verdicts are more than suggestions
 
 
 def success(study: Study, found: Mapping[str, runs.Run]) -> str:
@@ -47,7 +46,7 @@ def _study(study: Study, run: runs.Run | None) -> str:
     if verdicts.exists() and (run is None or report_jobs.verdicts.name in run.jobs):
         lines += _answer(study, verdicts)
     lines.append(f"Results: {results(study)}/")
-    page = Path(results(study), "report.html")
+    page = report_jobs.report.output(study, "report")
     made = [job.result for job in run.jobs.values() if job.result.endswith(".md")] if run else []
     lines += [f"  {path}" for path in ([page] if page.exists() else made)]
     lines.append("Next:")
@@ -66,15 +65,15 @@ def _answer(study: Study, verdicts: Path) -> list[str]:
 
 
 def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
-    file = f"--configfile {results(study)}/study.yaml"
+    file = f"--configfile {study_file(study)}"
     if not verdicts.exists():
         return [(f"snakemake -j2 tables {file}", "all tables and their verdicts")]
     found = [
         (f"snakemake -j2 figures certificates {file}", "a drawing and a page of every lens"),
         (f"snakemake -j2 verify {file}", "limits checked, accuracies reproduced"),
     ]
-    if len(study.seeds) < _ENOUGH_SEEDS:
-        more = ", ".join(map(str, range(_ENOUGH_SEEDS)))
+    if len(study.seeds) < LEAST_SEEDS:
+        more = ", ".join(map(str, range(LEAST_SEEDS)))
         found.append((f"snakemake -j2 tables {file} --config 'seeds=[{more}]'", "verdicts in place of suggestions"))
     return found
 

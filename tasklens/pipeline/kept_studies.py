@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
-from tasklens.pipeline.stage import Plan, Stage, flatten, results
+from tasklens.pipeline.stage import Plan, Stage, flatten, results, study_file
 from tasklens.runtime.files import FileError, write_if_changed
 from tasklens.study.loading import dump, load
 from tasklens.study.study import Study, StudyError
@@ -39,7 +39,7 @@ def find(stage: Stage, study: Study, wildcards: Mapping[str, str | int], planned
                 return found
         except StudyError:  # of another version, or without this lens
             continue
-    raise FileError(f"{results(study)}/study.yaml: not what this job was planned with; start the run again")
+    raise FileError(f"{study_file(study)}: not what this job was planned with; start the run again")
 
 
 def _digest(text: str) -> str:

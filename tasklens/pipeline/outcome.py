@@ -7,11 +7,10 @@ from pathlib import Path
 from statistics import mean
 
 from tasklens.pipeline.stage import STAGES
+from tasklens.report.verification import ROUNDING
 from tasklens.runtime.files import read_yaml
 from tasklens.study.names import SHARP
 from tasklens.study.study import Study
-
-_ROUNDING = 1e-6  # tolerance on margins [mm or a fraction], as in `verify`
 
 
 def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -> str:
@@ -38,7 +37,7 @@ def _lens(path: Path) -> str:
     words = [f"RMS spot {mean(content['figures']['rms_centroid_um']):.1f} um"]
     if "validation_loss" in content["origin"]:
         words.append(f"loss {content['origin']['validation_loss']:.3g}")
-    if content["worst_margin"]["value"] < -_ROUNDING:
+    if content["worst_margin"]["value"] < -ROUNDING:
         words.append(f"violates {content['worst_margin']['limit']}")
     return ", ".join(words)
 

@@ -32,12 +32,18 @@ PAPER = Path(__file__).parents[1] / "report" / "paper.csv"  # the paper's values
 REPORT = "tasklens.report"
 
 
-def _measurements(study: Study, lenses: Iterable[str], measured: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    """Return files of lenses by (lens, seed); metrics, predictions, frozen losses by (lens, measured name, seed)."""
+def _lenses(study: Study, lenses: Iterable[str]) -> dict[str, Any]:
+    """Return the files of lenses by (lens, seed)."""
+    return {"lenses": {(lens, seed): lens_file(study, lens, seed) for lens in lenses for seed in study.seeds}}
+
+
+def _measured(study: Study, measured: Iterable[tuple[str, str]], *outputs: str) -> dict[str, Any]:
+    """Return outputs of measurements by (lens, measured name, seed); frozen losses of the supervisor alone."""
     keys = [(*pair, seed) for pair in measured for seed in study.seeds]
-    files = {name: {key: measurement(study, *key, name) for key in keys} for name in ("metrics", "predictions")}
-    files["frozen"] = {key: measurement(study, *key, "frozen") for key in keys if key[1] == study.supervisor}
-    return files | {"lenses": {(lens, seed): lens_file(study, lens, seed) for lens in lenses for seed in study.seeds}}
+    return {
+        name: {key: measurement(study, *key, name) for key in keys if name != "frozen" or key[1] == study.supervisor}
+        for name in outputs
+    }
 
 
 def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
@@ -45,7 +51,7 @@ def _claimed(study: Study, claims: Claims) -> dict[str, Any]:
     lenses = dict.fromkeys(lens for claim in claims.claims for lens in claim.lenses)
     measured = dict.fromkeys((lens, claim.classifier) for claim in claims.claims for lens in claim.lenses)
     sharp = dict.fromkeys((SHARP, claim.reference) for claim in claims.claims if not claim.baselines)
-    return _measurements(study, lenses, measured | sharp)
+    return _lenses(study, lenses) | _measured(study, measured | sharp, "metrics", "predictions")
 
 
 def _published(name: str, *suffixes: str) -> dict[str, str]:
@@ -57,8 +63,8 @@ def _published(name: str, *suffixes: str) -> dict[str, str]:
 def table(study: Study, table: str) -> Plan:
     """Make one table of the paper as CSV, Markdown and LaTeX."""
     contents = paper_tables.table(study, table)
-    inputs = _measurements(study, contents.lenses, contents.measured)
-    return Plan(contents, {name: inputs[name] for name in ("lenses", "metrics", "frozen")} | {"paper": PAPER})
+    inputs = _lenses(study, contents.lenses) | _measured(study, contents.measured, "metrics", "frozen")
+    return Plan(contents, inputs | {"paper": PAPER})
 
 
 @stage(
@@ -70,7 +76,7 @@ def psf_tail(study: Study) -> Plan:
     lenses = paper_tables.table_lenses(study)
     specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
     settings = Slice(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
-    return Plan(settings, {"lenses": _measurements(study, lenses, ())["lenses"]})
+    return Plan(settings, _lenses(study, lenses))
 
 
 @stage(f"{REPORT}.effort.make", {suffix: f"effort.{suffix}" for suffix in ("csv", "md")})
@@ -78,7 +84,7 @@ def effort(study: Study) -> Plan:
     """Make the table of the effort of each design: lenses tried, and core-minutes, which differ from run to run."""
     efforts = paper_effort.effort(study)
     settings = Slice(efforts=efforts, benchmark=design.benchmark(study))
-    return Plan(settings, {"lenses": _measurements(study, efforts.lenses, ())["lenses"]})
+    return Plan(settings, _lenses(study, efforts.lenses))
 
 
 @stage(f"{REPORT}.verdicts.make", _published("verdicts"))
@@ -216,13 +222,17 @@ def sweep(study: Study) -> Plan:
 def verify(study: Study) -> Plan:
     """Verify limits and accuracies of a finished study; print failures and verdicts."""
     contents = paper_tables.verification(study)
-    inputs = _measurements(study, contents.lenses, contents.measured) | {
-        "reproduced": {
-            (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)
-            for lens, name in contents.measured
-            for seed in study.seeds
-        },
-        "tables": {each.name: table.output(study, "csv", table=each.name) for each in contents.tables},
-        "verdicts": verdicts.output(study, "md"),
-    }
+    inputs = (
+        _lenses(study, contents.lenses)
+        | _measured(study, contents.measured, "metrics", "predictions", "frozen")
+        | {
+            "reproduced": {
+                (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)
+                for lens, name in contents.measured
+                for seed in study.seeds
+            },
+            "tables": {each.name: table.output(study, "csv", table=each.name) for each in contents.tables},
+            "verdicts": verdicts.output(study, "md"),
+        }
+    )
     return Plan(contents, inputs)

@@ -1,11 +1,9 @@
 """Drawings of lenses that have no files of a study: their figures and PSFs are computed."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
-import torch
-
+from tasklens.design.apertures import with_clear_apertures
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.spots import clear_semi_diameters, evaluation_psf
 from tasklens.optics.io.lens_files import LensFile
@@ -31,6 +29,5 @@ def _panel(title: str, found: LensFile, rays: int) -> Panel:
     fields, colours = len(view.fields), len(view.wavelengths)
     if (fields, colours) != (_FIELDS, _COLOURS):
         raise InputError(f"{title}: a drawing needs nine fields and three colours, found {fields} and {colours}")
-    clear = torch.where(lens.semi_diameter.isinf(), _RIM * clear_semi_diameters(lens, view), lens.semi_diameter)
-    lens = replace(lens, semi_diameter=clear)
+    lens = with_clear_apertures(lens, _RIM * clear_semi_diameters(lens, view))
     return panel_of(title, lens, view, evaluation_psf(lens, view, rays).float(), figures(lens, view, rays))

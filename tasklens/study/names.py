@@ -10,9 +10,9 @@ def restored(classifier: str) -> str:
     return f"{classifier}{_RESTORED}"
 
 
-def measured(classifier: str, on_restored: bool) -> str:
-    """Return the measured name of a classifier on captures, restored or not."""
-    return restored(classifier) if on_restored else classifier
+def measured(name: str, on_restored: bool) -> str:
+    """Return the measured name of a classifier, or of the captures of a lens, restored or not."""
+    return restored(name) if on_restored else name
 
 
 def split(measured_name: str) -> tuple[str, bool]:

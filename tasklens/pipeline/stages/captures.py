@@ -58,14 +58,9 @@ def run(settings: Slice, inputs: Files, outputs: Files) -> None:
                 keys |= {"restored": restored, "classifier": name, "answer": answer, "probability": probability}
                 rows.append(keys | {"psnr_db": None if lens == SHARP else quality[k][f]})
     write_rows(outputs.answers, rows)
-    tensors = {_key(*key): _bytes(found) for key, found in seen.items()}
+    tensors = {names.measured(*key): _bytes(found) for key, found in seen.items()}
     with replacing(outputs.images) as temporary:
         save_file({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, temporary)
-
-
-def _key(lens: str, restored: bool) -> str:
-    """Return the name of the captures of a lens in their file."""
-    return names.restored(lens) if restored else lens
 
 
 def _bytes(images: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from safetensors.numpy import load_file
 
 from tasklens.report.page import pictures
 from tasklens.runtime.files import read_table
-from tasklens.study.names import SHARP, restored
+from tasklens.study.names import SHARP, measured
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def shown(files: Mapping[str, Path], supervisor: str) -> list[Shown]:
         captures = {}
         for lens, again in dict.fromkeys(zip(own["lens"], _truth(own["restored"]), strict=True)):
             rows = own[(own["lens"] == lens) & (_truth(own["restored"]) == again)]
-            array = arrays[restored(lens) if again else lens][position]
+            array = arrays[measured(lens, again)][position]
             captures[lens, again] = [
                 _tile(array[k], lens, field, str(label), rows[rows["field"] == field])
                 for k, field in enumerate(dict.fromkeys(rows["field"]))
