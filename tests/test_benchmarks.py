@@ -15,7 +15,7 @@ from tasklens.study.settings import ClassifierSettings
 @pytest.mark.parametrize(
     "script, column, options",
     [
-        ("rays", "ratio", ["--rounds", "1"]),
+        pytest.param("rays", "ratio", ["--rounds", "1"], marks=pytest.mark.slow),
         ("captures", "times faster", ["--rounds", "1"]),
         ("memory", "peak [GiB]", ["--captures", "5"]),
         ("step", "% of the step", ["--rounds", "1"]),

@@ -145,6 +145,7 @@ def test_a_failing_job_leaves_no_output(tmp_path):
     assert {path.suffix for path in left} <= {".lock"}  # of the writer, empty
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on(tmp_path):
     """Killed with Snakemake in the midst of a long design: neither lens nor history; unlocked, it is made again.
 
@@ -178,6 +179,7 @@ def test_a_killed_run_goes_on(tmp_path):
     assert yaml.safe_load((tmp_path / target).read_text())["margins"]
 
 
+@pytest.mark.slow
 def test_a_changed_file_reruns_the_imported_lens(tmp_path):
     """The lens file or a catalogue; a file that cannot be used stops the study before its first job."""
     study, target = with_imported(tmp_path), "results/smoke/lenses/singlet-theirs/seed0/lens.yaml"
