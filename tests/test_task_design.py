@@ -4,10 +4,11 @@ import copy
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
-from examples import changed, materials, random_images, tiny_study
+from examples import changed, materials, random_images, tiny_study, write
 from test_design import LIMITS, LOOKS, problem, small_network
 from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
@@ -27,8 +28,10 @@ from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
+from tasklens.pipeline.stages import design as design_job
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
+from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.study.design_settings import (
     ImageQualitySettings,
     JointRaySpaceSettings,
@@ -395,6 +398,39 @@ def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
     _, notes, _ = methods.design(wanted, small_network(), None, starts, {})
     assert notes["origin"]["start"] == "doublet-imaging2" and [*seen[0]] == ["doublet-imaging2"]
     assert torch.equal(seen[0]["doublet-imaging2"].curvature, spot_lens(start).curvature)
+
+
+class Seen(Exception):
+    """Ends a design where it begins."""
+
+
+@pytest.mark.parametrize("method, start", [("joint_ray_space", "even"), ("end_to_end", "uneven")])
+def test_a_joint_descent_in_ray_space_begins_with_no_lost_field(tmp_path, monkeypatch, method, start):
+    """With the lens whose worst field is the best; end-to-end design, as in the paper, with the best mean."""
+    lens, accuracies = flat(materials("COC"), Spec(), LIMITS), {"even": 9 * [60], "uneven": [*8 * [70], 10]}
+    prescription.write(tmp_path / "lens.yaml", prescription.Prescription(lens), {})
+    for name, values in accuracies.items():
+        rows = [f"{field},minival_accuracy,{value}\n" for field, value in enumerate(values)]
+        write(tmp_path / name, "field,metric,value\n" + "".join(rows))
+    joint = {"method": method, "batch_size": 2, "network_learning_rate": 1e-3}
+    if method == "joint_ray_space":
+        joint |= {"candidates": ["imaging1"], "finish": {"steps": 1, "pixels": [1, 1]}}
+    else:
+        joint |= {"start": "best_imaging", "steps": 1}
+    wanted = jobs.design.plan(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0).settings
+
+    def design(settings, network, train, starts, *rest):
+        raise Seen(max(starts, key=lambda name: starts[name][1]))
+
+    monkeypatch.setattr(methods, "design", design)
+    inputs = SimpleNamespace(
+        train=None,
+        starts=dict.fromkeys(accuracies, tmp_path / "lens.yaml"),
+        metrics={name: tmp_path / name for name in accuracies},
+        candidates=None,
+    )
+    with pytest.raises(Seen, match=f"^{start}$"):
+        design_job.run(wanted, inputs, None, NO_CHECKPOINT)
 
 
 def test_descending_lowers_the_loss(start):

@@ -45,7 +45,7 @@ from tasklens.study.lens_entries import ImportedLens, LensDesign
 _POLISH_SEED = 10007  # added to the seed, so that the polish does not begin with the first images of the design
 _APERTURE = 1.02  # clear aperture of an imported lens without one, over the radius that light uses
 
-Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], by name
+Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], mean or worst field, by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
 
 
@@ -63,7 +63,7 @@ def design(
     Args:
         wanted: specification and method of the lens.
         classifier, dataset: trained classifier and training images, for supervised designs.
-        starts: lenses of which the best one by accuracy is the start, if any.
+        starts: lenses of which the best one by its accuracy is the start, if any.
         candidates: lenses that compete for the finish of a supervised design.
         checkpoint: checkpoint of the job.
         task: task of the network `classifier`, where it is not classification.

@@ -8,7 +8,17 @@ from tasklens.runtime.files import damaged, read_table
 
 
 def mean_metrics(path: Path) -> dict[str, float]:
-    """Read a metrics file, and return the mean over fields of every metric by name.
+    """Read a metrics file, and return the mean over fields of every metric by name; raises FileError if damaged."""
+    return {str(metric): float(value) for metric, value in _values(path).groupby(level=0).mean().items()}
+
+
+def least_metrics(path: Path) -> dict[str, float]:
+    """Read a metrics file, and return the least value over fields of every metric; raises FileError if damaged."""
+    return {str(metric): float(value) for metric, value in _values(path).groupby(level=0).min().items()}
+
+
+def _values(path: Path) -> pandas.Series:
+    """Read the values of a metrics file, a row per metric and field.
 
     Raises:
         FileError: the file is not what a measurement writes: it has other columns, values that are no numbers, or not
@@ -26,4 +36,4 @@ def mean_metrics(path: Path) -> dict[str, float]:
     for metric, found in by_field.items():
         if found != list(range(count)):
             raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in found)} of {count}")
-    return {str(metric): float(value) for metric, value in values.groupby(rows["metric"]).mean().items()}
+    return values.set_axis(rows["metric"])

@@ -113,7 +113,7 @@ class SupervisedSettings(Frozen):
     candidates: tuple[Name, ...] = Field(
         (),
         description="Designs whose lenses of the same elements and seed compete for the finish: imaging designs by its "
-        "criterion; for `joint_ray_space` also task-driven ones, by minival accuracy after fine-tuning.",
+        "criterion; for `joint_ray_space` also task-driven ones, by minival accuracy of the worst field, fine-tuned.",
     )
     finish: RaySpaceSettings | None = Field(None, description="Last descent; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
@@ -193,8 +193,8 @@ def _holds_a_step(design: SupervisedSettings) -> None:
 class JointRaySpaceSettings(SupervisedSettings):
     """Settings of design by ray-space descent in which a copy of the classifier is trained too, anew in each descent.
 
-    Its start is the best of `candidates` by minival accuracy, task-driven designs among them: what the loss of a
-    network says that is trained for no lens is no measure of them.
+    Its start is the one of `candidates`, task-driven designs among them, whose worst field has the best minival
+    accuracy after fine-tuning: what the loss of a network says that is trained for no lens is no measure of them.
     """
 
     method: Literal["joint_ray_space"]

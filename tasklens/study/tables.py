@@ -106,7 +106,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
 
 
 def starts(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the lenses of which the best one by minival accuracy is the start of a design; empty for other designs.
+    """Return the lenses of which the best by minival accuracy is the start of a design; empty for other designs.
 
     Imported lenses are left out, so that importing a baseline changes no other row.
     """

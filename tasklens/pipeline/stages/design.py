@@ -11,6 +11,7 @@ from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import Files, write_rows
+from tasklens.study.design_settings import JointRaySpaceSettings
 from tasklens.study.lens_entries import LensDesign
 
 
@@ -32,10 +33,12 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
             classifier = classifiers.build(settings.classifier, train.classes, inputs.weights).to(device)
     starts = {}
     if inputs.starts:
-        from tasklens.recognition.metrics import mean_metrics
+        from tasklens.recognition.metrics import least_metrics, mean_metrics
 
+        # A joint descent does not find a field again that is lost where it begins: docs/results/regimes.
+        judged = least_metrics if isinstance(settings.entry.design, JointRaySpaceSettings) else mean_metrics
         starts = {
-            name: (prescription.read(path)[0].lens, mean_metrics(inputs.metrics[name])["minival_accuracy"])
+            name: (prescription.read(path)[0].lens, judged(inputs.metrics[name])["minival_accuracy"])
             for name, path in inputs.starts.items()
         }
     candidates = {name: prescription.read(path)[0].lens for name, path in (inputs.candidates or {}).items()}
