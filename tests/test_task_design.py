@@ -18,7 +18,7 @@ from tasklens.design.apertures import with_open_apertures
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
-from tasklens.design.ray_space import RaySpace, repair
+from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.imaging import Camera, psnr
@@ -110,6 +110,39 @@ def test_a_step_moves_rays_by_its_size(start, step_size):
     rays = space.merit.linearise(space.lens(space.start))[1](space.directions)[: space.merit.rays]
     assert float((rays @ change).norm()) == pytest.approx(step_size, rel=1e-2)
     assert float(gradient @ change) < 0
+
+
+@pytest.mark.parametrize("weight, held", [(SOFT, 5e-3), (HARD, 5e-5)])
+def test_a_gradient_holds_a_limit_violated_by_its_share_of_the_weight(weight, held):
+    """A loss that falls by 5 per mm beyond a limit: 5 / w of violation is where its steps oscillate about."""
+    identity, gradient = torch.eye(2, dtype=torch.float64), torch.tensor([-5.0, 0.0], dtype=torch.float64)
+    place, seen = torch.tensor([-0.01, 0.0], dtype=torch.float64), []
+    for _ in range(100):
+        violated = place[:1] > 0
+        model = LinearModel(1e6 * identity, identity[0] + identity[1], place[:1][violated], identity[:1][violated])
+        place = place + model.step(gradient, 10.0, 0.1, weight)
+        seen.append(float(place[0]))
+    assert max(seen[50:]) == pytest.approx(held, rel=0.1)
+
+
+def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
+    """There lenses are judged, and there a descent ends; on its way it may pass outside."""
+    weights, step = [], LinearModel.step
+
+    def record(model, gradient, step_size, damping, weight):
+        weights.append(weight)
+        return step(model, gradient, step_size, damping, weight)
+
+    monkeypatch.setattr(LinearModel, "step", record)
+    part = RaySpaceSettings(steps=6, pixels=(20, 5), duration=0.5, criterion="log_image_error")
+    given = {"batch_size": 4, "rays": 16, "augment": False, "restart": part, "refinement": part}
+    design = ImageQualitySettings(method="image_quality", **given)
+    descent = supervised.RaySpaceDescent(
+        start, Supervisor(ImageError(True), problem(), None, False, 36), design, part, 0
+    )
+    for k in range(6):
+        descent.step(k + 1)
+    assert weights == 3 * [SOFT] + 3 * [HARD]
 
 
 def test_a_lens_is_brought_back_within_its_limits(start):

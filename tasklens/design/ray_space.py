@@ -7,7 +7,7 @@ different displacements on the sensor. With a gradient g, a step d of the variab
 
 where d.M d is the mean squared displacement of rays, s the step size, s0 = 3 um, `scale` a small change of a variable,
 and c + C d the linearised violation of the limits: a Gauss-Newton metric as in least squares, a trust region as in
-Levenberg-Marquardt.
+Levenberg-Marquardt. A gradient g that presses against a limit holds it violated by about g / w.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from tasklens.study.settings import Constraints
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
 _DISPLACEMENT_UM = 3.0  # ray displacement equivalent to a small change, or the step size if that is larger
-_LIMIT_WEIGHT = 1000.0  # w [1/mm^2]
+SOFT, HARD = 1e3, 1e5  # w [1/mm^2]: on the way, a lens may pass through what is forbidden; at its end, it may not
 _MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
 _REPAIR_STEP_UM = 2.0  # step size of the repair
 _REPAIR_STEPS = 20  # maximum number of steps of the repair
@@ -55,21 +55,27 @@ class LinearModel:
         """Norm of the violation [mm; fractions without unit]."""
         return float(self.violation.norm())
 
-    def step(self, gradient: Tensor, step_size: float, damping: float) -> Tensor:
+    def step(self, gradient: Tensor, step_size: float, damping: float, weight: float = SOFT) -> Tensor:
         """Compute the change (V,) of the variables with an RMS ray displacement of `step_size` [um].
 
         The repair of violated limits is included in the displacement: the gradient uses what the repair leaves.
+
+        Args:
+            weight: weight of the squared violations [1/mm^2].
         """
         floor = (max(step_size, _DISPLACEMENT_UM) / self.scale).square()
         regular = self.metric + damping * torch.diag(self.metric.diagonal() + floor)
-        curvature = _LIMIT_WEIGHT * self.limits.T @ self.limits
-        slope = gradient + _LIMIT_WEIGHT * self.limits.T @ self.violation
+        curvature = weight * self.limits.T @ self.limits
+        slope = gradient + weight * self.limits.T @ self.violation
 
         def change(log_mu: float) -> Tensor:
             return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
 
-        log_mu = _bisect(lambda value: float(change(value) @ self.metric @ change(value)) <= step_size**2)
-        return change(log_mu)
+        def small(log_mu: float) -> bool:
+            moved = change(log_mu)
+            return float(moved @ self.metric @ moved) <= step_size**2
+
+        return change(_bisect(small))
 
 
 class RaySpace:

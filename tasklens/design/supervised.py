@@ -20,7 +20,7 @@ from tasklens.design.apertures import with_clear_apertures
 from tasklens.design.criteria import CaptureCriterion, Contrast
 from tasklens.design.driver import Descent, History, Step, divergence, run
 from tasklens.design.problem import Problem
-from tasklens.design.ray_space import LinearModel, RaySpace, repair
+from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
 from tasklens.design.schedule import cosine, geometric
 from tasklens.design.supervision import LEEWAY_MM, VALIDATIONS, Supervisor, energy_in_window
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -93,7 +93,9 @@ class RaySpaceDescent(Descent):
         (slope,) = torch.autograd.grad(grid, leaf, gradient)
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         self.averaged += 1
-        change = self.model.step(self.mean / (1 - settings.momentum**self.averaged), step_um, settings.damping)
+        # A repair of what is left at the end would cost more than the last steps have won.
+        weight = HARD if pixels == settings.pixels[1] else SOFT
+        change = self.model.step(self.mean / (1 - settings.momentum**self.averaged), step_um, settings.damping, weight)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
             raise divergence(lens, view, pupil, losses)
         self.supervisor.criterion.train()
