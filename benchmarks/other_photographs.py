@@ -61,7 +61,9 @@ def rows(found: dict[str, pandas.DataFrame], first: str) -> list[tuple]:
         if best is not None and design != first:
             seeds = [seed for seed in values if seed in best]
             difference = (best[seeds] - values[seeds]).to_numpy()
-            low, high = bootstrap.interval(bootstrap.resampled_over_seeds(bootstrap.resampled_means(difference)))
+            low, high = bootstrap.interval(
+                bootstrap.resampled_over_seeds(bootstrap.resampled_means(difference), difference.mean(0))
+            )
             said = f"{difference.mean():+.1f} ({low:+.1f} to {high:+.1f})"
         spread = f" ± {values.mean().std(ddof=1):.1f}" if values.shape[1] > 1 else ""
         table.append((lens, values.shape[1], f"{numpy.mean(values.to_numpy()):.1f}{spread}", said))

@@ -226,7 +226,7 @@ def inputs_of(stage: Stage, study: Study, **wildcards: str | int) -> Files:
 
 def measurements_of(inputs: Files) -> Measurements:
     """Return the measurements among the inputs of a job."""
-    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions, inputs.frozen)
+    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions, getattr(inputs, "frozen", {}))
 
 
 def write(path: str | Path, text: str) -> None:

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, landed, make_lens, seen_lens
+from examples import WAVELENGTHS, cooke_triplet, f64, landed, make_lens, seen_lens
 
+from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
 from tasklens.optics.analysis.pupil import rim, sobol_disc
 from tasklens.optics.analysis.spots import (
@@ -22,6 +23,7 @@ from tasklens.optics.analysis.spots import (
 )
 from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
 
 ORIGIN = f64([[0.0, 0.0]])
 ALONG_Y = f64([[0.0, 1.0]])
@@ -213,3 +215,13 @@ def test_a_defocused_lens_has_the_mtf_of_its_cone():
     exact = (2 * torch.special.bessel_j1(x) / x).abs()
     torch.testing.assert_close(tangential[0, 1:], exact, rtol=0, atol=1e-3)
     torch.testing.assert_close(sagittal[0, 1:], exact, rtol=0, atol=1e-3)
+
+
+def test_a_field_without_light_does_not_keep_a_lens_out_of_focus():
+    """A field of 60 mm, of which no ray comes through: the focus is that of the axis, and of no light there is none."""
+    lens = cooke_triplet()
+    both = View(f64([[0.0, 0.0], [0.0, 60.0]]), 50.0, (0.5876,), 5.0, 31)
+    axis = replace(both, fields=both.fields[:1])
+    assert refocused(lens, both, 64).thickness[-1] == refocused(lens, axis, 64).thickness[-1] != lens.thickness[-1]
+    with pytest.raises(InputError, match="no ray of any field reaches the image"):
+        refocused(lens, replace(both, fields=both.fields[1:]), 64)

@@ -15,7 +15,7 @@ CLAIMS = (
     ("table1", OVER_IMAGE_QUALITY, 0.4, -0.2, 1.0, "undecided", "within 1.0 points"),
 )
 SENTENCES = [
-    "Of 3 claims of the paper tested here, 2 are suggested to hold and 1 is undecided.",
+    "Of 3 claims tested here, 2 are suggested to hold and 1 is undecided.",
     "singlet:",
     "  Undecided: tasklens is within 1.0 points (−0.2 to +1.0) of x, the best design by image error or contrast.",
     "  Suggested: tasklens is 3.6 points more accurate (+3.0 to +4.1) than x, the best design by least squares.",

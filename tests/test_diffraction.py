@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from examples import f64
+from examples import cooke_triplet, f64
 from reference_files import SHIPPED
 from scipy.special import j0, j1
 from test_wavefront import hyperboloid
@@ -87,6 +87,21 @@ def test_lost_light_lacks_in_it_and_is_normalised():
     ratio = diffraction_psf(stopped, view, centre).sum() / diffraction_psf(lens, view, centre).sum()
     assert float(ratio) == pytest.approx(0.64, abs=0.02)
     assert 0.95 < float(evaluation_psf(stopped, view, 4096, diffraction=True).sum()) < 1
+
+
+def test_a_ray_whose_neighbour_is_lost_has_no_wave(monkeypatch):
+    """Its Jacobian would be that of a lost ray, which has no direction; here with far neighbours, so that some are."""
+    monkeypatch.setattr(diffraction, "_SHIFT", 2e-2)
+    view = View(f64([[10.0, 10.0]]), 50.0, (0.5876,), 5.0, 31)
+    clipped = cooke_triplet(semi_diameter=f64([6.5, *3 * [math.inf], 4.0, *4 * [math.inf]]))
+    whole, left = (diffraction._waves(lens, view, 0, 0, 24, 96).determinant for lens in (cooke_triplet(), clipped))
+    assert len(left) < len(whole) and left.max() <= 1.01 * whole.max()
+
+
+def test_a_field_without_light_is_dark():
+    x = f64([9.9, 10.0, 10.1])
+    dark = cooke_triplet(semi_diameter=f64([0.01, *3 * [math.inf], 4.0, *4 * [math.inf]]))
+    assert not irradiance(dark, View(f64([[10.0, 10.0]]), 50.0, (0.5876,), 5.0, 31), 0, 0, x, x).any()
 
 
 def huygens_fresnel(lens: Lens, view: View, x: torch.Tensor) -> torch.Tensor:

@@ -73,7 +73,7 @@ def test_a_comparison_in_words(found, said):
 def test_the_summary_counts_every_verdict_once():
     rows = pandas.DataFrame([HOLDS, HOLDS, FAILS, UNDECIDED])
     first, second = words.summary(rows, MARGINS, 5)
-    assert first.text == "Of 4 claims of the paper tested here, 2 hold, 1 does not hold and 1 is undecided."
+    assert first.text == "Of 4 claims tested here, 2 hold, 1 does not hold and 1 is undecided."
     assert "test images and 5 seeds" in second.text
 
 

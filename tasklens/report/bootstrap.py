@@ -31,12 +31,14 @@ def resampled_means(values: ndarray, seed: int = 0, resamples: int = RESAMPLES) 
     return numpy.concatenate(means)
 
 
-def resampled_over_seeds(by_seed: ndarray, seed: int = 1) -> ndarray:
-    """Compute resampled means (R,) over seeds, from resampled values (R, S) of S seeds.
+def resampled_over_seeds(by_seed: ndarray, observed: ndarray, seed: int = 1) -> ndarray:
+    """Compute resampled means (R,) over seeds, from values (R, S) of S seeds over resampled images, and observed ones.
 
-    With several seeds, S of the S values of each row are sampled with replacement. Since seeds are few, the deviation
-    caused by this is multiplied by sqrt(S / (S - 1)) t / z, with the quantiles t of Student's distribution for S - 1
-    degrees of freedom and z of the normal one: otherwise the coverage with five seeds is 86 %, not 95 %.
+    With several seeds, the deviation from their mean of S of the S observed values (S,), sampled with replacement, is
+    added to each mean. Since seeds are few, it is multiplied by sqrt(S / (S - 1)) t / z, with the quantiles t of
+    Student's distribution for S - 1 degrees of freedom and z of the normal one: otherwise the coverage with five seeds
+    is 86 %, not 95 %. Observed values differ by the noise of their images too, which is thus counted twice where it is
+    independent between seeds: intervals may err on the wide side.
     """
     resamples, seeds = by_seed.shape
     means = by_seed.mean(1)
@@ -44,7 +46,7 @@ def resampled_over_seeds(by_seed: ndarray, seed: int = 1) -> ndarray:
         quantile = (1 + CONFIDENCE) / 2
         stretch = numpy.sqrt(seeds / (seeds - 1)) * stdtrit(seeds - 1, quantile) / ndtri(quantile)
         drawn = numpy.random.default_rng(seed).integers(seeds, size=(resamples, seeds))
-        means = means + stretch * (numpy.take_along_axis(by_seed, drawn, 1).mean(1) - means)
+        means = means + stretch * (observed[drawn].mean(1) - observed.mean())
     return means
 
 

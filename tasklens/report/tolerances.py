@@ -68,8 +68,8 @@ def compare(
         for seed in seeds:
             lost = [_lost(lenses[name, seed]) for name in (lens, baseline)]
             by_seed.append(lost[0] - lost[1])
-        columns = numpy.stack([resampled_means(each[:, None], seed=k)[:, 0] for k, each in enumerate(by_seed)], 1)
-        means = resampled_over_seeds(columns)
+        columns = numpy.stack([resampled_means(each[:, None], seed=2 + k)[:, 0] for k, each in enumerate(by_seed)], 1)
+        means = resampled_over_seeds(columns, numpy.array([each.mean() for each in by_seed]))
         low, high = interval(means)
         difference = float(numpy.mean([each.mean() for each in by_seed]))
         rows.append((lens, baseline, difference, low, high, p_value(means, len(seeds))))

@@ -130,9 +130,11 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     rows = []
     for k, (claim, baseline) in enumerate(zip(claims.claims, baselines, strict=True)):
         least = found[k][1]
-        means = bootstrap.resampled_over_seeds(numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least))
+        observed = numpy.maximum(values[k].mean(0), least)
+        by_seed = numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least)
+        means = bootstrap.resampled_over_seeds(by_seed, observed)
         keys = (claim.table, claim.text, claim.lens, _named(baseline.values()), claim.classifier)
-        difference = float(numpy.maximum(values[k].mean(0), least).mean())
+        difference = float(observed.mean())
         p_value = bootstrap.p_value(means, seeds, -claim.margin)
         rows.append((*keys, difference, *bootstrap.interval(means), p_value, seeds, "", ""))
     table = pandas.DataFrame(rows, columns=COLUMNS)

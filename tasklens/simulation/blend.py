@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from scipy.fft import next_fast_len
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
@@ -59,10 +60,13 @@ class FieldPsfs:
         return max(halo, self.core.shape[-1] // 2)
 
 
-def blend(image: Tensor, psfs: FieldPsfs) -> Tensor:
+def blend(image: Tensor, psfs: FieldPsfs, linear: bool = True) -> Tensor:
     """Render the capture (3, H, W) of an image (3, H, W); differentiable in the image and in core and halo of the PSFs.
 
     For the gradient nothing is kept but the image: each row of tiles is convolved once more.
+
+    Args:
+        linear: whether the image is linear light; else it is sRGB values, which are decoded for the illumination.
 
     Raises:
         InputError: the image has another shape, or is smaller than light can go beyond its edge.
@@ -82,7 +86,8 @@ def blend(image: Tensor, psfs: FieldPsfs) -> Tensor:
             image[None], psfs.source[None].to(image), "bicubic", padding_mode="reflection", align_corners=False
         )[0]
     if psfs.illumination is not None:
-        image = image * psfs.illumination.to(image)
+        share = psfs.illumination.to(image)
+        image = image * share if linear else linear_rgb_to_rgb(rgb_to_linear_rgb(image) * share)
     canvas = _grown(_convolve(image, psfs.core, psfs, 1), margin - psfs.core.shape[-1] // 2)
     if psfs.halo is not None:
         step = psfs.halo_pixel

@@ -54,7 +54,7 @@ def capture(image: Tensor, psfs: FieldPsfs, colour: Colour = "srgb") -> Tensor:
     _size(image)
     if colour == "linear":
         return linear_rgb_to_rgb(blend(rgb_to_linear_rgb(image), psfs))
-    return blend(image, psfs)
+    return blend(image, psfs, linear=False)
 
 
 def _size(image: Tensor) -> tuple[int, int]:

@@ -46,6 +46,8 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
     coarse = _waves(lens, view, field, channel, _COARSE, 4 * _COARSE)
     beyond = _MARGIN * wavelength / coarse.aperture
     coarse = coarse.near(x, y, beyond)
+    if not len(coarse.x):  # no light at this field
+        return torch.zeros(len(y), len(x), dtype=torch.float64)
     # Rings and arms resolve the phase between any ray and any point.
     reach = 2 * beyond + max(torch.hypot(coarse.x - a, coarse.y - b).max() for a in x[[0, -1]] for b in y[[0, -1]])
     cycles = float(reach) * coarse.aperture / 2 / wavelength  # across the radius of the pupil
@@ -127,7 +129,7 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: i
     """Trace rays through the points of a quadrature on the whole disc, `arms` of them on each ring."""
     half, share = gauss_quadrature(rings, arms // 2)
     pupil, weight = torch.cat([half, half * torch.tensor([-1.0, 1.0])]), torch.cat([share, share]) / 2
-    # Shifted towards the centre, so that no ray is lost by it.
+    # Shifted towards the centre, so that few rays are lost by it; where one is, its wave is left out.
     shifts = -_SHIFT * torch.where(pupil < 0, -1.0, 1.0)
     points = torch.cat([pupil, pupil + shifts * torch.tensor([1.0, 0.0]), pupil + shifts * torch.tensor([0.0, 1.0])])
     wavelengths = (view.wavelengths[channel],)
@@ -138,7 +140,8 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: i
     l, m = (indices[-1, 0] * v.reshape(3, -1) for v in (rays.l, rays.m))
     dl, dm = ((v[1:] - v[0]) / shifts.T for v in (l, m))
     phase = indices[0, 0] * object_path(lens, of_field, start) + rays.path
-    valid, x, y, length = (v.reshape(3, -1)[0] for v in (rays.valid, rays.x, rays.y, phase))
+    valid = rays.valid.reshape(3, -1).all(0)
+    x, y, length = (v.reshape(3, -1)[0] for v in (rays.x, rays.y, phase))
     determinant = dl[0] * dm[1] - dl[1] * dm[0]
     diverging = torch.where(determinant < 0, 1, torch.where(dl[0] + dm[1] > 0, 2, 0))
     length = length - l[0] * x - m[0] * y + 1e-3 * view.wavelengths[channel] / 4 * diverging

@@ -52,7 +52,7 @@ def summary(verdicts: pandas.DataFrame, margins: Mapping[str, float], seeds: int
     }
     parts = [f"{counts[key]} {one if counts[key] == 1 else many}" for key, (one, many) in words.items() if counts[key]]
     claims = "1 claim" if len(verdicts) == 1 else f"{len(verdicts)} claims"
-    found = [Sentence(f"Of {claims} of the paper tested here, {_listed(parts)}.")]
+    found = [Sentence(f"Of {claims} tested here, {_listed(parts)}.")]
     if seeds < LEAST_SEEDS:
         number, over = ("is only one seed", "") if seeds == 1 else (f"are only {seeds} seeds", " and seeds")
         found.append(
