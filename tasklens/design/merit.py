@@ -16,14 +16,8 @@ from tasklens.optics.tracing.trace import linearise
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
-FIELD_HEIGHTS = (
-    0.0,
-    0.25,
-    0.45,
-    0.65,
-    0.88,
-    1.0,
-)  # of the largest, near the nine of a specification
+# Fields as fractions of the largest, near the nine of a specification.
+FIELD_HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)
 RINGS, ARMS = 8, 6  # with 6 x 4, spots in the corner became twice as large between the rays
 _APERTURE_RESERVE = 1.01  # clear apertures over the radii that the rays of the merit function use
 _LOST_RAY_UM = 300.0  # residual of a lost ray

@@ -98,15 +98,15 @@ def design(
         **found,
     }
     # Only divergence of what the lens came from concerns it: a diverged restart or finish may not have been selected.
-    others = ["restart"]
+    unrelated = ["restart"]
     if found.get("start") in candidates:
-        others.append("refinement")
+        unrelated.append("refinement")
     if not found.get("finished", True):
-        others.append("finish")
-    wrong = [row for row in history if "cause" in row and not row["phase"].startswith(tuple(others))]
+        unrelated.append("finish")
+    wrong = [row for row in history if "cause" in row and not row["phase"].startswith(tuple(unrelated))]
     if wrong:
         origin["diverged"] = f"step {wrong[-1]['step']}: {wrong[-1]['cause']}"
-    # Limits were soft constraints until here.
+    # Limits were weighed against the loss until here.
     return *with_notes(*repair(lens, view, wanted.constraints), wanted, origin), history
 
 

@@ -81,7 +81,8 @@ class RaySpaceDescent(Descent):
         indices = self.order.next()
         numbers: dict[str, float] = {}
         pixels, step_um = self._schedule((step - 1) / self.steps)
-        if pixels == settings.pixels[1] and (step - 1) % max(1, self.steps // VALIDATIONS) == 0:
+        last = pixels == settings.pixels[1]
+        if last and (step - 1) % max(1, self.steps // VALIDATIONS) == 0:
             numbers["validation_loss"] = self._validate()
             pixels, step_um = self._schedule((step - 1) / self.steps)
         leaf = self.vector.clone().requires_grad_()
@@ -94,7 +95,7 @@ class RaySpaceDescent(Descent):
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         self.averaged += 1
         # A repair of what is left at the end would cost more than the last steps have won.
-        weight = HARD if pixels == settings.pixels[1] else SOFT
+        weight = HARD if last else SOFT
         change = self.model.step(self.mean / (1 - settings.momentum**self.averaged), step_um, settings.damping, weight)
         if not (torch.isfinite(losses).all() and torch.isfinite(change).all()):
             raise divergence(lens, view, pupil, losses)

@@ -81,14 +81,12 @@ def content(wish: Wish, cut: Cut) -> dict[str, Any]:
         images |= {key: max(500, round(base["images"][key] * cut.fraction)) for key in ("train", "test")}
     else:
         images["folder"] = str(wish.folder)
-        train, test = (
-            class_folders.count(class_folders.split_folder(wish.folder, split), COMPARABLE)
-            for split in (class_folders.TRAIN, class_folders.TEST)
-        )
-        images["minival"] = max(2, min(images["minival"], train // 5))
+        split = class_folders.split_folder(wish.folder, class_folders.TRAIN)
+        images["minival"] = max(2, class_folders.count(split, 5 * images["minival"]) // 5)  # of a small folder, a fifth
         if cut.fraction < 1:
-            images["train"] = max(1, round((train - images["minival"]) * cut.fraction))
-            images["test"] = max(1, round(test * cut.fraction))
+            train = class_folders.count(split, COMPARABLE) - images["minival"]
+            test = class_folders.count(class_folders.split_folder(wish.folder, class_folders.TEST), COMPARABLE)
+            images |= {"train": max(1, round(train * cut.fraction)), "test": max(1, round(test * cut.fraction))}
     found = {
         "format": base["format"],
         "name": wish.name,

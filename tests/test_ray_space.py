@@ -1,0 +1,142 @@
+"""Descent in ray space: its steps, the weight of limits, and the way back within them."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from examples import changed, materials, tiny_study
+from test_design import LIMITS, LOOKS, problem, small_network
+from test_task_design import NO_LIMITS, designed, spot_lens
+
+from tasklens.design import least_squares, methods, spot, supervised
+from tasklens.design.apertures import with_open_apertures
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.criteria import ImageError
+from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
+from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diameters, rms_spot_radius, trace_fields
+from tasklens.optics.io import prescription
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline import jobs
+from tasklens.study.design_settings import ImageQualitySettings, RaySpaceSettings
+from tasklens.study.loading import parse
+from tasklens.study.settings import Constraints, Spec
+
+
+@pytest.mark.parametrize("step_size", [0.5, 5.0])
+def test_a_step_moves_rays_by_its_size(start, step_size):
+    """In a random direction of descent: RMS displacement of the rays as asked for, and no way upward."""
+    space = RaySpace(start.with_stop_scaled(0.3), LOOKS, NO_LIMITS)
+    gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(0)).double()
+    change = space.linearise(space.start).step(gradient, step_size, 0.1)
+    rays = space.merit.linearise(space.lens(space.start))[1](space.directions)[: space.merit.rays]
+    assert float((rays @ change).norm()) == pytest.approx(step_size, rel=1e-2)
+    assert float(gradient @ change) < 0
+
+
+@pytest.mark.parametrize("weight, held", [(SOFT, 5e-3), (HARD, 5e-5)])
+def test_a_gradient_holds_a_limit_violated_by_its_share_of_the_weight(weight, held):
+    """A loss that falls by 5 per mm beyond a limit: 5 / w of violation is where its steps oscillate about."""
+    identity, gradient = torch.eye(2, dtype=torch.float64), torch.tensor([-5.0, 0.0], dtype=torch.float64)
+    place, seen = torch.tensor([-0.01, 0.0], dtype=torch.float64), []
+    for _ in range(100):
+        violated = place[:1] > 0
+        model = LinearModel(1e6 * identity, identity[0] + identity[1], place[:1][violated], identity[:1][violated])
+        place = place + model.step(gradient, 10.0, 0.1, weight)
+        seen.append(float(place[0]))
+    assert max(seen[50:]) == pytest.approx(held, rel=0.1)
+
+
+def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
+    """There lenses are judged, and there a descent ends; on its way it may pass outside."""
+    weights, step = [], LinearModel.step
+
+    def record(model, gradient, step_size, damping, weight):
+        weights.append(weight)
+        return step(model, gradient, step_size, damping, weight)
+
+    monkeypatch.setattr(LinearModel, "step", record)
+    part = RaySpaceSettings(steps=6, pixels=(20, 5), duration=0.5, criterion="log_image_error")
+    given = {"batch_size": 4, "rays": 16, "augment": False, "restart": part, "refinement": part}
+    design = ImageQualitySettings(method="image_quality", **given)
+    descent = supervised.RaySpaceDescent(
+        start, Supervisor(ImageError(True), problem(), None, False, 36), design, part, 0
+    )
+    for k in range(6):
+        descent.step(k + 1)
+    assert weights == 3 * [SOFT] + 3 * [HARD]
+
+
+def test_a_lens_is_brought_back_within_its_limits(start):
+    """Spots stay where they are within 20 um, while elements get thick enough and steep flanks flat enough."""
+    lens = spot_lens(start)
+    margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
+    limits = LIMITS.model_copy(
+        update={
+            "min_centre_thickness": LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05,
+            "max_slope": LIMITS.max_slope - float(margins["max_slope"].min()) - 0.02,
+        }
+    )
+
+    def worst(lens) -> float:
+        margins = manufacturing_margins(lens, limits, clear_semi_diameters(lens, LOOKS))
+        margins |= first_order_margins(lens, limits, LOOKS, chief_rays(lens, LOOKS))
+        return worst_margin(margins)[1]
+
+    repaired, clear = repair(lens, LOOKS, limits)
+    assert worst(lens) < -0.019 and worst(repaired) > 0
+    moved = RaySpace(lens, LOOKS, NO_LIMITS).merit
+    before, after = (moved.residuals(each)[: moved.rays] for each in (lens, repaired))
+    assert float((after - before).norm()) < 20
+    assert worst_margin(manufacturing_margins(repaired, limits, clear))[1] > 0
+    kept, _ = repair(repaired, LOOKS, limits)
+    assert torch.equal(kept.curvature, repaired.curvature)
+
+
+def test_distortion_is_repaired_between_the_heights_of_the_merit_function():
+    """A triplet with 2.9 % at all heights of the merit function has 3.02 at a field in between; its spots stay."""
+    file = Path(__file__).parent / "data" / "distorted_between_heights.yaml"
+    lens = with_open_apertures(prescription.read(file)[0].lens)
+    view, limits = view_of_spec(Spec()), Constraints()
+
+    def margin(lens) -> float:
+        return float(first_order_margins(lens, limits, view, chief_rays(lens, view))["distortion"].min())
+
+    repaired, _ = repair(lens, view, limits)
+    assert margin(lens) < -1e-4 and margin(repaired) > 0
+    rays = [trace_fields(each, view, sobol_disc(256, 0)) for each in (lens, repaired)]
+    before, after = (1e3 * rms_spot_radius(each, centroid(each)).mean() for each in rays)
+    assert abs(float(after - before)) < 0.1
+
+
+@pytest.mark.parametrize("name", ["imaging1", "imaging2"])
+def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
+    """Whatever a method leaves a little broken, here an element 0.03 mm too thin."""
+    study = parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}))
+    wanted = jobs.design.plan(study, f"doublet-{name}", 0).settings
+    lens = spot_lens(start)
+    margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
+    thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
+    wanted = wanted.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
+    monkeypatch.setattr(spot, "design", lambda *rest: (lens, []))
+    monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
+    _, notes, _ = methods.design(wanted, None, None, {}, {})
+    assert notes["worst_margin"]["value"] > 0
+    assert methods.with_notes(lens, clear_semi_diameters(lens, LOOKS), wanted, {})[1]["worst_margin"]["value"] < -0.02
+
+
+def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
+    """By halves: far steps then break limits a little, which else would leave the lens without a meaning."""
+    plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
+    far = RaySpaceSettings(steps=12, pixels=(20, 20), step_size=5.0)
+    still = RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9)
+
+    def longest() -> float:
+        _, history = designed(small_network(), plates, restarts=1, restart=far, refinement=still)
+        return max(row["violation"] for row in history[1:] if row["phase"] == "restart 1 of 1")
+
+    with_halving = longest()
+    monkeypatch.setattr(supervised, "_HALVINGS", 0)
+    assert longest() > 10 * with_halving
