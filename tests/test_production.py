@@ -1,5 +1,6 @@
 """Lenses built in simulation: their rows, their checkpoint, lenses without light, and the table of all designs."""
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.outcome import outcome
 from tasklens.report import tolerance_page, tolerances
-from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.loading import parse
 from tasklens.study.tolerance_settings import Grade
 
@@ -70,6 +71,35 @@ def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(Production, "measure", lambda *given: measured.append(given) or measure(*given))
     assert production.built_lenses(made, 4, 5, IMAGES, Checkpoint(tmp_path / "half.ckpt")) == whole
     assert len(measured) == 5  # the design and four lenses, each once
+
+
+@pytest.mark.parametrize("kills", [1, 4, 7])
+def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, monkeypatch, kills):
+    """With the same numbers, and at most the measurements of one error or trial twice."""
+    made = line(Grade.model_validate("commercial_moulding"))
+    moved = displacements(made.lens, made.view, made.errors, 64)
+    monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
+    monkeypatch.setattr("tasklens.design.production._YIELD", 0.5)  # of two lenses, one
+    accuracy, calls, last = Production.accuracy, [], [math.inf]
+
+    def counted(self, lens, images):
+        if len(calls) == last[0]:
+            raise KeyboardInterrupt
+        calls.append(lens)
+        return accuracy(self, lens, images)
+
+    def measured(checkpoint):
+        changes = production.one_at_a_time(made, [0, 5, 2], 80.0, IMAGES, checkpoint)
+        return changes, production.allotted(made, moved, 2, 0, IMAGES, checkpoint).tolist()
+
+    monkeypatch.setattr(Production, "accuracy", counted)
+    whole, once = measured(NO_CHECKPOINT), len(calls)
+    last[0] = once + kills
+    with pytest.raises(KeyboardInterrupt):
+        measured(Checkpoint(tmp_path / "half.ckpt"))
+    last[0] = math.inf
+    assert measured(Checkpoint(tmp_path / "half.ckpt")) == whole
+    assert len(calls) - once <= once + 3
 
 
 def test_a_lens_without_light_is_counted():

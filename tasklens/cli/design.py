@@ -116,6 +116,8 @@ def _nested(given: Sequence[str], option: str) -> dict[str, Any]:
         inner = found
         for name in outer:
             inner = inner.setdefault(name, {})
+            if not isinstance(inner, dict):
+                raise InputError(f"{option} {each}: {name} has the value {inner} by another {option}")
         try:
             inner[last] = yaml.safe_load(text)
         except (yaml.YAMLError, TypeError):

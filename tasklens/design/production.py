@@ -95,26 +95,45 @@ def built_lenses(
     return rows
 
 
-def one_at_a_time(production: Production, chosen: Sequence[int], nominal: float, images: Images) -> dict[int, float]:
+def one_at_a_time(
+    production: Production,
+    chosen: Sequence[int],
+    nominal: float,
+    images: Images,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+) -> dict[int, float]:
     """Measure the change of the accuracy by single errors of both signs, their mean [points].
 
     Args:
         chosen: indices of the errors.
         nominal: accuracy of the design on the same images [%].
     """
+    part = checkpoint.part("errors one at a time")
+    known = part.state if part.result is None else part.result
+    found: dict[int, float] = {} if known is None else known["found"]
     peak = focus.peak(production.lens, production.view)
-    found = {}
     progress = Progress("errors one at a time", len(chosen))
     for step, k in enumerate(chosen, 1):
+        if k in found:
+            continue
         along = torch.zeros(len(production.errors), dtype=torch.float64)
         along[k] = 1.0
         accuracies = [production.accuracy(production.build(s * along, peak)[0], images)[0].mean() for s in (1, -1)]
         found[k] = float(sum(accuracies)) / 2 - nominal
         progress(step)
+        part.save(step, found=found)
+    part.finish(found=found)
     return found
 
 
-def allotted(production: Production, displacements: Tensor, count: int, seed: int, images: Images) -> Tensor | None:
+def allotted(
+    production: Production,
+    displacements: Tensor,
+    count: int,
+    seed: int,
+    images: Images,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+) -> Tensor | None:
     """Find the widest tolerances (P,), over those of the grade, with which 95 % of lenses lose at most one point.
 
     Args:
@@ -131,16 +150,25 @@ def allotted(production: Production, displacements: Tensor, count: int, seed: in
     drawn = draw(production.errors, count, seed + _ALLOCATION_SEED)
     least = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS
     progress = Progress("allocation of tolerances", allocation.TRIALS)
+    part = checkpoint.part("allocation of tolerances")
+    known = part.state if part.result is None else part.result
+    passed: list[bool] = [] if known is None else known["passed"]  # of the trials in their order, which repeats itself
+    trial = iter(range(1, allocation.TRIALS + 1))
 
     def passes(tolerances: Tensor) -> bool:
-        bad = 0
+        step, bad = next(trial), 0
+        if step <= len(passed):
+            return passed[step - 1]
         for fractions in drawn:
             lens, _ = production.build(tolerances * fractions, peak)
             bad += bool(production.accuracy(lens, images)[0].mean() < least - 1e-9)
             if bad > (1 - _YIELD) * count:
                 break
-        progress(next(trial), bad=bad)
-        return bad <= (1 - _YIELD) * count
+        progress(step, bad=bad)
+        passed.append(bad <= (1 - _YIELD) * count)
+        part.save(step, passed=passed)
+        return passed[-1]
 
-    trial = iter(range(1, allocation.TRIALS + 1))
-    return allocation.widest(displacements, passes)
+    found = allocation.widest(displacements, passes)
+    part.finish(passed=passed)
+    return found

@@ -5,6 +5,7 @@ from pathlib import Path
 import pandas
 
 from tasklens.report.publish import publish, rounded
+from tasklens.runtime import benchmarks
 from tasklens.runtime.files import Files
 from tasklens.study.effort import Efforts
 from tasklens.study.settings import Slice
@@ -17,11 +18,12 @@ not the fine-tunings that told some of them apart."""
 
 
 def core_minutes(path: Path) -> float:
-    """Return the duration [min] in one of Snakemake's benchmark files; NaN without a file.
+    """Return the duration [min] in one of Snakemake's benchmark files; NaN where it has none.
 
     Its processor time is sampled every half minute, and misses the last part of that.
     """
-    return float(pandas.read_csv(path, sep="\t")["s"].iloc[-1]) / 60 if path.is_file() else float("nan")
+    found = benchmarks.read(path)
+    return float("nan") if found is None else found.seconds / 60
 
 
 def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:

@@ -42,10 +42,11 @@ def run(settings: Slice, inputs: Files, outputs: Files, checkpoint: Checkpoint) 
     moved_um = displacements(lens, view, studied.errors, _RAYS)
     rows = production.built_lenses(studied, wanted.lenses, settings.seed, shown, checkpoint)
     worst = moved_um.argsort(descending=True)[:_WORST].tolist()
-    changes = production.one_at_a_time(studied, worst, rows[0]["accuracy"], shown)
+    changes = production.one_at_a_time(studied, worst, rows[0]["accuracy"], shown, checkpoint)
     tried = min(wanted.lenses, production.TRIED)
     by_drawing = both_axes(studied.errors, moved_um)
-    allotted = production.allotted(studied, by_drawing, tried, settings.seed, _images(minival, wanted.images))
+    spared = _images(minival, wanted.images)
+    allotted = production.allotted(studied, by_drawing, tried, settings.seed, spared, checkpoint)
     found = [
         {
             "error": error.name,
