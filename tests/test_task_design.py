@@ -134,7 +134,7 @@ def test_a_better_candidate_is_finished_instead(start):
     for restarts in ({}, {"restart": settings, "refinement": settings}):
         design = ImageQualitySettings(method="image_quality", **given, **restarts)
         candidates = {"plates": plates, "sharp": sharp}
-        lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(), design)
+        lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(NO_LIMITS), design)
         losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
         assert origin["start"] == "sharp" and losses["candidate sharp"] == min(losses.values())
         assert origin["candidate_losses"] == {name.removeprefix("candidate "): loss for name, loss in losses.items()}

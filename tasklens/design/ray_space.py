@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tasklens.design.constraints import first_order_margins
+from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.merit import Merit
 from tasklens.design.variables import Variables
 from tasklens.optics.analysis.spots import chief_rays
@@ -29,8 +29,8 @@ _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02
 _DISPLACEMENT_UM = 3.0  # ray displacement equivalent to a small change, or the step size if that is larger
 SOFT, HARD = 1e3, 1e5  # w [1/mm^2]: on the way, a lens may pass through what is forbidden; at its end, it may not
 _MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
-_REPAIR_STEP_UM = 2.0  # step size of the repair
-_REPAIR_STEPS = 20  # maximum number of steps of the repair
+_REPAIR_STEPS_UM = 0.25, 2.0  # first and largest step size of the repair: a sharp spot has 2 um
+_REPAIR_STEPS = 60  # maximum number of steps of the repair
 _REPAIRS = 4  # maximum number of repairs, each with a tighter limit on distortion
 
 
@@ -106,7 +106,7 @@ class RaySpace:
 
 
 def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
-    """Repair violated limits of a lens by steps of small ray displacement.
+    """Repair violated limits of a lens by steps of small ray displacement; one that keeps them all stays as it is.
 
     Distortion is repaired at the heights of the merit function. Where it is too large at a field in between, again with
     a limit that is tighter by twice as much.
@@ -115,27 +115,37 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
         The lens, or that of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
         its limits were evaluated [mm].
     """
-    asked = limits
-    for _ in range(_REPAIRS):
-        lens, clear = _repaired(lens, view, asked)
-        margin = float(first_order_margins(lens, limits, view, chief_rays(lens, view))["distortion"].min())
-        if margin >= 0:
+    asked, clear = limits, Merit(view, limits, rim=_MARGINAL_RAYS).clear_semi_diameters(lens)
+    for attempt in range(_REPAIRS):
+        margins = manufacturing_margins(lens, limits, torch.minimum(clear, lens.semi_diameter))
+        margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
+        if worst_margin(margins)[1] >= 0:
             break
-        asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * margin)})
+        if attempt:
+            missed = float(margins["distortion"].min())
+            if not missed < 0:
+                break  # what is left is beyond repair
+            asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * missed)})
+        lens, clear = _repaired(lens, view, asked)
     return lens, clear
 
 
 def _repaired(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
+    """Take steps to the least violation, each shorter until it lessens it: how far is linear differs between lenses."""
     space = RaySpace(lens, view, limits)
     vector = space.start
-    found = []
-    for k in range(_REPAIR_STEPS):
-        model = space.linearise(vector)
-        found.append((model.violation_norm, k, vector))
+    model = space.linearise(vector)
+    step_um, longest = _REPAIR_STEPS_UM
+    for _ in range(_REPAIR_STEPS):
         if not model.violation_norm:
             break
-        vector = vector + model.step(torch.zeros_like(vector), _REPAIR_STEP_UM, damping=0.1)
-    lens = space.lens(min(found, key=lambda entry: entry[:2])[2])
+        moved = vector + model.step(torch.zeros_like(vector), step_um, damping=0.1)
+        found = space.linearise(moved)
+        if found.violation_norm < model.violation_norm:
+            vector, model, step_um = moved, found, min(2 * step_um, longest)
+        else:
+            step_um /= 4
+    lens = space.lens(vector)
     return lens, space.merit.clear_semi_diameters(lens)
 
 

@@ -124,7 +124,7 @@ def convergence(gaps: Mapping[str, Gap]) -> list[Sentence]:
     ended = [lens for lens, gap in gaps.items() if gap.converged]
     found = []
     if ended:
-        text = "Converged, with the least loss of all lenses of the same elements within limits, up to two standard errors"
+        text = "Converged, with the least loss of all lenses of their elements within limits, up to two standard errors"
         found.append(Sentence(f"{text}: {_listed(ended)}.", FOR))
     for lens, gap in gaps.items():
         if not gap.converged:
