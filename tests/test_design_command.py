@@ -110,6 +110,8 @@ MISTAKES = [
     (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),
     (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
     (("--set", "a=1", "--set", "a.b.c=2"), "--set a.b.c=2: a has the value 1 by another --set"),
+    (("--set", "a.b=2", "--set", "a=1"), "--set a=1: a has the values {'b': 2} by another --set"),
+    (("--set", "evaluations=2001-99-99"), "--set evaluations=2001-99-99: expected KEY=VALUE"),
     (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as finish.steps=200"),
     (("--limit", "max_trak=6"), "constraints.max_trak = 6: unknown key; did you mean max_track?"),
     (("--field-of-view", "40"), "has room for its focus within constraints.max_track = 4.4 mm"),

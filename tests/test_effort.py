@@ -57,7 +57,7 @@ def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_pa
 def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path):
     """As of a job by hand, or one that was killed while its benchmark was written; not a zero."""
     for seed in (0, 3):
-        (tmp_path / f"singlet-squares-seed{seed}.tsv").write_text("")
+        (tmp_path / f"singlet-squares-seed{seed}.tsv").write_text("s\th:m:s\tmax_rss\n")
         for lens in ("spots", "error", "task"):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60)
     rows = report.collect(efforts, f"{tmp_path}/{{lens}}-seed{{seed}}.tsv").set_index("design")

@@ -118,9 +118,11 @@ def _nested(given: Sequence[str], option: str) -> dict[str, Any]:
             inner = inner.setdefault(name, {})
             if not isinstance(inner, dict):
                 raise InputError(f"{option} {each}: {name} has the value {inner} by another {option}")
+        if isinstance(inner.get(last), dict):
+            raise InputError(f"{option} {each}: {last} has the values {inner[last]} by another {option}")
         try:
             inner[last] = yaml.safe_load(text)
-        except (yaml.YAMLError, TypeError):
+        except (yaml.YAMLError, ValueError):  # no date of the calendar
             equals = ""
         if not equals or not all((*outer, last)):
             raise InputError(f"{option} {each}: expected KEY=VALUE, such as finish.steps=200")

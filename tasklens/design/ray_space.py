@@ -29,7 +29,8 @@ _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02
 _DISPLACEMENT_UM = 3.0  # ray displacement equivalent to a small change, or the step size if that is larger
 SOFT, HARD = 1e3, 1e5  # w [1/mm^2]: on the way, a lens may pass through what is forbidden; at its end, it may not
 _MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
-_REPAIR_STEPS_UM = 0.25, 2.0  # first and largest step size of the repair: a sharp spot has 2 um
+_REPAIR_STEPS_UM = 1e-3, 0.25, 2.0  # shortest, first and longest step of the repair: a sharp spot has 2 um
+_KEPT = 1e-9  # violation that is rounding, of limits with a buffer [mm]
 _REPAIR_STEPS = 60  # maximum number of steps of the repair
 _REPAIRS = 4  # maximum number of repairs, each with a tighter limit on distortion
 
@@ -108,8 +109,9 @@ class RaySpace:
 def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     """Repair violated limits of a lens by steps of small ray displacement; one that keeps them all stays as it is.
 
-    Distortion is repaired at the heights of the merit function. Where it is too large at a field in between, again with
-    a limit that is tighter by twice as much.
+    What is repaired ends inside all limits by the buffer that designs aim at. Distortion is repaired at the heights of
+    the merit function. Where it is too large at a field in between, again with a limit that is tighter by twice as
+    much.
 
     Returns:
         The lens, or that of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
@@ -119,33 +121,41 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
     for attempt in range(_REPAIRS):
         margins = manufacturing_margins(lens, limits, torch.minimum(clear, lens.semi_diameter))
         margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
-        if worst_margin(margins)[1] >= 0:
+        limit, margin = worst_margin(margins)
+        if margin >= 0 or (attempt and limit != "distortion"):  # kept, or beyond repair
             break
         if attempt:
-            missed = float(margins["distortion"].min())
-            if not missed < 0:
-                break  # what is left is beyond repair
-            asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * missed)})
+            asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * margin)})
         lens, clear = _repaired(lens, view, asked)
     return lens, clear
 
 
 def _repaired(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
-    """Take steps to the least violation, each shorter until it lessens it: how far is linear differs between lenses."""
+    """Take steps to the least violation, each shorter until it lessens it: how far is linear differs between lenses.
+
+    Where none does, as where rays come back that were lost, a long step goes on behind that.
+    """
     space = RaySpace(lens, view, limits)
-    vector = space.start
+    shortest, first, longest = _REPAIR_STEPS_UM
+    vector, step_um = space.start, first
     model = space.linearise(vector)
-    step_um, longest = _REPAIR_STEPS_UM
+    least, best = model.violation_norm, vector
     for _ in range(_REPAIR_STEPS):
-        if not model.violation_norm:
+        if least < _KEPT:
             break
         moved = vector + model.step(torch.zeros_like(vector), step_um, damping=0.1)
         found = space.linearise(moved)
         if found.violation_norm < model.violation_norm:
-            vector, model, step_um = moved, found, min(2 * step_um, longest)
-        else:
+            step_um = min(2 * step_um, longest)
+        elif step_um > shortest:
             step_um /= 4
-    lens = space.lens(vector)
+            continue
+        else:
+            step_um = longest
+        vector, model = moved, found
+        if model.violation_norm < least:
+            least, best = model.violation_norm, vector
+    lens = space.lens(best)
     return lens, space.merit.clear_semi_diameters(lens)
 
 

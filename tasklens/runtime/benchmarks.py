@@ -19,7 +19,7 @@ def read(path: Path) -> Benchmark | None:
         return None
     with open(path, newline="") as file:
         rows = list(csv.DictReader(file, delimiter="\t"))
-    return Benchmark(float(rows[-1]["s"]), number(rows[-1]["max_rss"])) if rows else None
+    return Benchmark(float(rows[-1]["s"]), number(rows[-1].get("max_rss") or "")) if rows else None
 
 
 def benchmarks(folder: Path) -> Iterator[tuple[str, Benchmark]]:
