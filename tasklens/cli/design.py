@@ -13,7 +13,7 @@ from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.runtime.errors import InputError
 
 _SPEC, _NETWORK = "Specification", "Network and photographs, for the methods that have them"
-_METHOD = "least_squares, spot, image_quality; by a network: task, joint_ray_space, end_to_end."
+_METHOD = "least_squares, spot, image_quality; by a network: task, joint, end_to_end."
 
 
 def design(
@@ -23,7 +23,7 @@ def design(
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A setting of the method, as in a study: evaluations=2000, finish.steps=200."),
+        typer.Option("--set", help="A setting of the method, as in a study: evaluations=2000, descents.0.steps=200."),
     ] = None,
     limits: Annotated[
         list[str] | None, typer.Option("--limit", help="A limit, of `constraints` of a study: max_track=6.")
@@ -125,7 +125,7 @@ def _nested(given: Sequence[str], option: str) -> dict[str, Any]:
         except (yaml.YAMLError, ValueError):  # no date of the calendar
             equals = ""
         if not equals or not all((*outer, last)):
-            raise InputError(f"{option} {each}: expected KEY=VALUE, such as finish.steps=200")
+            raise InputError(f"{option} {each}: expected KEY=VALUE, such as descents.0.steps=200")
     return found
 
 

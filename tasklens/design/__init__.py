@@ -5,10 +5,10 @@
 
 Arguments:
 
-    method       least_squares, spot, image_quality; and with a network task, joint_ray_space, end_to_end
+    method       least_squares, spot, image_quality; and with a network task, joint, end_to_end
     elements     plastics from front to back: names of built-in ones, or of those in `materials`
     seed         of all random numbers
-    settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"finish": {"steps": 200}}
+    settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"descents": {"0": {"steps": 200}}}
     constraints  limits that differ from a study's: {"max_track": 6.0} [mm]
     materials    files of further plastics (.yaml, .agf)
     images       folder of photographs: <class>/*, or train/<class>/*; by default rendered textures

@@ -9,14 +9,17 @@ from torch import Tensor
 
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.spots import chief_rays, clear_semi_diameters, distortion
+from tasklens.optics.analysis.pupil import launch_fields
+from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters, distortion
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
+from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
 HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
+_INCIDENT = OUTLINE[::8]  # (N, 2) pupil points of the rays whose incidence is penalised; the last is the chief ray
 BUFFER = 0.01  # margin that designs aim at, as soft penalties end short of it [mm; a tenth for fractions and angles]
 
 
@@ -93,6 +96,32 @@ def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
     margins = manufacturing_margins(lens, limits, semi_diameter)
     margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
     return violation(margins).square().sum()
+
+
+def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:
+    """Sum over surfaces the mean squared excess of angles of incidence over a limit [rad^2] (paper, 3.3).
+
+    A surface turns a ray by n' D' - n D = (n' cos i' - n cos i) N, along its normal N. So
+
+    cos i = |D . (n' D' - n D)| / |n' D' - n D|
+
+    The rays are the marginal and chief rays of the middle wavelength at all fields, the stop is in front.
+    """
+    indices = lens.refractive_indices((view.reference,))
+    rays = launch_fields(lens, view, _INCIDENT, (view.reference,))
+    total, before = torch.zeros((), dtype=lens.dtype), torch.stack([rays.l, rays.m, rays.n])
+    for i in lens.refracting_surfaces:
+        part = {name: getattr(lens, name)[: i + 1] for name in ("curvature", "conic", "alpha", "thickness", "media")}
+        traced = trace(replace(lens, semi_diameter=lens.semi_diameter[: i + 1], **part), rays, indices[: i + 2])
+        behind = torch.stack([traced.l, traced.m, traced.n])
+        turned = indices[i + 1] * behind - indices[i] * before
+        squared = turned.square().sum(0)
+        cosine = (before * turned).sum(0).abs() * torch.rsqrt(squared.clamp(min=1e-18))
+        steep = traced.valid & (cosine < math.cos(math.radians(largest_deg)))
+        excess = torch.acos(torch.where(steep, cosine, 0.5)) - math.radians(largest_deg)
+        total = total + torch.where(steep, excess, 0.0).square().mean()
+        before = behind
+    return total
 
 
 def worst_margin(margins: Mapping[str, Tensor]) -> tuple[str, float]:

@@ -1,4 +1,4 @@
-"""Criteria of supervised design: a network's loss, the error of the image, the contrast of the PSF."""
+"""Criteria of a design: a network's loss, the error of the image, the contrast of the PSF, the spot radius."""
 
 import math
 from abc import ABC, abstractmethod
@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design.schedule import cosine
+from tasklens.optics.analysis.spots import centroid
+from tasklens.optics.rays import Rays
 from tasklens.recognition.tasks import CLASSIFICATION, Task
 from tasklens.recognition.training import parameter_groups
 
@@ -23,9 +25,11 @@ class Criterion:
 
     Attributes:
         trained: whether the criterion changes from step to step, so that losses of different steps do not compare.
+        scales_with_stop: whether the loss is proportional to the radius of the stop.
     """
 
     trained = False
+    scales_with_stop = False
 
     @property
     def holders(self) -> dict[str, Any]:
@@ -74,8 +78,8 @@ class JointTaskLoss(TaskLoss):
 
     trained = True
 
-    def __init__(self, network: nn.Module, learning_rate: float, steps: int, final: float):
-        super().__init__(network.train().requires_grad_(True))
+    def __init__(self, network: nn.Module, learning_rate: float, steps: int, final: float, task: Task = CLASSIFICATION):
+        super().__init__(network.train().requires_grad_(True), task)
         self.optimizer = torch.optim.AdamW(parameter_groups(network, _WEIGHT_DECAY), lr=learning_rate)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
 
@@ -112,6 +116,32 @@ class ImageError(CaptureCriterion):
         """Compute the error (N,)."""
         error = (captures - images).square().mean((-3, -2, -1))
         return error.clamp(min=1e-12).log() if self.logarithm else error
+
+
+@dataclass(frozen=True)
+class Correlation(CaptureCriterion):
+    """Lost correlation 1 - r of capture c and sharp image s, r = <c - mean c, s - mean s> / (|c - mean c| |s - mean s|).
+
+    Means are over the pixels of each colour, the product and norms over all values. It does not change if the capture
+    is scaled or brightened, as by haze.
+    """
+
+    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
+        """Compute the loss (N,)."""
+        c, s = ((v - v.mean((-2, -1), keepdim=True)).flatten(1) for v in (captures, images))
+        return 1 - (c * s).sum(1) / (c.norm(dim=1) * s.norm(dim=1)).clamp(min=1e-12)
+
+
+class SpotRadius(Criterion):
+    """RMS spot radius sqrt(mean(r^2)) about the polychromatic centroid [mm]; a lost ray counts as 1 mm away."""
+
+    scales_with_stop = True
+
+    def losses(self, rays: Rays) -> Tensor:
+        """Compute the radius (F,) of each field."""
+        middle = centroid(rays)
+        squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
+        return torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ import torch
 from scipy.optimize import least_squares
 
 from tasklens.design import vignetting
-from tasklens.design.driver import History
 from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
-from tasklens.design.problem import Problem
+from tasklens.design.problem import History, Problem
 from tasklens.design.random_starts import random_starts
 from tasklens.design.variables import ORDERS, Variables
 from tasklens.optics.lens import Lens
@@ -31,9 +30,14 @@ _PERTURBATION_EVALUATIONS = 12
 _VIGNETTINGS = 4  # times that an aperture is set anew, with `_STRICT_EVALUATIONS` after each
 _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
 _FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
+_BISECTIONS = 30  # of a step that ends below `spot_um`
 _SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um for a degree; with 1, doublets end 1.3 um worse
 _STRICT_EVALUATIONS = 24
 _STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
+
+
+class _Enough(Exception):
+    """A lens is as sharp as it is asked for."""
 
 
 def improve(
@@ -42,10 +46,12 @@ def improve(
     names: Sequence[str],
     evaluations: int,
     watch: Callable[[float], None] = lambda error: None,
+    enough_um: float = 0.0,
 ) -> tuple[Lens, float]:
     """Improve the variables `names` by damped least squares; return the lens and its root-sum-square residual [um].
 
-    `watch` is called with the root-sum-square residual at each evaluation.
+    `watch` is called with the root-sum-square residual at each evaluation. As soon as the RMS spot radius is less than
+    `enough_um`, the lens on the way from the last step to this one is returned that has it, or `lens` if it has less.
     """
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
@@ -56,23 +62,34 @@ def improve(
         return variables.assemble_vector(list(start), torch.from_numpy(vector))
 
     def residuals(vector: numpy.ndarray) -> numpy.ndarray:
-        errors, latest["columns"] = merit.linearise(assembled(vector))
-        latest["vector"] = vector.copy()
+        errors, columns = merit.linearise(assembled(vector))
         watch(float(errors.norm()))
+        if merit.spot_um(errors) < enough_um:
+            latest["enough"] = vector.copy()
+            raise _Enough
+        latest.update(columns=columns, vector=vector.copy())
         return errors.numpy()
 
     def jacobian(vector: numpy.ndarray) -> numpy.ndarray:
         assert numpy.array_equal(vector, latest["vector"])
         return latest["columns"](changes).numpy()
 
-    result = least_squares(
-        residuals,
-        torch.cat(list(start.values())).numpy(),
-        jac=jacobian,
-        method="trf",
-        x_scale="jac",
-        max_nfev=evaluations,
-    )
+    try:
+        result = least_squares(
+            residuals,
+            torch.cat(list(start.values())).numpy(),
+            jac=jacobian,
+            method="trf",
+            x_scale="jac",
+            max_nfev=evaluations,
+        )
+    except _Enough:
+        sharp, blurred = latest["enough"], latest.get("vector", latest["enough"])
+        for _ in range(_BISECTIONS):
+            middle = (sharp + blurred) / 2
+            enough = merit.spot_um(merit.residuals(assembled(middle))) < enough_um
+            sharp, blurred = (middle, blurred) if enough else (sharp, middle)
+        return assembled(sharp), float(merit.residuals(assembled(sharp)).norm())
     return assembled(result.x), float((2 * result.cost) ** 0.5)
 
 
@@ -97,11 +114,13 @@ class _Search:
         self.progress = Progress("least squares", settings.evaluations)
         self.evaluations = itertools.count(1)
         self.history: History = []
+        self.enough_um = float(settings.spot_um or 0.0)  # type: ignore[arg-type]  # of the elements of one lens
 
     def improve(self, lens: Lens, merit: Merit, orders: int, evaluations: int) -> tuple[Lens, float]:
         """Improve curvatures, thicknesses and the first `orders` asphere orders, with progress lines."""
         names = ("curvature", "thickness", *self.orders[:orders])
-        return improve(lens, merit, names, evaluations, lambda e: self.progress(next(self.evaluations), rms_um=e))
+        watch, enough = lambda e: self.progress(next(self.evaluations), rms_um=e), self.enough_um
+        return improve(lens, merit, names, evaluations, watch, enough)
 
     def stage(self, orders: int, candidate: Candidate, budget: int) -> tuple[Lens, float]:
         """Improve a candidate over the first `orders` asphere orders."""
@@ -174,6 +193,9 @@ def design(
     candidates: list[Candidate] = [(0.0, i, lens) for i, lens in enumerate(starts)]
     for part, orders, share in _STAGES:
         candidates = search.best(f"{orders} orders", candidates, part, share, partial(search.stage, orders))
+        for _, _, lens in candidates:
+            if search.merit.spot_um(search.merit.residuals(lens)) < search.enough_um:
+                return lens, [{"step": step, **row} for step, row in enumerate(search.history, 1)]
     for k, (part, share) in enumerate(_PERTURBATIONS):
         candidates = search.best(f"perturbations {k + 1}", candidates, part, share, search.hop)
     _, start, lens = min(candidates, key=lambda candidate: candidate[:2])

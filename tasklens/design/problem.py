@@ -1,10 +1,14 @@
-"""The design problem, independent of start, method and networks."""
+"""The design problem, independent of start, method and networks, and the history of its solution."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.settings import CaptureSettings, Constraints
+
+
+History = list[dict[str, Any]]  # a row per logged step of a design
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ def design(
     for name, entry in found.lenses.items():
         if len(first := starts(found, name)) > 1:
             raise InputError(
-                f"{entry.design_name} begins with one lens, got {', '.join(first)}; give one of its `candidates` "
-                f"(on the command line --set candidates=[{found.lens(first[0]).design_name}])"
+                f"{entry.design_name} begins with one lens, got {', '.join(first)}; give it as `start` "
+                f"(on the command line --set start=[{found.lens(first[0]).design_name}])"
             )
     view = view_of_spec(found.spec)
     made: dict[str, Lens] = {}

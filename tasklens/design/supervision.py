@@ -1,6 +1,6 @@
-"""Supervision of a lens by the loss of its captures, through rays, PSFs and captures, and its gradient at the PSFs.
+"""Supervision of a lens by the loss of its rays, PSFs or captures, and the gradient of that loss.
 
-The gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of captures,
+For captures the gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of captures,
 each of which gives dL/dcapture; then one backward pass through the convolutions gives dL/dPSF, and one passes through
 the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch statistics
 for one micro-batch per step.
@@ -15,7 +15,7 @@ from torch import Tensor
 from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
-from tasklens.design.criteria import CaptureCriterion, Contrast
+from tasklens.design.criteria import CaptureCriterion, Contrast, Criterion, SpotRadius
 from tasklens.design.problem import Problem
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.illumination import relative_illumination
@@ -31,13 +31,11 @@ from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.tolerance_settings import Grade
 
-VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
-_VALIDATION_IMAGES = 48  # a batch of 8 photographs has losses from 0.1 to 2 for the same lens
-_SELECTION_IMAGES = 192  # others: a descent of 1000 steps fits the 48
+VALIDATION = slice(48)  # images in fixed order; a batch of 8 photographs has losses from 0.1 to 2 for the same lens
+SELECTION = slice(-192, None)  # others, where there are as many: a descent of 1000 steps fits the 48
 _VALIDATION_RAYS = 1024  # rays per field and colour
 _VALIDATION_BUILT = 8  # built lenses, where the design is for these
 _VALIDATION_SEED = 9001  # added to the seed: not the lenses that are reported, nor the images of the first steps
-LEEWAY_MM = 0.05  # violation norm above which a lens is far outside its limits; and the increase that halves a step
 
 
 def loss_at_psf(
@@ -88,12 +86,29 @@ def _gradient(leaf: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Supervisor:
-    """A criterion on captures that supervises a lens.
+class Loss:
+    """Loss of a lens.
 
     Attributes:
-        criterion: loss of captures, or of PSFs.
-        problem: design problem with capture and dataset.
+        rays: rays of the lens.
+        fields: (F,) losses of the fields.
+        value: scalar, differentiable in the lens, whose gradient is that of the mean loss.
+        energy: mean energy of the PSFs inside their window; None for a loss of rays.
+    """
+
+    rays: Rays
+    fields: Tensor
+    value: Tensor
+    energy: float | None
+
+
+@dataclass(frozen=True)
+class Supervisor:
+    """A criterion that supervises a lens.
+
+    Attributes:
+        criterion: loss of rays, of PSFs, or of captures.
+        problem: design problem, for captures with capture and dataset.
         size: side of the resized images [pixels]; None: not resized.
         augment: whether TrivialAugment is applied to the sharp images.
         micro_batch: maximum number of captures that the criterion takes at once.
@@ -101,7 +116,7 @@ class Supervisor:
         grade: grade of manufacture of the lenses that are looked at; None: the design itself is.
     """
 
-    criterion: CaptureCriterion | Contrast
+    criterion: Criterion
     problem: Problem
     size: int | None
     augment: bool
@@ -154,65 +169,81 @@ class Supervisor:
         """Compute the relative illumination (F,), which a sensor needs, without gradient."""
         return relative_illumination(lens.detached(), self.problem.view) if self.capture.sensor else None
 
-    def loss(self, indices: Tensor, grid: Tensor, lens: Lens, seed: int) -> tuple[Tensor, Tensor]:
-        """Compute the loss (F,) of each field on these images through PSFs, and the gradient of its mean at these.
+    def loss(
+        self, lens: Lens, pupil: Tensor, pixels: float, indices: Tensor | None, seed: int, design: Lens | None = None
+    ) -> Loss:
+        """Compute the loss of a lens.
 
         Args:
-            lens: lens for the illumination: of lenses built from a design, the design.
+            pupil: (N, 2) pupil points of the rays.
+            pixels: pixel pitch [sensor pixels].
+            indices: (B,) indices of the images.
             seed: seed of a sensor's noise.
+            design: lens for the illumination, if `lens` is built from it.
         """
-        if isinstance(self.criterion, Contrast):
-            leaf = grid.detach().requires_grad_()
-            losses = self.criterion.losses(leaf)
-            losses.mean().backward()
-            return losses.detach(), _gradient(leaf)
+        criterion = self.criterion
+        if isinstance(criterion, SpotRadius):
+            rays = trace_fields(lens, self.problem.view, pupil)
+            spots = criterion.losses(rays)
+            return Loss(rays, spots.detach(), spots.mean(), None)
+        rays, grid = self.trace(lens, pupil, pixels)
+        energy = float(grid.detach().sum((-2, -1)).mean())
+        if isinstance(criterion, Contrast):
+            contrasts = criterion.losses(grid)
+            return Loss(rays, contrasts.detach(), contrasts.mean(), energy)
+        assert isinstance(criterion, CaptureCriterion) and indices is not None
         images, labels = self.images(indices, self.augment)
-        light = self.illumination(lens)
-        return loss_at_psf(self.criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
+        light = self.illumination(design or lens)
+        losses, gradient = loss_at_psf(criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
+        return Loss(rays, losses, (grid * gradient).sum(), energy)
 
     def validation_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the mean loss of a lens, or of lenses built from it, on fixed images, by which a descent is led."""
-        return self._fixed_loss(lens, pixels, slice(_VALIDATION_IMAGES))
+        return float(self.fixed_losses(lens, pixels, VALIDATION).mean())
 
     def selection_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the same on more and, where there are as many, other images, by which lenses are chosen."""
-        return self._fixed_loss(lens, pixels, slice(-_SELECTION_IMAGES, None))
+        return float(self.fixed_losses(lens, pixels, SELECTION).mean())
+
+    def fixed_images(self, part: slice) -> Tensor:
+        """Return the indices of a part of the training images in fixed order."""
+        generator = torch.Generator().manual_seed(self.problem.seed + _VALIDATION_SEED)
+        return torch.randperm(len(self.dataset), generator=generator)[part]
 
     @torch.no_grad()
-    def _fixed_loss(self, lens: Lens, pixels: float, part: slice) -> float:
-        """Compute the mean loss of a lens, or of lenses built from it, on a part of the training images in fixed order.
+    def fixed_losses(self, lens: Lens, pixels: float, part: slice) -> Tensor:
+        """Compute the losses (N,) of a lens, or of lenses built from it, on a part of the images in fixed order.
 
+        A loss is the mean over fields for an image; of rays or PSFs, which need no images, that for a field.
         Networks that draw random numbers, as detectors do when they sample boxes, draw the same for every lens.
         """
-        every = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
-        light, before = self.illumination(lens), random_state()
+        lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
+        before = random_state()
         torch.manual_seed(self.problem.seed)
-        loss = sum(self._loss_on(part, each, light, pixels) for each in every) / len(every)
+        losses = torch.stack([self._losses_on(part, built, lens, pixels) for built in lenses]).mean(0)
         set_random_state(before)
-        return loss
+        return losses
 
-    def _loss_on(self, part: slice, lens: Lens, light: Tensor | None, pixels: float) -> float:
-        """Compute the mean loss of one lens at a relative illumination (F,), without augmentation."""
-        _, grid = self.trace(lens, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
-        if isinstance(self.criterion, Contrast):
-            return float(self.criterion.losses(grid).mean())
-        generator = torch.Generator().manual_seed(self.problem.seed + _VALIDATION_SEED)
-        fixed = torch.randperm(len(self.dataset), generator=generator)[part]
-        images, labels = self.images(fixed, augment=False)
-        capture = self.capture
+    def _losses_on(self, part: slice, lens: Lens, design: Lens, pixels: float) -> Tensor:
+        """Compute the losses (N,) of one lens, built from a design, without augmentation."""
+        criterion, pupil = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0)
+        if isinstance(criterion, SpotRadius):
+            return criterion.losses(trace_fields(lens, self.problem.view, pupil))
+        _, grid = self.trace(lens, pupil, pixels)
+        if isinstance(criterion, Contrast):
+            return criterion.losses(grid)
+        assert isinstance(criterion, CaptureCriterion)
+        images, labels = self.images(self.fixed_images(part), augment=False)
+        capture, light = self.capture, self.illumination(design)
         camera = Camera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
-        found = []
+        losses = []
         # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
         at_once = max(1, self.micro_batch // len(grid))
         noise = torch.Generator().manual_seed(self.problem.seed)  # of one image after another, in any micro-batches
-        with self.criterion.evaluating():
+        with criterion.evaluating():
             for some, classes in zip(images.split(at_once), labels.split(at_once), strict=True):
                 captures = camera.grid(some, noise)
                 sharp, targets = some.repeat(len(grid), 1, 1, 1), classes.repeat(len(grid))
-                found.append(self.criterion.losses(captures.flatten(0, 1), sharp, targets))
-        return float(torch.cat(found).mean())
-
-
-def energy_in_window(grid: Tensor) -> float:
-    """Compute the mean energy of PSFs (F, W, K, K) inside their window."""
-    return float(grid.detach().sum((-2, -1)).mean())
+                loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
+                losses.append(loss.reshape(len(grid), -1).mean(0))
+        return torch.cat(losses)

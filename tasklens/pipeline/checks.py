@@ -51,10 +51,10 @@ def _check_networks(study: Study) -> None:
         for name, network in study.tasks.networks.items():
             task_networks.build(name, network.model_copy(update={"pretrained": False}), 2, study.tasks.scenes.size)
     sizes = {
-        f"{where}.{key}": part.size
+        f"{where}.descents.{k}.size": part.size
         for where, lens in consistency.places(study)
-        for key, part in lens.resized.items()
-        if getattr(part, "criterion", "classification") == "classification"
+        for k, part in enumerate(lens.descents)
+        if part.criterion == "task" and part.size is not None
     }
     for where, size in sizes.items():
         classifiers.check(f"{study.supervisor} for {where}", study.classifiers[study.supervisor], size)

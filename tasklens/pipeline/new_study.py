@@ -118,14 +118,15 @@ def _base(size: int) -> dict[str, Any]:
 
 
 def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
-    """Return a design of the default study, of candidates that are kept, with a fraction of the steps."""
+    """Return a design of the default study, which begins with designs that are kept, with a fraction of the steps."""
     kept = cut.designs or tuple(designs)
     design = dict(designs[name])
-    if "candidates" in design:
-        design["candidates"] = [other for other in design["candidates"] if other in kept]
-    if "finish" in design and cut.fraction < 1:
-        design["finish"] = design["finish"] | {"steps": round(design["finish"]["steps"] * cut.fraction)}
-    if design["method"] == "least_squares" and cut.fraction < 1:
+    if isinstance(design.get("start"), list):
+        design["start"] = [other for other in design["start"] if other in kept]
+    if "descents" in design and cut.fraction < 1:
+        parts = design["descents"]
+        design["descents"] = [part | {"steps": max(1, round(part["steps"] * cut.fraction))} for part in parts]
+    if design.get("method") == "least_squares" and cut.fraction < 1:
         design["evaluations"] = round(LeastSquaresSettings.model_fields["evaluations"].default * cut.fraction)
     return design
 

@@ -6,6 +6,7 @@ of the images in tasks on objects.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -37,16 +38,23 @@ class Task(ABC):
         """Return the scores of answers for images with labels (N,), by name; the first is the one that counts."""
 
 
+@dataclass(frozen=True)
 class Classification(Task):
-    """The class of an image; scored by accuracy."""
+    """The class of an image; scored by accuracy.
+
+    Attributes:
+        temperature: T of the loss T cross_entropy(logits / T).
+    """
+
+    temperature: float = 1.0
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         """Compute the mean cross-entropy of logits; a label is the same for a flipped image."""
-        return F.cross_entropy(network(captures), labels)
+        return self.temperature * F.cross_entropy(network(captures) / self.temperature, labels)
 
     def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
         """Compute the cross-entropy (N,)."""
-        return F.cross_entropy(network(captures), labels, reduction="none")
+        return self.temperature * F.cross_entropy(network(captures) / self.temperature, labels, reduction="none")
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[int]:

@@ -6,11 +6,7 @@ A claim belongs to one table, which sets its classifier and whether captures are
 from itertools import pairwise
 
 from tasklens.study import names
-from tasklens.study.design_settings import (
-    EndToEndSettings,
-    ImageQualitySettings,
-    LeastSquaresSettings,
-)
+from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study, pick
@@ -158,7 +154,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             baselines: dict[str, list[LensEntry]] = {
                 OVER_IMAGING1: [other for other in same if other.design_name == IMAGING1],
                 OVER_LEAST_SQUARES: [other for other in same if isinstance(other.design, LeastSquaresSettings)],
-                OVER_IMAGE_QUALITY: [other for other in same if isinstance(other.design, ImageQualitySettings)],
+                OVER_IMAGE_QUALITY: [other for other in same if other.supervised],
                 FEWER_ELEMENTS: [other for other in imaging if len(other.plastics) == more],
                 OVER_START: [study.lens(name) for name in starts(study, lens.name)],
             }
@@ -175,8 +171,8 @@ def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             found += [
                 (OVER_END_TO_END, lens.name, (other.name,))
                 for other in same
-                if isinstance(other.design, EndToEndSettings) and other.design.jointly_from == "best_imaging"
+                if other.end_to_end and other.start == "best_imaging"
             ]
-        elif isinstance(lens.design, EndToEndSettings) and lens.design.jointly_from == "flat":
+        elif lens.end_to_end and lens.start == "flat" and lens.descents[0].optimizer == "adamw":
             found.append((FLAT_FAILS, lens.name, ()))
     return found

@@ -7,11 +7,7 @@ from pydantic import ValidationError
 from tasklens.study import ablations, feasibility
 from tasklens.study.design_settings import (
     DesignSettings,
-    EndToEndSettings,
-    ImageQualitySettings,
-    JointRaySpaceSettings,
-    SupervisedSettings,
-    TaskDrivenSettings,
+    GradientDesignSettings,
 )
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.messages import in_words
@@ -52,7 +48,7 @@ def _check_names(study: Study) -> None:
         if name not in known:
             raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
     for name, design in study.designs.items():
-        if isinstance(design, TaskDrivenSettings) and design.task not in (None, *study.tasks.networks):
+        if isinstance(design, GradientDesignSettings) and design.task not in (None, *study.tasks.networks):
             known_tasks = ", ".join(study.tasks.networks) or "none"
             raise ValueError(f"designs.{name}.task: {design.task!r} is not one of `tasks.networks`: {known_tasks}")
     for section in ("tolerances", "tasks"):
@@ -131,23 +127,38 @@ def places(study: Study) -> list[tuple[str, LensEntry]]:
 def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     design = lens.design
     kernel_size = study.spec_of(lens.elements).kernel_size
-    for key, part in lens.resized.items():
-        if not kernel_size // 2 < part.size <= study.images.size:
+    for key, size in lens.sizes.items():
+        if not kernel_size // 2 < size <= study.images.size:
             raise ValueError(
                 f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
-                f"and at most images.size = {study.images.size}, got {part.size}"
+                f"and at most images.size = {study.images.size}, got {size}"
             )
-    if batch := getattr(design, "batch_size", None):
-        feasibility.check_step(f"{where}.batch_size", batch, study.images.size)
-    if isinstance(design, SupervisedSettings):
-        known = study.imaging_starts
-        if isinstance(design, ImageQualitySettings):
-            known = tuple(name for name in known if not isinstance(study.designs[name], ImageQualitySettings))
-        elif isinstance(design, JointRaySpaceSettings):
-            known += tuple(name for name, other in study.designs.items() if isinstance(other, TaskDrivenSettings))
-        for name in design.candidates:
-            if name not in known:
-                raise ValueError(f"{where}.candidates: {name!r} is not one of the designs {', '.join(known)}")
-    start = design.start if isinstance(design, EndToEndSettings) else None
-    if start == "best_imaging" and not study.imaging_starts:
-        raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least_squares or image_quality")
+    if not isinstance(design, GradientDesignSettings):
+        return
+    feasibility.check_step(f"{where}.batch_size", design.batch_size, study.images.size)
+    for k, descent in enumerate(design.descents):
+        if descent.batch_size is not None:
+            feasibility.check_step(f"{where}.descents.{k}.batch_size", descent.batch_size, study.images.size)
+    if design.start == "best_imaging" and not study.imaging_starts:
+        raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least squares or image quality")
+    known = [name for name, other in study.imported.items() if other.elements == lens.elements]
+    known += study.imaging_starts if not design.by_network else [n for n in study.designs if n not in study.vignetted]
+    for name in design.candidates:
+        if name not in known:
+            raise ValueError(
+                f"{where}.start: {name!r} is not one of the designs that it may begin with, {', '.join(known)}"
+            )
+    _check_acyclic(study, where, lens.design_name, design.candidates)
+
+
+def _check_acyclic(study: Study, where: str, name: str, candidates: tuple[str, ...]) -> None:
+    """Check that no design begins, through others, with itself; raises ValueError."""
+    waiting, seen = list(candidates), set()
+    while waiting:
+        other = waiting.pop()
+        if other == name:
+            raise ValueError(f"{where}.start: {name} would begin with itself, by way of {', '.join(candidates)}")
+        if other not in seen:
+            seen.add(other)
+            design = study.designs.get(other)
+            waiting += design.candidates if isinstance(design, GradientDesignSettings) else ()

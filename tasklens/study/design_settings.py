@@ -1,14 +1,16 @@
-"""Settings of the design methods; no torch here."""
+"""Settings of designs: a start and a list of descents, or least squares; no torch here."""
 
-from typing import Annotated, Literal
+from itertools import pairwise
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from tasklens.study.learning_rates import LearningRates
 from tasklens.study.quantities import (
     Angle,
     Batch,
     Count,
+    Fraction,
     LearningRate,
     Magnification,
     Name,
@@ -22,62 +24,79 @@ from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 from tasklens.study.tolerance_settings import Grade
 
-
-class ColdStart(Frozen):
-    """Schedule with coarse pixels and a small stop at first; both reach full size after a fraction of the steps."""
-
-    pixel_scale: Magnification = Field(20.0, description="Pixel pitch at the first step [sensor pixels].")
-    pixel_duration: Part = Field(0.8, description="Fraction of the steps after which the pixel pitch is the sensor's.")
-    stop_scale: Part = Field(0.3, description="Radius of the stop at the first step, as a fraction.")
-    stop_duration: Part = Field(0.5, description="Fraction of the steps after which the stop is fully open.")
+OPTIMIZER_KEYS = {  # keys of a descent that only one optimizer reads
+    "ray_space": ("step_size", "momentum", "damping"),
+    "adamw": ("learning_rates", "betas", "penalty", "max_incidence_deg"),
+}
 
 
-_RENAMED_DESCENT = {"images": "batch_size", "rates": "learning_rates", "network_rate": "network_learning_rate"}
+class DescentSettings(Frozen):
+    """Settings of one descent: optimizer, criterion, pixels and steps."""
 
-
-class JointDescentSettings(Frozen):
-    """Settings of joint gradient descent of lens and classifier on the classifier's loss."""
-
-    _renamed = renamed(_RENAMED_DESCENT)
-
-    steps: Steps = Field(description="Number of AdamW steps.")
-    batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")
-    size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
-    rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
-    learning_rates: LearningRates = Field(LearningRates(), description="Learning rates of the lens.")
-    network_learning_rate: LearningRate | None = Field(
-        1e-5, description="Learning rate of the classifier; null: frozen, the paper's plain task-driven protocol."
+    _renamed = renamed(
+        {
+            "images": "batch_size",
+            "rates": "learning_rates",
+            "network_rate": "network_learning_rate",
+            "stride": "step_size",
+            "cold_start": "`pixels`, `duration`, `stop_scale` and `stop_duration` of the descent",
+        }
     )
-    cold_start: ColdStart | None = Field(None, description="Coarse pixels and a small stop at first; null: none.")
-    penalty: Positive = Field(100.0, description="Weight of the squared violations of limits [1/mm^2].")
-    augment: bool = Field(True, description="TrivialAugment on the sharp images.")
-
-
-class RaySpaceSettings(Frozen):
-    """Settings of a ray-space descent: steps of given ray displacement on the sensor (see design.ray_space)."""
-
-    _renamed = renamed({"stride": "step_size"})
 
     steps: Steps = Field(description="Number of steps.")
-    pixels: tuple[Magnification, Magnification] = Field(description="First and last pixel pitch [sensor pixels].")
-    duration: Part = Field(1.0, description="Fraction of the steps after which pixels have their last size.")
-    step_size: Annotated[float, Field(gt=0, le=100)] = Field(
-        0.5, description="RMS ray displacement per step [current pixels]."
+    lenses: Small = Field(
+        1,
+        description="Number of lenses that are descended from: the best ones of the descent before. The first descent "
+        "begins so many times with the start, in different image orders.",
     )
-    final: Part = Field(0.1, description="Step size at the last step, as a fraction; cosine schedule.")
-    momentum: float = Field(0.9, ge=0, lt=1, description="Momentum of the gradient's running mean.")
-    damping: Positive = Field(0.1, description="Damping of the Gauss-Newton metric, times its diagonal.")
-    criterion: Literal["classification", "image_error", "log_image_error", "contrast"] = Field(
-        "classification",
-        description="Loss of a capture: cross-entropy of the classifier, or the loss of the network of `task`; mean "
-        "squared error from the sharp image (paper, Eq. 2), or its logarithm; or of a PSF: the contrast, real part of "
-        "the OTF, lost at 1/4 and 1/2 of the Nyquist frequency of the present pixels.",
+    optimizer: Literal["ray_space", "adamw"] = Field(
+        "ray_space",
+        description="Ray space: steps of given ray displacement on the sensor, by a Gauss-Newton metric of the rays; "
+        "or AdamW on the parameters, as in the paper.",
+    )
+    criterion: Literal["task", "spot", "image_error", "log_image_error", "correlation", "contrast"] = Field(
+        "task",
+        description="Loss of a field: the network's loss in its task, of a classifier the cross-entropy; the RMS spot "
+        "radius [mm]; of captures the mean squared error from the sharp image (paper, Eq. 2), its logarithm, or 1 - "
+        "their normalised correlation; of PSFs the contrast, real part of the OTF, lost at 1/4 and 1/2 of the Nyquist "
+        "frequency of the present pixels.",
+    )
+    temperature: Magnification = Field(
+        1.0, description="T of the loss T cross_entropy(logits / T): above 1, confident wrong answers weigh less."
+    )
+    network_learning_rate: LearningRate | None = Field(
+        None,
+        description="Learning rate of a copy of the network that is trained with the lens; null: the network is frozen.",
+    )
+    batch_size: Batch | None = Field(
+        None, description="Images per step, each at all nine fields; null: `batch_size` of the design."
     )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
+    pixels: tuple[Magnification, Magnification] = Field(
+        (1.0, 1.0), description="First and last pixel pitch [sensor pixels]."
+    )
+    duration: Part = Field(1.0, description="Fraction of the steps after which pixels have their last size.")
+    stop_scale: Part = Field(1.0, description="Radius of the stop at the first step, as a fraction.")
+    stop_duration: Part = Field(0.5, description="Fraction of the steps after which the stop is fully open.")
     centre: Literal["pinhole", "chief_ray"] = Field(
         "pinhole",
         description="Centre of PSFs: the pinhole point, so that lost light finds the focal length, or the chief ray, "
         "as in all evaluation, so that distortion costs nothing within its limit.",
+    )
+    final: Part = Field(0.1, description="Step size, or learning rates, at the last step, as a fraction; cosine.")
+    step_size: Annotated[float, Field(gt=0, le=100)] = Field(
+        0.5, description="Ray space: RMS ray displacement per step [current pixels]."
+    )
+    momentum: float = Field(0.9, ge=0, lt=1, description="Ray space: momentum of the gradient's running mean.")
+    damping: Positive = Field(0.1, description="Ray space: damping of the metric, times its diagonal.")
+    learning_rates: LearningRates = Field(LearningRates(), description="AdamW: learning rates of the lens.")
+    betas: tuple[Annotated[float, Field(ge=0, lt=1)], Annotated[float, Field(ge=0, lt=1)]] = Field(
+        (0.9, 0.999), description="AdamW: decay rates of the means of gradient and squared gradient."
+    )
+    penalty: Positive = Field(100.0, description="AdamW: weight of the squared violations of limits [1/mm^2].")
+    max_incidence_deg: Angle | None = Field(
+        None,
+        description="AdamW: angle of incidence on a surface beyond which rays are penalised (paper, 3.3) [degrees].",
     )
 
     @field_validator("pixels")
@@ -87,38 +106,62 @@ class RaySpaceSettings(Frozen):
             raise ValueError("expected a first pitch that is as coarse as the last, or coarser")
         return pixels
 
+    @model_validator(mode="after")
+    def _all_keys_are_read(self) -> "DescentSettings":
+        for optimizer, keys in OPTIMIZER_KEYS.items():
+            for key in keys:
+                if optimizer != self.optimizer and getattr(self, key) != type(self).model_fields[key].default:
+                    raise ValueError(f"{key}: of `optimizer: {optimizer}`; this descent is by {self.optimizer}")
+        if self.criterion != "task":
+            for key in ("temperature", "network_learning_rate"):
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    raise ValueError(f"{key}: of `criterion: task`; this descent is by {self.criterion}")
+        return self
 
-class SupervisedSettings(Frozen):
-    """Settings of supervised design by ray-space descent: from flat plates, or from imaging lenses, or from both.
+    @property
+    def trains_network(self) -> bool:
+        """True if the network is trained with the lens."""
+        return self.network_learning_rate is not None
 
-    The refined best of some restarts from flat plates competes with the lenses of `candidates`; the best by validation
-    loss is finished.
-    """
+
+class GradientDesignSettings(Frozen):
+    """Settings of a design by descents: the first is run from the start, each other from the best lens before it."""
 
     _renamed = renamed(
         {
-            "images": "batch_size",
-            "starts": "restarts",
-            "start": "restart",
-            "refine": "refinement",
-            "size": "a key of each descent; move it to restart and refinement",
+            "candidates": "`start`, a list of designs",
+            "restarts": "`lenses` of the first of `descents`",
+            "restart": "the first of `descents`",
+            "refinement": "one of `descents`",
+            "finish": "the last of `descents`",
+            "polish": "the last of `descents`, with `optimizer: adamw` and a `network_learning_rate`",
+            "network_learning_rate": "a key of each of `descents`",
         }
     )
 
+    method: Literal["descents"] = Field("descents", description="Design by descents.")
+    start: Literal["flat", "best_imaging"] | tuple[Name, ...] = Field(
+        "flat",
+        description="Flat plates; the imaging lens of the best minival accuracy; or a list of designs or imported "
+        "lenses, of which the best lens of the same elements and seed is the start: by the criterion of the last "
+        "descent, or, where that trains a network, by the minival accuracy of the worst field, fine-tuned.",
+    )
+    descents: tuple[DescentSettings, ...] = Field(min_length=1, description="Descents, one after another.")
     batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")
     rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
-    restarts: Small = Field(1, description="Descents from flat plates in different image orders; the best is refined.")
-    restart: RaySpaceSettings | None = Field(None, description="Descent of each restart; null: none from flat plates.")
-    refinement: RaySpaceSettings | None = Field(None, description="Descent that refines the best restart.")
-    candidates: tuple[Name, ...] = Field(
-        (),
-        description="Designs whose lenses of the same elements and seed compete for the finish: imaging designs by its "
-        "criterion; for `joint_ray_space` also task-driven ones, by minival accuracy of the worst field, fine-tuned.",
-    )
-    finish: RaySpaceSettings | None = Field(None, description="Last descent; null: none.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Batch = Field(
-        64, description="Captures per forward pass; with stored batch-norm statistics it affects only memory."
+        64,
+        description="Captures per forward pass, which affects only memory; a network whose batch norms take the "
+        "statistics of the batch always has all captures of a step in one.",
+    )
+    batch_norm: Literal["stored", "batch"] = Field(
+        "stored", description="Statistics of the frozen network's batch norms: stored, or of the batch."
+    )
+    task: Name | None = Field(
+        None,
+        description="One of `tasks.networks`, of which the network supervises in the classifier's place, on images "
+        "with objects; null: the classifier.",
     )
     tolerances: Grade | None = Field(
         None,
@@ -126,126 +169,49 @@ class SupervisedSettings(Frozen):
         "errors of its own, and focused; null: the lens as designed.",
     )
 
+    @field_validator("start")
+    @classmethod
+    def _some_start(cls, start: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not start:
+            raise ValueError("expected flat, best_imaging, or a list of at least one design")
+        return start
+
+    @field_validator("descents")
+    @classmethod
+    def _ever_fewer(cls, descents: tuple[DescentSettings, ...]) -> tuple[DescentSettings, ...]:
+        for before, after in pairwise(descents):
+            if after.lenses > before.lenses:
+                raise ValueError(f"lenses: expected at most {before.lenses}, those of the descent before")
+        return descents
+
     @model_validator(mode="after")
-    def _descents_have_starts(self) -> "SupervisedSettings":
-        if (self.restart is None) != (self.refinement is None) or not (self.restart or self.candidates):
-            raise ValueError("expected `restart` and `refinement`, or `candidates`, or all: what designs start from")
-        if self.candidates and self.finish is None:
-            raise ValueError("candidates: expected a `finish`, which starts from the best of them")
+    def _network_has_its_images(self) -> "GradientDesignSettings":
+        if self.task is not None:
+            if self.augment or any(descent.size is not None for descent in self.descents):
+                raise ValueError(
+                    "task: expected no `size` and `augment: false`, since masks fit the images as they are"
+                )
+            if self.batch_norm == "batch" or any(d.trains_network or d.temperature != 1 for d in self.descents):
+                raise ValueError("task: expected a frozen network, `batch_norm: stored`, and no `temperature`")
+        if not self.by_network and (self.task is not None or self.batch_norm == "batch"):
+            raise ValueError("task, batch_norm: of the network, which no descent has as its `criterion: task`")
         return self
 
     @property
-    def descents(self) -> dict[str, RaySpaceSettings]:
-        """All descents by key."""
-        found = {"restart": self.restart, "refinement": self.refinement, "finish": self.finish}
-        return {name: descent for name, descent in found.items() if descent is not None}
-
-
-class TaskDrivenSettings(SupervisedSettings):
-    """Settings of task-driven design; the classifier is frozen, except in the optional polish."""
-
-    method: Literal["task"]
-    batch_norm: Literal["stored", "batch"] = Field(
-        "stored", description="Statistics of the frozen classifier's batch norms: stored, or of the batch."
-    )
-    polish: JointDescentSettings | None = Field(
-        None, description="Final joint descent of lens and classifier (paper 3.3); null: none."
-    )
-    task: Name | None = Field(
-        None,
-        description="One of `tasks.networks`, of which the network supervises in the classifier's place, frozen, on "
-        "images with objects; null: the classifier.",
-    )
-
-    @model_validator(mode="after")
-    def _by_the_task(self) -> "TaskDrivenSettings":
-        _ends_with_classification(self)
-        if self.batch_norm == "batch":
-            _holds_a_step(self)
-        if self.polish is not None and self.tolerances is not None:
-            raise ValueError("tolerances: expected no `polish`, which sees the lens as designed")
-        if self.task is not None and (
-            self.augment or self.polish or any(descent.size is not None for descent in self.descents.values())
-        ):
-            raise ValueError(
-                "task: expected no `polish`, no `size` and `augment: false`, since masks fit the images as they are"
-            )
-        if self.task is not None and self.batch_norm == "batch":
-            raise ValueError("task: expected `batch_norm: stored`, by which its network is frozen")
-        return self
-
-
-def _ends_with_classification(design: SupervisedSettings) -> None:
-    *_, (name, last) = design.descents.items()
-    if last.criterion != "classification":
-        raise ValueError(f"{name}.criterion: expected classification in the last descent of a task-driven design")
-
-
-def _holds_a_step(design: SupervisedSettings) -> None:
-    captures = 9 * design.batch_size  # in the order of the nine fields: a part of them would be of some fields alone
-    if design.micro_batch < captures:
-        raise ValueError(
-            f"micro_batch: expected the {captures} captures of a step or more, since batch norms take the statistics "
-            f"of a micro-batch; got {design.micro_batch}"
-        )
-
-
-class JointRaySpaceSettings(SupervisedSettings):
-    """Settings of design by ray-space descent in which a copy of the classifier is trained too, anew in each descent.
-
-    Its start is the one of `candidates`, task-driven designs among them, whose worst field has the best minival
-    accuracy after fine-tuning: what the loss of a network says that is trained for no lens is no measure of them.
-    """
-
-    method: Literal["joint_ray_space"]
-    network_learning_rate: LearningRate = Field(description="Learning rate of the classifier.")
-
-    @model_validator(mode="after")
-    def _by_the_task_from_one_kind_of_start(self) -> "JointRaySpaceSettings":
-        _ends_with_classification(self)
-        _holds_a_step(self)
-        if self.candidates and self.restart is not None:
-            raise ValueError("candidates: expected these, or `restart` and `refinement`; not both")
-        return self
-
-
-class ImageQualitySettings(SupervisedSettings):
-    """Settings of design by the error of the image (paper, 3.1) or the contrast of the PSF: no classifier."""
-
-    method: Literal["image_quality"]
-
-    @model_validator(mode="after")
-    def _no_classifier(self) -> "ImageQualitySettings":
-        for name, descent in self.descents.items():
-            if descent.criterion == "classification":
-                raise ValueError(f"{name}.criterion: expected image_error, log_image_error or contrast")
-        return self
-
-
-class EndToEndSettings(JointDescentSettings):
-    """Settings of joint descent from flat plates, or from the best imaging lens by minival accuracy."""
-
-    method: Literal["end_to_end"]
-    start: Literal["flat", "best_imaging"] = Field(description="Starting lens.")
+    def by_network(self) -> tuple[DescentSettings, ...]:
+        """Descents on the loss of a network."""
+        return tuple(descent for descent in self.descents if descent.criterion == "task")
 
     @property
-    def jointly_from(self) -> str | None:
-        """Starting lens if the classifier is trained together with the lens."""
-        return None if self.network_learning_rate is None else self.start
+    def candidates(self) -> tuple[str, ...]:
+        """Names of the designs of which the best is the start."""
+        return self.start if isinstance(self.start, tuple) else ()
 
-
-class SpotSettings(Frozen):
-    """Settings of RMS spot minimisation by AdamW from flat plates, with an opening stop."""
-
-    _renamed = renamed({"rates": "learning_rates"})
-
-    method: Literal["spot"]
-    steps: Steps = Field(description="Number of AdamW steps.")
-    rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
-    learning_rates: LearningRates = Field(LearningRates(), description="Learning rates of the lens.")
-    stop_scale: Part = Field(0.3, description="Radius of the stop at the first step, as a fraction.")
-    stop_duration: Part = Field(0.5, description="Fraction of the steps after which the stop is fully open.")
-    penalty: Positive = Field(100.0, description="Weight of the squared violations of limits [1/mm].")
+    @property
+    def end_to_end(self) -> bool:
+        """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
+        first = self.by_network[:1]
+        return bool(first) and first[0].trains_network and not self.candidates
 
 
 class LeastSquaresSettings(Frozen):
@@ -270,14 +236,43 @@ class LeastSquaresSettings(Frozen):
         description="Largest fraction of the light of a field that the clear aperture of one surface may stop, nothing "
         "on the axis, so that what passes makes a smaller spot; null: no light is stopped.",
     )
+    spot_um: Positive | dict[Name, Positive] | None = Field(
+        None,
+        description="RMS spot radius at which the search ends [um], also by name of elements: for a lens that is as "
+        "sharp as another, such as one of the paper's; null: the whole budget.",
+    )
+
+    def of_elements(self, elements: str) -> "LeastSquaresSettings":
+        """Return the settings for some elements, with one `spot_um`."""
+        if not isinstance(self.spot_um, dict):
+            return self
+        return self.model_copy(update={"spot_um": self.spot_um.get(elements)})
+
+
+_FORMAT_2 = {  # how the methods of format 2 are written
+    "task": "a `start` and `descents` of `criterion: task`",
+    "joint_ray_space": "a `start` and `descents` with a `network_learning_rate`",
+    "image_quality": "a `start` and `descents` of `criterion: image_error`, log_image_error, correlation or contrast",
+    "end_to_end": "a `start` and one of `descents` with `optimizer: adamw` and a `network_learning_rate`",
+    "spot": "one of `descents` with `optimizer: adamw, criterion: spot`",
+}
+
+
+def _this_format(given: Any) -> Any:
+    method = given.get("method") if isinstance(given, dict) else None
+    if method in _FORMAT_2:
+        raise ValueError(f"method: {method}: since format 3 this is {_FORMAT_2[method]}; see config/config.yaml")
+    return given
+
+
+def _kind(given: Any) -> Any:
+    return given.get("method", "descents") if isinstance(given, dict) else getattr(given, "method", None)
 
 
 DesignSettings = Annotated[
-    TaskDrivenSettings
-    | ImageQualitySettings
-    | EndToEndSettings
-    | JointRaySpaceSettings
-    | SpotSettings
-    | LeastSquaresSettings,
-    Field(discriminator="method"),
+    Annotated[
+        Annotated[GradientDesignSettings, Tag("descents")] | Annotated[LeastSquaresSettings, Tag("least_squares")],
+        Discriminator(_kind),
+    ],
+    BeforeValidator(_this_format),
 ]

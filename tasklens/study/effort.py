@@ -1,6 +1,6 @@
 """Effort of the designs of a study: lenses tried, its own and those of the lenses that it was chosen from."""
 
-from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings, SupervisedSettings, TaskDrivenSettings
+from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
@@ -69,10 +69,4 @@ def _tried(design: DesignSettings | ImportedLens) -> int:
         return 0
     if isinstance(design, LeastSquaresSettings):
         return design.evaluations
-    if not isinstance(design, SupervisedSettings):
-        return design.steps
-    steps = {name: descent.steps for name, descent in design.descents.items()}
-    if "restart" in steps:
-        steps["restart"] *= design.restarts
-    polish = design.polish if isinstance(design, TaskDrivenSettings) else None
-    return sum(steps.values()) + (0 if polish is None else polish.steps)
+    return sum(descent.lenses * descent.steps for descent in design.descents)

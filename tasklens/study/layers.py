@@ -5,9 +5,22 @@ from typing import Any
 
 
 def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced."""
+    """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced.
+
+    A mapping whose keys are the numbers of entries of a list below, such as {"0": {"steps": 200}}, changes these.
+    """
     merged = dict(below)
     for key, value in above.items():
         under = merged.get(key)
-        merged[key] = laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
+        if isinstance(under, list | tuple) and isinstance(value, Mapping) and _numbers(value, len(under)):
+            entries = laid_over({str(k): entry for k, entry in enumerate(under)}, {str(k): v for k, v in value.items()})
+            merged[key] = list(entries.values())
+        elif isinstance(under, Mapping) and isinstance(value, Mapping):
+            merged[key] = laid_over(under, value)
+        else:
+            merged[key] = value
     return merged
+
+
+def _numbers(keys: Mapping[str, Any], count: int) -> bool:
+    return bool(keys) and all(str(key).isdecimal() and int(key) < count for key in keys)

@@ -5,16 +5,19 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from tasklens.study.quantities import Fraction, LearningRate
+from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
     "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},
-    "ours": {"curvature": 4e-3, "thickness": 2e-3, "alpha_4": 4e-3, "decay": 0.5, "final": 0.05},
+    "ours": {"curvature": 4e-3, "thickness": 2e-3, "alpha_4": 4e-3, "decay": 0.5},
 }
 
 
 class LearningRates(Frozen):
     """Learning rates of AdamW for the lens; in a study also the name of one of `PRESETS`."""
+
+    _renamed = renamed({"final": "`final` of the descent"})
 
     curvature: LearningRate = Field(1e-4, description="Learning rate of curvatures [1/mm].")
     thickness: LearningRate = Field(1e-4, description="Learning rate of thicknesses [mm].")
@@ -25,7 +28,6 @@ class LearningRates(Frozen):
         description="Asphere variables are alpha_k R^(k - 1), R the radius that light uses on the surface of the start "
         "[mm]; else alpha_k itself, as in the paper.",
     )
-    final: Fraction = Field(1.0, description="Learning rates at the last step, as a fraction; cosine schedule.")
 
     @model_validator(mode="before")
     @classmethod

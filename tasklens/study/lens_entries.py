@@ -7,11 +7,9 @@ from pydantic import Field, FilePath, field_validator
 
 from tasklens.materials.material import Material
 from tasklens.study.design_settings import (
+    DescentSettings,
     DesignSettings,
-    EndToEndSettings,
-    JointRaySpaceSettings,
-    SupervisedSettings,
-    TaskDrivenSettings,
+    GradientDesignSettings,
 )
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Spec
@@ -49,47 +47,57 @@ class LensEntry(Frozen):
     capture: CaptureSettings | None = Field(None, description="Changed capture of an ablation; null: the study's.")
 
     @property
+    def descents(self) -> tuple[DescentSettings, ...]:
+        """Descents of the design; empty for least squares and imported lenses."""
+        return self.design.descents if isinstance(self.design, GradientDesignSettings) else ()
+
+    @property
+    def start(self) -> str | tuple[str, ...] | None:
+        """Start of the descents; None where there are none."""
+        return self.design.start if isinstance(self.design, GradientDesignSettings) else None
+
+    @property
     def classified(self) -> bool:
         """True if a network supervises the design: a classifier, or that of another task."""
-        return isinstance(self.design, TaskDrivenSettings | EndToEndSettings | JointRaySpaceSettings)
+        return any(descent.criterion == "task" for descent in self.descents)
+
+    @property
+    def end_to_end(self) -> bool:
+        """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
+        return isinstance(self.design, GradientDesignSettings) and self.design.end_to_end
 
     @property
     def task_driven(self) -> bool:
         """True if the design is by a classifier, frozen or trained jointly, but not end-to-end as in the paper."""
-        design = self.design
-        return (isinstance(design, TaskDrivenSettings) and design.task is None) or (
-            isinstance(design, JointRaySpaceSettings) and bool(design.candidates)
-        )
+        return self.classified and not self.end_to_end and not self.other_task
 
     @property
     def other_task(self) -> str | None:
         """Name of the task beside classification that the lens is designed for."""
-        return self.design.task if isinstance(self.design, TaskDrivenSettings) else None
+        return self.design.task if isinstance(self.design, GradientDesignSettings) else None
 
     @property
     def supervised(self) -> bool:
-        """True if the design sees images."""
-        return self.classified or isinstance(self.design, SupervisedSettings)
+        """True if a descent is on the loss of captures or PSFs."""
+        return any(descent.criterion != "spot" for descent in self.descents)
 
     @property
-    def resized(self) -> dict[str, Any]:
-        """The descents of the design for which images are resized, by the key of that size."""
-        design = self.design
-        parts: dict[str, Any] = {"size": design, "polish.size": getattr(design, "polish", None)}
-        if isinstance(design, SupervisedSettings):
-            parts |= {f"{name}.size": descent for name, descent in design.descents.items()}
-        return {key: part for key, part in parts.items() if getattr(part, "size", None) is not None}
+    def sizes(self) -> dict[str, int]:
+        """Sides to which images are resized [pixels], by the key of the design."""
+        sides = {f"descents.{k}.size": descent.size for k, descent in enumerate(self.descents)}
+        return {key: side for key, side in sides.items() if side is not None}
 
     @property
     def constrained(self) -> bool:
         """True if the lens has to keep the constraints and the focal length, which verification checks.
 
-        End-to-end designs from flat, which need not converge, and imported lenses are not.
+        Imported lenses have not to, nor designs from flat plates that need not converge: those end-to-end, and those
+        by a network that begin with AdamW.
         """
-        design = self.design
-        if isinstance(design, EndToEndSettings):
-            return design.start != "flat"
-        return bool(self.task_driven or self.other_task) or not (self.classified or isinstance(design, ImportedLens))
+        if isinstance(self.design, ImportedLens):
+            return False
+        may_fail = self.end_to_end or (self.classified and self.descents[0].optimizer == "adamw")
+        return not (may_fail and self.start == "flat")
 
 
 class LensDesign(Frozen):

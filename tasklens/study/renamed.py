@@ -1,4 +1,4 @@
-"""Refusal of the keys of format 1 of study files, which names those of today; no torch here."""
+"""Errors for keys of older formats of study files, which name the keys of today; no torch here."""
 
 from typing import Any
 
@@ -7,10 +7,10 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 
 def renamed(names: dict[str, str]) -> Any:
-    """Return a validator that rejects keys of format 1 and names their replacement.
+    """Return a validator that rejects keys of an older format and names their replacement.
 
     Args:
-        names: new key by old key; a sentence with the reason where the key was removed.
+        names: new key by old key, or in more than one word what it is now, or why it is gone.
     """
 
     def refuse(cls: type[BaseModel], given: Any, handler: ModelWrapValidatorHandler) -> Any:
@@ -19,7 +19,7 @@ def renamed(names: dict[str, str]) -> Any:
             return handler(given)
         problems: list[Any] = []
         for old in found:
-            words = f"since format 2 `{old}` is {'gone: ' if ' ' in names[old] else 'now called '}{names[old]}"
+            words = f"`{old}` is a key of an older format; it is now {names[old]}"
             problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
         try:  # with the new names, to report other errors too
             handler({names.get(key, key): value for key, value in given.items() if " " not in names.get(key, "")})

@@ -53,7 +53,7 @@ def study(
     side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
     found = parse(
         {
-            "format": 2,
+            "format": 3,
             "name": "one",
             "images": images or {"size": side, "train": 500, "minival": 10, "test": 10},
             "spec": dict(spec),
@@ -74,10 +74,10 @@ def study(
 
 def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the designs that one begins with, and theirs, in front of it."""
-    first = settings.get("candidates", [_FIRST] if settings.get("start") == "best_imaging" else [])
+    first = [_FIRST] if settings.get("start") == "best_imaging" else settings.get("start", [])
     found: dict[str, Mapping[str, Any]] = {}
     for name in first if isinstance(first, list) else []:
         if name not in methods() or name == method:
-            raise InputError(f"candidates: {name!r} is not one of the other methods {', '.join(methods())}")
+            raise InputError(f"start: {name!r} is not one of the other methods {', '.join(methods())}")
         found = _with_starts(name, methods()[name]) | found
     return {**found, method: settings}

@@ -13,9 +13,8 @@ from tasklens.runtime.errors import InputError
 from tasklens.study.ablations import Ablation, variant_entry
 from tasklens.study.design_settings import (
     DesignSettings,
-    ImageQualitySettings,
+    GradientDesignSettings,
     LeastSquaresSettings,
-    SpotSettings,
 )
 from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.messages import in_words
@@ -54,11 +53,11 @@ class Study(Frozen):
     _renamed = renamed(
         {
             "outside": "imported",
-            "minutes": "the forecast is computed from the benchmarks of finished jobs; remove it",
+            "minutes": "gone: the forecast is computed from the benchmarks of finished jobs; remove it",
         }
     )
 
-    format: Literal[2] = Field(description="Version of the keys of a study file.")
+    format: Literal[3] = Field(description="Version of the keys of a study file.")
     name: StudyName = Field(description="Name of the study; results are in results/<name>.")
     seeds: tuple[Seed, ...] = Field(
         (0,), min_length=1, max_length=1000, description="Seeds of design, fine-tuning and data order."
@@ -167,12 +166,13 @@ class Study(Frozen):
         }
 
     def _designed(self, elements: str, design: str) -> LensEntry:
+        settings = self.designs[design]
         return LensEntry(
             name=f"{elements}-{design}",
             elements=elements,
             plastics=tuple(self.materials[plastic] for plastic in self.elements[elements]),
             design_name=design,
-            design=self.designs[design],
+            design=settings.of_elements(elements) if isinstance(settings, LeastSquaresSettings) else settings,
         )
 
     @property
@@ -183,14 +183,22 @@ class Study(Frozen):
 
     @property
     def imaging_designs(self) -> tuple[str, ...]:
-        """Names of the imaging designs: those without a classifier."""
-        methods = SpotSettings | LeastSquaresSettings | ImageQualitySettings
-        return tuple(name for name, design in self.designs.items() if isinstance(design, methods))
+        """Names of the imaging designs: those without a network."""
+        return tuple(
+            name
+            for name, design in self.designs.items()
+            if not (isinstance(design, GradientDesignSettings) and design.by_network)
+        )
 
     @property
     def imaging_starts(self) -> tuple[str, ...]:
         """Names of the imaging designs that others start from: not those whose apertures stop light."""
-        return tuple(name for name in self.imaging_designs if getattr(self.designs[name], "vignetting", None) is None)
+        return tuple(name for name in self.imaging_designs if name not in self.vignetted)
+
+    @property
+    def vignetted(self) -> tuple[str, ...]:
+        """Names of the designs whose apertures stop light."""
+        return tuple(name for name, design in self.designs.items() if getattr(design, "vignetting", None) is not None)
 
     def lens(self, name: str) -> LensEntry:
         """Return the lens `name`; raises StudyError with the known names."""

@@ -3,12 +3,7 @@
 from collections.abc import Iterable
 
 from tasklens.study import names
-from tasklens.study.design_settings import (
-    EndToEndSettings,
-    JointRaySpaceSettings,
-    SupervisedSettings,
-    TaskDrivenSettings,
-)
+from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.lens_entries import LensDesign
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
@@ -108,22 +103,22 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
 def starts(study: Study, lens: str) -> tuple[str, ...]:
     """Return the lenses of which the best by minival accuracy is the start of a design; empty for other designs.
 
-    The accuracy is that of the worst field where the network is trained in ray space, else the mean over fields.
+    The accuracy is that of the worst field, of the best imaging lens the mean over fields.
     Imported lenses are left out, so that importing a baseline changes no other row.
     """
     entry = study.lens(lens)
     named: tuple[str, ...] = ()
-    if isinstance(entry.design, JointRaySpaceSettings):
-        named = entry.design.candidates
-    elif isinstance(entry.design, EndToEndSettings) and entry.design.start == "best_imaging":
-        named = study.imaging_starts
+    if isinstance(entry.design, GradientDesignSettings):
+        named = study.imaging_starts if entry.design.start == "best_imaging" else entry.design.candidates
+        if entry.design.start != "best_imaging" and not entry.design.descents[-1].trains_network:
+            named = ()
     return tuple(f"{entry.elements}-{name}" for name in named)
 
 
 def candidates(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the lenses of which the best one by the loss of a design is finished by it; empty for other designs."""
+    """Return the lenses of which the best by the criterion of a design is its start; empty for other designs."""
     entry = study.lens(lens)
-    if not isinstance(entry.design, SupervisedSettings) or isinstance(entry.design, JointRaySpaceSettings):
+    if not isinstance(entry.design, GradientDesignSettings) or entry.design.descents[-1].trains_network:
         return ()
     return tuple(f"{entry.elements}-{name}" for name in entry.design.candidates)
 
@@ -263,7 +258,7 @@ def verification(study: Study) -> VerificationContents:
         gaps={
             name: others
             for name, others in gaps.items()
-            if isinstance(design := entries[name].design, TaskDrivenSettings) and design.polish is None
+            if entries[name].task_driven and not any(descent.trains_network for descent in entries[name].descents)
         },
         seeds=study.seeds,
     )

@@ -11,7 +11,6 @@ from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import Files, write_rows
-from tasklens.study.design_settings import JointRaySpaceSettings
 from tasklens.study.lens_entries import LensDesign
 
 
@@ -36,7 +35,7 @@ def run(settings: LensDesign, inputs: Files, outputs: Files, checkpoint: Checkpo
         from tasklens.recognition.metrics import least_metrics, mean_metrics
 
         # A joint descent does not find a field again that is lost where it begins: docs/results/regimes.
-        judged = least_metrics if isinstance(settings.entry.design, JointRaySpaceSettings) else mean_metrics
+        judged = least_metrics if settings.entry.start != "best_imaging" else mean_metrics
         starts = {
             name: (prescription.read(path)[0].lens, judged(inputs.metrics[name])["minival_accuracy"])
             for name, path in inputs.starts.items()

@@ -1,0 +1,205 @@
+"""A descent of a lens: step, validation, and the loop with progress, history, checkpoints and divergence.
+
+Losses of a few images say little about a lens: a descent ends with the lens of the smallest loss on a fixed set of
+images, at the last pixel pitch and the full stop.
+"""
+
+import math
+import sys
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tasklens.design.optimizers import LEEWAY_MM, OPTIMIZERS
+from tasklens.design.problem import History
+from tasklens.design.schedule import geometric
+from tasklens.design.supervision import Supervisor
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields_full
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.recognition.training import Shuffled
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.progress import Progress
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
+
+VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
+_PATIENCE = 3  # validations without a better lens
+_ROWS = 100  # least number of rows of a history, if there are as many steps
+_SHOWN = ("loss", "validation_loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
+
+
+class Diverged(Exception):
+    """A step whose loss or change is not finite; the message names the field and the surface."""
+
+
+class Descent:
+    """One descent.
+
+    Where the criterion is trained, each validation compares the best lens with the present one by the network of that
+    step.
+
+    Args:
+        start: starting lens.
+        supervisor: criterion on the lens, with its images.
+        design: numbers of rays and images per step.
+        settings: settings of the descent.
+        seed: seed of the rays and of the image order.
+
+    Attributes:
+        least: whether the best lens is far outside its limits, and its validation loss. A lens far outside is not the
+            best, unless all are: its repair would make another one of it.
+    """
+
+    def __init__(
+        self,
+        start: Lens,
+        supervisor: Supervisor,
+        design: GradientDesignSettings,
+        settings: DescentSettings,
+        seed: int,
+    ):
+        self.supervisor, self.settings, self.rays, self.seed = supervisor, settings, design.rays, seed
+        self.optimizer = OPTIMIZERS[settings.optimizer](start, supervisor.problem, settings)
+        self.best = self.optimizer.vector().detach()
+        self.least = True, math.inf
+        self.failures = 0  # validations since the best lens
+        images, batch = supervisor.problem.dataset, settings.batch_size or design.batch_size
+        self.order = None
+        if images is not None:
+            self.order = Shuffled(len(images), batch, torch.Generator().manual_seed(seed))
+
+    def step(self, step: int) -> tuple[dict[str, float], Tensor]:
+        """Take step number `step`, from 1, with its pixel pitch and stop.
+
+        Returns:
+            Numbers for the history, and the RMS spot radii (F,) of its lens [mm].
+
+        Raises:
+            Diverged: the loss or the change is not finite.
+        """
+        settings, supervisor, optimizer = self.settings, self.supervisor, self.optimizer
+        indices = None if self.order is None else self.order.next()
+        done = (step - 1) / settings.steps
+        first, last = settings.pixels
+        pixels = last * geometric(first / last, done / settings.duration)
+        stop = geometric(settings.stop_scale, done / settings.stop_duration)
+        numbers: dict[str, float] = {}
+        if pixels == last and stop == 1 and (step - 1) % max(1, settings.steps // VALIDATIONS) == 0:
+            numbers["validation_loss"] = self._validate()
+        vector = optimizer.vector()
+        design = optimizer.lens(vector)
+        (built,) = supervisor.as_built(design, self.seed + step)
+        lens, pupil = built.with_stop_scaled(stop), sobol_disc(self.rays, self.seed + step)
+        loss = supervisor.loss(lens, pupil, pixels, indices, self.seed + step, design)
+        scaled = loss.value / stop if supervisor.criterion.scales_with_stop else loss.value
+        change = optimizer.change(vector, design, scaled, done, pixels)
+        if not (torch.isfinite(loss.fields).all() and torch.isfinite(change).all()):
+            raise divergence(lens, supervisor.problem.view, pupil, loss.fields)
+        supervisor.criterion.train()
+        numbers |= {"loss": loss.fields.mean().item(), "worst_field": loss.fields.max().item()}
+        if loss.energy is not None:
+            numbers["energy_in_window"] = loss.energy
+        numbers |= {"pixel_scale": pixels, "stop_scale": stop, **optimizer.numbers()}
+        if math.isinf(self.least[1]):  # before the first validation the last finite lens is the best known
+            self.best = vector.detach().clone()
+        optimizer.apply(change)
+        if step == settings.steps:
+            numbers["validation_loss"] = self._validate()
+        return numbers, rms_spot_radius(loss.rays, centroid(loss.rays)).detach()
+
+    def _validate(self) -> float:
+        """Compute the loss of the present lens on the fixed images, and remember the lens if it is the best."""
+        vector = self.optimizer.vector().detach().clone()
+        loss = self._validation_loss(vector)
+        if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
+            self.least = self.least[0], self._validation_loss(self.best)
+        violation = self.optimizer.violation()
+        present = violation > LEEWAY_MM, loss
+        if math.isfinite(loss + violation) and present <= self.least:  # a lens of NaN has grey captures
+            self.least, self.best, self.failures = present, vector, 0
+            return loss
+        self.failures += 1
+        if self.failures == _PATIENCE:
+            self.failures = 0
+            self.optimizer.go_back(self.best)
+        return loss
+
+    def _validation_loss(self, vector: Tensor) -> float:
+        return self.supervisor.validation_loss(self.optimizer.lens(vector), self.settings.pixels[1])
+
+    def state(self) -> dict[str, Any]:
+        """Return the best variables, and the count of validations."""
+        return {name: getattr(self, name) for name in ("best", "least", "failures")}
+
+    def resume(self, state: dict[str, Any]) -> None:
+        """Resume from `state`."""
+        for name, value in state.items():
+            setattr(self, name, value)
+
+    def lens(self) -> Lens:
+        """Return the lens of the smallest validation loss; before the first validation, the last finite one."""
+        return self.optimizer.lens(self.best).detached()
+
+
+def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, History]:
+    """Take all steps of a descent; if it diverges, stop with its best lens, and record that in the history.
+
+    Args:
+        label: label of progress lines, history and the part of the checkpoint.
+        checkpoint: checkpoint of the job.
+
+    Returns:
+        The best lens, and a row per logged step: phase, step, the step's numbers, mean RMS spot [um].
+    """
+    steps = descent.settings.steps
+    holders = {"optimizer": descent.optimizer, **descent.supervisor.criterion.holders}
+    if descent.order is not None:
+        holders["order"] = descent.order
+    part = checkpoint.part(label, **holders)
+    saved = part.state if part.result is None else part.result
+    if saved is not None:
+        descent.resume(saved)
+    if part.result is not None:
+        return descent.lens(), part.history
+    progress = Progress(label, steps)
+    for step in range(part.step + 1, steps + 1):
+        try:
+            numbers, spots = descent.step(step)
+        except Diverged as error:
+            print(f"{label}: diverged at step {step}: {error}", file=sys.stderr, flush=True)
+            part.history.append({"phase": f"{label}, diverged", "step": step, "cause": str(error)})
+            break
+        progress(step, **{name: numbers[name] for name in _SHOWN if name in numbers})
+        if step % max(1, steps // _ROWS) == 0 or "validation_loss" in numbers:
+            part.history.append({"phase": label, "step": step, **numbers, "rms_um": 1e3 * float(spots.mean())})
+        part.save(step, **descent.state())
+    part.finish(**descent.state())
+    return descent.lens(), part.history
+
+
+def divergence(lens: Lens, view: View, pupil: Tensor, losses: Tensor) -> Diverged:
+    """Return an exception that names the first field whose loss, and the first surface whose values are not finite.
+
+    Args:
+        lens: lens of the step.
+        pupil: (N, 2) pupil points of its rays.
+        losses: (F,) losses of the fields.
+    """
+    wrong = (~torch.isfinite(losses)).nonzero()[:, 0].tolist()
+    field = "no field"
+    if wrong:
+        x, y = view.fields[wrong[0]].tolist()
+        field = f"field {wrong[0]} at ({x:.3f}, {y:.3f}) mm"
+    return Diverged(f"{field}; {_first_surface(lens.detached(), view, pupil)}")
+
+
+def _first_surface(lens: Lens, view: View, pupil: Tensor) -> str:
+    for i, numbers in enumerate(zip(lens.curvature, lens.thickness, lens.alpha, strict=True)):
+        if not all(torch.isfinite(number).all() for number in numbers):
+            return f"surface {i} has a shape that is not finite"
+    for i, rays in enumerate(trace_fields_full(lens, view, pupil)[1]):
+        if any(not torch.isfinite(value[rays.lost_at < 0]).all() for value in (rays.x, rays.y, rays.l, rays.m, rays.n)):
+            return f"rays stop being finite at surface {i}"
+    return "all surfaces and rays are finite, the network or a limit is not"

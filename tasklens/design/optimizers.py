@@ -1,0 +1,211 @@
+"""Optimizers of a lens: steps of given ray displacement, or AdamW on the parameters."""
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tasklens.design.constraints import incidence_penalty, penalty
+from tasklens.design.problem import Problem
+from tasklens.design.ray_space import HARD, SOFT, RaySpace
+from tasklens.design.schedule import cosine
+from tasklens.design.variables import Variables, parameter_groups
+from tasklens.optics.lens import Lens
+from tasklens.study.design_settings import DescentSettings
+
+LEEWAY_MM = 0.05  # violation norm above which a lens is far outside its limits; and the increase that halves a step
+_HALVINGS = 5  # maximum number of halvings of a step
+
+
+class Optimizer(ABC):
+    """Optimizer of the variables of a lens, concatenated in one vector (V,).
+
+    It has `state_dict` and `load_state_dict`, as torch's optimizers have.
+    """
+
+    @abstractmethod
+    def vector(self) -> Tensor:
+        """Return the present variables (V,), to be differentiated by."""
+
+    @abstractmethod
+    def lens(self, vector: Tensor) -> Lens:
+        """Return the lens with these variables, differentiable in them."""
+
+    @abstractmethod
+    def violation(self) -> float:
+        """Compute the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
+
+    @abstractmethod
+    def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
+        """Compute what `apply` takes: the change (V,) of the variables, or the gradient if the optimizer steps by it.
+
+        Args:
+            vector, lens: variables from `vector`, and the lens with them.
+            loss: scalar whose gradient is that of the loss.
+            done: fraction of the steps that are done.
+            pixels: present pixel pitch [sensor pixels].
+        """
+
+    @abstractmethod
+    def apply(self, change: Tensor) -> None:
+        """Take the step."""
+
+    @abstractmethod
+    def go_back(self, best: Tensor) -> None:
+        """Go on from the best variables after validations without a better lens, if the optimizer does that."""
+
+    @abstractmethod
+    def numbers(self) -> dict[str, float]:
+        """Return numbers of the present step for the history."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state."""
+
+    @abstractmethod
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from `state`."""
+
+
+class RaySpaceOptimizer(Optimizer):
+    """Steps of given ray displacement along the running mean of the gradient (see `ray_space`).
+
+    After a few validations without a better lens it goes back to the best, with half the step size: how large a step
+    may be depends on how sharp the lens is.
+    """
+
+    def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
+        self.settings, self.pitch = settings, problem.view.pixel_pitch
+        self.space = RaySpace(start, problem.view, problem.limits)
+        self.values = self.space.start
+        self.model = self.space.linearise(self.values)
+        self.mean = torch.zeros_like(self.values)
+        self.averaged = 0  # steps in the mean gradient
+        self.factor = 1.0  # on the step size
+        self.step_um = 0.0
+
+    def vector(self) -> Tensor:
+        """Return the present variables."""
+        return self.values.clone().requires_grad_()
+
+    def lens(self, vector: Tensor) -> Lens:
+        """Return the lens with these variables."""
+        return self.space.lens(vector)
+
+    def violation(self) -> float:
+        """Return the violation at the fields of the merit function."""
+        return self.model.violation_norm
+
+    def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
+        """Compute the change along the mean gradient; limits are hard as soon as pixels have their last size."""
+        settings = self.settings
+        (slope,) = torch.autograd.grad(loss, vector)
+        self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
+        self.averaged += 1
+        self.step_um = self.factor * settings.step_size * self.pitch * pixels
+        if done > settings.duration:
+            self.step_um *= cosine((done - settings.duration) / (1 - settings.duration), settings.final)
+        # A repair of what is left at the end would cost more than the last steps have won.
+        weight = HARD if pixels == settings.pixels[1] else SOFT
+        mean = self.mean / (1 - settings.momentum**self.averaged)
+        return self.model.step(mean, self.step_um, settings.damping, weight)
+
+    def apply(self, change: Tensor) -> None:
+        """Move by the change, halved while it adds much violation."""
+        for halvings in range(_HALVINGS + 1):
+            moved = self.values + change / 2**halvings
+            model = self.space.linearise(moved)
+            if model.violation_norm <= self.model.violation_norm + LEEWAY_MM:
+                break
+        self.values, self.model = moved, model
+
+    def go_back(self, best: Tensor) -> None:
+        """Go back to the best lens, with half the step size."""
+        self.values, self.model, self.factor = best, self.space.linearise(best), self.factor / 2
+        self.mean, self.averaged = torch.zeros_like(self.mean), 0
+
+    def numbers(self) -> dict[str, float]:
+        """Return step size and violation."""
+        return {"step_size_um": self.step_um, "violation": self.model.violation_norm}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return variables, mean gradient and step size."""
+        return {name: getattr(self, name) for name in ("values", "mean", "averaged", "factor")}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from `state`, and linearise again."""
+        for name, value in state.items():
+            setattr(self, name, value)
+        self.model = self.space.linearise(self.values)
+
+
+class AdamWOptimizer(Optimizer):
+    """AdamW on the parameters, with cosine schedule, and penalties on violated limits and angles of incidence."""
+
+    def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
+        self.settings, self.problem = settings, problem
+        rates = settings.learning_rates
+        self.variables = Variables.for_learning_rates(start, problem.view, rates)
+        self.values = {name: value.requires_grad_() for name, value in self.variables.values().items()}
+        self.optimizer = torch.optim.AdamW(parameter_groups(self.values, rates), betas=settings.betas)
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(
+            self.optimizer, lambda step: cosine(step / settings.steps, settings.final)
+        )
+        self.penalty = 0.0
+
+    def vector(self) -> Tensor:
+        """Return the present variables."""
+        return torch.cat(list(self.values.values()))
+
+    def lens(self, vector: Tensor) -> Lens:
+        """Return the lens with these variables."""
+        return self.variables.assemble_vector(list(self.values), vector)
+
+    @torch.no_grad()
+    def violation(self) -> float:
+        """Return the root of the sum of squared violations."""
+        return float(self._limits(self.lens(self.vector())).sqrt())
+
+    def _limits(self, lens: Lens) -> Tensor:
+        return penalty(lens, self.problem.limits, self.problem.view)
+
+    def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
+        """Compute the gradient of loss and penalties."""
+        settings, penalties = self.settings, self._limits(lens)
+        if settings.max_incidence_deg is not None:
+            penalties = penalties + incidence_penalty(lens, self.problem.view, settings.max_incidence_deg)
+        self.penalty = penalties.item()
+        (loss + settings.penalty * penalties).backward()
+        return torch.cat([value.grad for value in self.values.values()])  # type: ignore[misc]
+
+    def apply(self, change: Tensor) -> None:
+        """Take a step of optimizer and schedule with the gradient, and clear it."""
+        self.optimizer.step()
+        self.schedule.step()
+        self.optimizer.zero_grad()
+
+    def go_back(self, best: Tensor) -> None:
+        """Go on from the present lens."""
+
+    def numbers(self) -> dict[str, float]:
+        """Return the learning rate of the curvatures [1/mm], and the penalty."""
+        return {"learning_rate": float(self.schedule.get_last_lr()[0]), "penalty": self.penalty}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return variables, optimizer and schedule."""
+        states = {"optimizer": self.optimizer.state_dict(), "schedule": self.schedule.state_dict()}
+        return {"values": {name: value.detach() for name, value in self.values.items()}, **states}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from `state`."""
+        for name, value in self.values.items():
+            value.data.copy_(state["values"][name])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.schedule.load_state_dict(state["schedule"])
+
+
+OPTIMIZERS: dict[str, type[RaySpaceOptimizer] | type[AdamWOptimizer]] = {
+    "ray_space": RaySpaceOptimizer,
+    "adamw": AdamWOptimizer,
+}
