@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from tasklens.design import descents
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
@@ -19,7 +20,9 @@ from tasklens.pipeline.stage import Stage
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report.measurements import Measurements
+from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.runtime.files import Files
+from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.settings import Spec, TrainingSettings
 from tasklens.study.study import Study
 
@@ -148,6 +151,13 @@ def trained_network(seed: int, **settings) -> nn.Module:
     return network
 
 
+def by_descents(start, criterion, problem, *parts, candidates=None, checkpoint=NO_CHECKPOINT, **design):
+    """A design by descents of a maker of criteria: its lens, what its file says of its origin, and its history."""
+    given = {"batch_size": 4, "rays": 16, "augment": False, "start": tuple(candidates or ()) or "flat"}
+    settings = GradientDesignSettings(descents=parts, **(given | design))
+    return descents.design(start, candidates or {}, criterion, problem, settings, checkpoint)[:3]
+
+
 def studies_we_ship() -> dict[str, list[Path]]:
     """The files of each study of config/, by the last one's name, as its heading gives them to `--configfile`."""
     config = Path(__file__).parents[1] / "config"
@@ -161,8 +171,9 @@ def studies_we_ship() -> dict[str, list[Path]]:
 def tiny_study() -> dict:
     """A study with one lens of every method, of a size that runs in seconds."""
     rates = {"curvature": 1e-2, "thickness": 5e-3, "alpha_4": 1e-2}
+    together = {"optimizer": "adamw", "steps": 2, "network_learning_rate": 1e-5}
     return {
-        "format": 2,
+        "format": 3,
         "name": "tiny",
         "seeds": [0],
         "images": {"size": 16, "train": 40, "minival": 10, "test": 20},
@@ -176,26 +187,30 @@ def tiny_study() -> dict:
         },
         "designs": {
             "tasklens": {
-                "method": "task",
                 "batch_size": 2,
                 "rays": 16,
-                "restarts": 2,
-                "restart": {"steps": 2, "pixels": [20, 5]},
-                "refinement": {"steps": 2, "pixels": [5, 1]},
-                "finish": {"steps": 1, "pixels": [1, 1]},
-                "polish": {"steps": 1, "batch_size": 2},
+                "descents": [
+                    {"steps": 2, "lenses": 2, "pixels": [20, 5]},
+                    {"steps": 2, "pixels": [5, 1]},
+                    {"steps": 1},
+                    {"optimizer": "adamw", "steps": 1, "network_learning_rate": 1e-5},
+                ],
             },
             "image_error": {
-                "method": "image_quality",
                 "batch_size": 2,
                 "rays": 16,
-                "restart": {"steps": 2, "pixels": [20, 5], "criterion": "log_image_error"},
-                "refinement": {"steps": 2, "pixels": [5, 1], "criterion": "image_error"},
+                "descents": [
+                    {"steps": 2, "pixels": [20, 5], "criterion": "log_image_error"},
+                    {"steps": 2, "pixels": [5, 1], "criterion": "image_error"},
+                ],
             },
-            "imaging1": {"method": "spot", "steps": 3, "rays": 16, "learning_rates": rates},
+            "imaging1": {
+                "rays": 16,
+                "descents": [{"optimizer": "adamw", "criterion": "spot", "steps": 3, "learning_rates": rates}],
+            },
             "imaging2": {"method": "least_squares", "starts": 3, "evaluations": 6},
-            "end_to_end_from_imaging": {"method": "end_to_end", "start": "best_imaging", "steps": 2, "batch_size": 2},
-            "end_to_end_from_flat": {"method": "end_to_end", "start": "flat", "steps": 2, "batch_size": 2},
+            "end_to_end_from_imaging": {"start": "best_imaging", "batch_size": 2, "descents": [together]},
+            "end_to_end_from_flat": {"batch_size": 2, "descents": [together]},
         },
         "fine_tuning": {"epochs": 1, "learning_rate": 1e-3, "batch_size": 20},
         "restoration": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1], "steps": 2, "batch_size": 4},

@@ -1,18 +1,19 @@
-"""Contrast of PSFs as a criterion of design."""
+"""Criteria of a design: contrast of PSFs, correlation of captures, temperature of logits."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
-from examples import f64, materials
+from examples import by_descents, difference, f64, materials, random_images
 from test_design import LIMITS, LOOKS, problem
 
-from tasklens.design import supervised
-from tasklens.design.criteria import Contrast
+from tasklens.design.criteria import Contrast, Correlation
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.study.design_settings import ImageQualitySettings, RaySpaceSettings
+from tasklens.recognition.tasks import Classification
+from tasklens.study.design_settings import DescentSettings
 from tasklens.study.settings import Spec
 
 KERNEL = 21
@@ -61,23 +62,60 @@ def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
     lens = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     criterion = Contrast(LOOKS.directions)
     supervisor = Supervisor(criterion, problem(), None, False, 1)
-    _, grid = supervisor.trace(lens, sobol_disc(64, 0), 20.0)
-    losses, gradient = supervisor.loss(torch.tensor([0]), grid, lens, seed=0)
-    assert losses.shape == (9,)
-    for place in ((0, 0, 5, 5), (4, 1, 2, 8), (8, 2, 0, 10)):
-        more = grid.detach().clone()
-        more[place] += 1
-        difference = criterion.losses(more).mean() - losses.mean()
-        assert float(gradient[place]) == pytest.approx(float(difference), rel=1e-9, abs=1e-12) and difference != 0
+    pupil = sobol_disc(64, 0)
+
+    def loss(curvature):
+        return supervisor.loss(replace(lens, curvature=curvature), pupil, 20.0, None, seed=0)
+
+    curved = lens.curvature + f64([0, 0.1, -0.1, 0.05, -0.1])
+    found = loss(curved.requires_grad_())
+    assert found.fields.shape == (9,) and float(found.value.detach()) == pytest.approx(float(found.fields.mean()))
+    (gradient,) = torch.autograd.grad(found.value, curved)
+    expected = difference(lambda c: loss(c).fields.mean(), curved.detach(), 1e-6)
+    torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
 
 
 def test_contrast_alone_makes_a_lens():
     """From plates, without classifier or images: a quarter of the contrast that was lost is found again."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    steps = RaySpaceSettings(steps=20, pixels=(20, 10), criterion="contrast")
-    settings = ImageQualitySettings(method="image_quality", batch_size=1, rays=32, restart=steps, refinement=steps)
-    criteria = {"contrast": lambda part: Contrast(LOOKS.directions)}
-    lens, origin, _ = supervised.design(plates, {}, criteria, problem(), settings)
-    supervisor = Supervisor(criteria["contrast"](steps), problem(), None, False, 1)
+    steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast(LOOKS.directions)
+    lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
+    supervisor = Supervisor(contrast, problem(), None, False, 1)
     before, after = (supervisor.validation_loss(each, 10.0) for each in (plates, lens))
     assert after == pytest.approx(origin["validation_loss"], rel=1e-9) and after < 0.75 * before
+
+
+def images_and_captures():
+    """Four images of noise, and blurred copies of them, in double precision."""
+    images = random_images(4, 12, 3, seed=0).images.double() / 255
+    return images, torch.nn.functional.avg_pool2d(images, 3, 1, 1)
+
+
+def test_correlation_does_not_see_haze():
+    """Nor brightness nor contrast: a capture scaled, with a veil of another colour, loses as much; blur loses more."""
+    images, captures = images_and_captures()
+    labels = torch.zeros(4)
+    loss = Correlation().losses(captures, images, labels)
+    veil = f64([0.1, 0.2, 0.3])[:, None, None]
+    torch.testing.assert_close(Correlation().losses(0.4 * captures + veil, images, labels), loss, rtol=1e-12, atol=0)
+    assert (Correlation().losses(images, images, labels).abs() < 1e-12).all() and (loss > 0.1).all()
+    assert float(Correlation().losses(-images, images, labels).mean()) == pytest.approx(2)
+
+
+def test_gradient_of_correlation_is_that_of_differences():
+    images, captures = (v[:1, :, :4, :4] for v in images_and_captures())
+    captures.requires_grad_()
+    (gradient,) = torch.autograd.grad(Correlation().losses(captures, images, torch.zeros(1)).sum(), captures)
+    expected = difference(lambda c: Correlation().losses(c, images, torch.zeros(1))[0], captures.detach(), 1e-4)
+    torch.testing.assert_close(gradient, expected, rtol=1e-7, atol=1e-9)
+
+
+def test_temperature_softens_confident_wrong_answers():
+    """T cross_entropy(z / T): at T = 1 the cross-entropy; its gradient at a logit is softmax(z / T) - y."""
+    logits, label = f64([[4.0, -2.0, 1.0]]).requires_grad_(), torch.tensor([1])
+    for temperature in (1.0, 5.0):
+        loss = Classification(temperature).losses(lambda captures: captures, logits, label)
+        (gradient,) = torch.autograd.grad(loss.sum(), logits)
+        expected = (logits / temperature).softmax(-1) - f64([[0.0, 1.0, 0.0]])
+        torch.testing.assert_close(gradient, expected.detach(), rtol=1e-12, atol=0)
+        assert float(loss) == pytest.approx(-temperature * float((logits / temperature).log_softmax(-1)[0, 1]))

@@ -5,12 +5,11 @@ from dataclasses import replace
 import pytest
 import test_design
 import torch
-from examples import random_images, small_network
+from examples import by_descents, random_images, small_network
 from pretend_gpu import CPU, GPU, OnGpu, pretend_gpu
 
 from restoration import training as restoration
-from tasklens.design import end_to_end
-from tasklens.design.criteria import TaskLoss
+from tasklens.design.criteria import JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor
 from tasklens.imaging import Camera
@@ -18,8 +17,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition import evaluation, training
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import EndToEndSettings
+from tasklens.study.design_settings import DescentSettings
 from tasklens.study.settings import CaptureSettings, RestorationSettings, SensorSettings, TrainingSettings
 
 pytestmark = [
@@ -59,9 +57,9 @@ def restoring(device, start) -> list[float]:
 def design(device, start) -> list[float]:
     """A lens after steps of joint descent; rays stay on the CPU."""
     problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
-    given = {"steps": 3, "batch_size": 4, "rays": 16, "learning_rates": test_design.RATES, "augment": False}
-    settings = EndToEndSettings(method="end_to_end", start="flat", **given)
-    lens, history = end_to_end.design(start, small_network(0).to(device), problem, settings, "test", NO_CHECKPOINT)
+    part = DescentSettings(optimizer="adamw", steps=3, learning_rates=test_design.RATES, network_learning_rate=1e-5)
+    criterion = JointTaskLoss(small_network(0).to(device), 1e-5, 3, 0.1)
+    lens, _, history = by_descents(start, lambda part: criterion, problem, part)
     assert lens.curvature.device == CPU
     return [*lens.curvature.tolist(), *lens.thickness.tolist(), *(row["loss"] for row in history)]
 
@@ -70,10 +68,13 @@ def supervision(device, start) -> list[float]:
     """Losses of a lens by a frozen network, and their gradient at the PSFs."""
     problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
     supervisor = Supervisor(TaskLoss(frozen(small_network(0), data(device).images).to(device)), problem, None, False, 7)
-    _, grid = supervisor.trace(start, sobol_disc(64, seed=0), 2.0)
-    losses, gradient = supervisor.loss(torch.arange(4), grid, start, seed=0)
-    assert losses.device == gradient.device == CPU and gradient.dtype == grid.dtype
-    return [*losses.tolist(), *gradient.flatten().tolist(), supervisor.validation_loss(start, 2.0)]
+    curvature = start.curvature.clone().requires_grad_()
+    loss = supervisor.loss(
+        replace(start, curvature=curvature), sobol_disc(64, seed=0), 2.0, torch.arange(4), seed=0
+    )
+    (gradient,) = torch.autograd.grad(loss.value, curvature)
+    assert loss.fields.device == gradient.device == CPU and gradient.dtype == curvature.dtype
+    return [*loss.fields.tolist(), *gradient.tolist(), supervisor.validation_loss(start, 2.0)]
 
 
 @pytest.mark.parametrize("walk", [fine_tuning, restoring, design, supervision])

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from examples import difference, materials
+from examples import by_descents, difference, materials
 
-from tasklens.design import least_squares, spot, vignetting
+from tasklens.design import least_squares, vignetting
 from tasklens.design.constraints import manufacturing_margins
+from tasklens.design.criteria import SpotRadius
 from tasklens.design.merit import FIELD_HEIGHTS, VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
 from tasklens.design.random_starts import random_starts
@@ -20,7 +21,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields
 from tasklens.optics.view import view_of_spec
 from tasklens.runtime.errors import InputError
-from tasklens.study.design_settings import LearningRates, LeastSquaresSettings, SpotSettings
+from tasklens.study.design_settings import DescentSettings, LearningRates, LeastSquaresSettings
 from tasklens.study.settings import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel_size=11), Constraints()
@@ -36,11 +37,11 @@ def mean_rms(lens) -> float:
 
 def test_spot_descent_from_flat_makes_a_lens():
     """Thirty steps from plane plates: less blur and no shorter of its focal length than before."""
-    settings = SpotSettings(
-        method="spot", steps=30, rays=64, learning_rates=LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
-    )
+    rates = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
+    given = {"stop_scale": 0.3, "betas": (0.9, 0.99), "final": 1.0}
+    settings = DescentSettings(optimizer="adamw", criterion="spot", steps=30, learning_rates=rates, **given)
     begin = flat(PLASTICS, SPEC, LIMITS)
-    lens, history = spot.design(begin, PROBLEM, settings)
+    lens, _, history = by_descents(begin, lambda part: SpotRadius(), PROBLEM, settings, rays=64)
     assert mean_rms(lens) < 0.7 * mean_rms(begin)
     assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
     assert len(history) == 30

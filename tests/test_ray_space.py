@@ -4,23 +4,21 @@ from pathlib import Path
 
 import pytest
 import torch
-from examples import changed, materials, tiny_study
+from examples import by_descents, changed, materials, tiny_study
 from test_design import LIMITS, LOOKS, problem, small_network
-from test_task_design import NO_LIMITS, designed, spot_lens
+from test_task_design import NO_LIMITS, designed, image_error, spot_lens
 
-from tasklens.design import least_squares, methods, spot, supervised
+from tasklens.design import descents, least_squares, methods, optimizers
 from tasklens.design.apertures import with_open_apertures
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
-from tasklens.design.criteria import ImageError
 from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs
-from tasklens.study.design_settings import ImageQualitySettings, RaySpaceSettings
+from tasklens.study.design_settings import DescentSettings
 from tasklens.study.loading import parse
 from tasklens.study.settings import Constraints, Spec
 
@@ -58,14 +56,8 @@ def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
         return step(model, gradient, step_size, damping, weight)
 
     monkeypatch.setattr(LinearModel, "step", record)
-    part = RaySpaceSettings(steps=6, pixels=(20, 5), duration=0.5, criterion="log_image_error")
-    given = {"batch_size": 4, "rays": 16, "augment": False, "restart": part, "refinement": part}
-    design = ImageQualitySettings(method="image_quality", **given)
-    descent = supervised.RaySpaceDescent(
-        start, Supervisor(ImageError(True), problem(), None, False, 36), design, part, 0
-    )
-    for k in range(6):
-        descent.step(k + 1)
+    part = DescentSettings(steps=6, pixels=(20, 5), duration=0.5, criterion="log_image_error")
+    by_descents(start, image_error, problem(), part)
     assert weights == 3 * [SOFT] + 3 * [HARD]
 
 
@@ -144,7 +136,7 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
     wanted = wanted.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
-    monkeypatch.setattr(spot, "design", lambda *rest: (lens, []))
+    monkeypatch.setattr(descents, "design", lambda *rest: (lens, {}, [], None))
     monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
     _, notes, _ = methods.design(wanted, None, None, {}, {})
     assert notes["worst_margin"]["value"] > 0
@@ -154,13 +146,12 @@ def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
     """By halves: far steps then break limits a little, which else would leave the lens without a meaning."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    far = RaySpaceSettings(steps=12, pixels=(20, 20), step_size=5.0)
-    still = RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9)
+    far = DescentSettings(steps=12, pixels=(20, 20), step_size=5.0)
 
     def longest() -> float:
-        _, history = designed(small_network(), plates, restarts=1, restart=far, refinement=still)
-        return max(row["violation"] for row in history[1:] if row["phase"] == "restart 1 of 1")
+        _, history = designed(small_network(), plates, parts=(far,))
+        return max(row["violation"] for row in history[1:])
 
     with_halving = longest()
-    monkeypatch.setattr(supervised, "_HALVINGS", 0)
+    monkeypatch.setattr(optimizers, "_HALVINGS", 0)
     assert longest() > 10 * with_halving

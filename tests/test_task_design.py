@@ -7,14 +7,14 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from examples import changed, materials, random_images, tiny_study, write
+from examples import by_descents, changed, materials, random_images, tiny_study, write
 from test_design import LIMITS, LOOKS, problem, small_network
 from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
 
-from tasklens.design import methods, spot, supervised
+from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
+from tasklens.design.criteria import ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
@@ -29,37 +29,35 @@ from tasklens.pipeline.stages import design as design_job
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import (
-    ImageQualitySettings,
-    JointRaySpaceSettings,
-    LearningRates,
-    RaySpaceSettings,
-    SpotSettings,
-    TaskDrivenSettings,
-)
+from tasklens.study.design_settings import DescentSettings, LearningRates
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, SensorSettings, Spec, TrainingSettings
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9, "max_chief_ray_angle_deg": None})
 
-IMAGE_ERRORS = {"image_error": lambda part: ImageError(False), "log_image_error": lambda part: ImageError(True)}
 FAST = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
+RESTARTS = DescentSettings(steps=3, pixels=(20, 5), lenses=2)
+REFINEMENT = DescentSettings(steps=2, pixels=(5, 1))
 
 
-def designed(network, lens, limits=LIMITS, **settings):
-    restart, refinement = RaySpaceSettings(steps=3, pixels=(20, 5)), RaySpaceSettings(steps=2, pixels=(5, 1))
-    given = {"batch_size": 4, "rays": 16, "restarts": 2, "restart": restart, "refinement": refinement}
-    design = TaskDrivenSettings(method="task", **(given | settings))
+def image_error(part):
+    return ImageError(part.criterion == "log_image_error")
+
+
+def designed(network, lens, limits=LIMITS, parts=(RESTARTS, REFINEMENT), batch_norm="stored", **settings):
     posed = problem(limits)
-    supervisor = TaskLoss(frozen(network, posed.dataset.images, design.batch_norm))
-    return supervised.design(lens, {}, {"classification": lambda part: supervisor}, posed, design)[::2]
+    supervisor = TaskLoss(frozen(network, posed.dataset.images, batch_norm))
+    given = {"augment": True, "batch_norm": batch_norm} | settings
+    return by_descents(lens, lambda part: supervisor, posed, *parts, **given)[::2]
 
 
 def spot_lens(start):
     """A doublet after 200 steps of spot descent, which violates limits a little."""
-    settings = SpotSettings(method="spot", steps=200, rays=64, learning_rates=FAST)
-    return spot.design(start, Problem(LOOKS, LIMITS, 0), settings)[0]
+    settings = DescentSettings(
+        optimizer="adamw", criterion="spot", steps=200, learning_rates=FAST, betas=(0.9, 0.99), final=1.0, stop_scale=0.3
+    )
+    return by_descents(start, lambda part: SpotRadius(), Problem(LOOKS, LIMITS, 0), settings, rays=64)[0]
 
 
 def test_frozen_network_stays_frozen(start):
@@ -89,11 +87,9 @@ def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
         return next(losses, 0.0)
 
     monkeypatch.setattr(Supervisor, "validation_loss", validation_loss)
-    coarse, nothing = (
-        RaySpaceSettings(steps=3, pixels=(21, 20)),
-        RaySpaceSettings(steps=1, pixels=(20, 20), step_size=1e-9),
-    )
-    lens, _ = designed(small_network(), start, NO_LIMITS, restarts=3, restart=coarse, refinement=nothing)
+    coarse = DescentSettings(steps=3, pixels=(21, 20), lenses=3)
+    nothing = DescentSettings(steps=1, pixels=(20, 20), step_size=1e-9)
+    lens, _ = designed(small_network(), start, NO_LIMITS, (coarse, nothing))
     moved = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
     assert moved[1] < 0.01 * min(moved[0], moved[2])
 
@@ -104,12 +100,11 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
 
     After three validations without a better lens it goes back there, with half the step size.
     """
-    far = RaySpaceSettings(
+    far = DescentSettings(
         steps=40, pixels=pixels, duration=0.5, step_size=step_size, final=1.0, criterion="log_image_error"
     )
     still = far.model_copy(update={"steps": 2, "step_size": 1e-9, "pixels": (5, 5)})
-    settings = ImageQualitySettings(method="image_quality", batch_size=4, rays=16, restart=far, refinement=still)
-    _, _, history = supervised.design(start, {}, IMAGE_ERRORS, problem(NO_LIMITS), settings)
+    _, _, history = by_descents(start, image_error, problem(NO_LIMITS), far, still, augment=True)
     rows = [row for row in history if "validation_loss" in row]
     validated, steps = [row["validation_loss"] for row in rows], [row["step_size_um"] for row in rows]
     restart, first_of_refinement = validated[:-2], validated[-2]
@@ -125,22 +120,35 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
     assert steps[-3] < steps[0]
 
 
-def test_a_better_candidate_is_finished_instead(start):
-    """Plates lose to a lens in focus, and win against themselves after descents; losses stand in the history."""
-    settings = RaySpaceSettings(steps=2, pixels=(5, 5), step_size=1e-9, criterion="log_image_error")
-    given = {"batch_size": 4, "rays": 16, "augment": False, "candidates": ["sharp", "plates"], "finish": settings}
+def test_several_restarts_are_refined(start, monkeypatch):
+    """Of three restarts the two of the least loss go on, and the better of these is the lens."""
+    losses = iter([2.0, 1.0, 3.0, 0.5, 0.7, 0.1])  # restarts, refinements, finish
+    monkeypatch.setattr(Supervisor, "validation_loss", lambda self, lens, pixels: next(losses))
+    parts = [DescentSettings(steps=1, pixels=(20, 19), duration=1.0, lenses=count) for count in (3, 2, 1)]
+    _, _, history = by_descents(start, image_error, problem(NO_LIMITS), *parts)
+    rows = [(row["phase"], row["validation_loss"]) for row in history]
+    assert rows == [
+        ("descent 1, lens 1 of 3", 2.0),
+        ("descent 1, lens 2 of 3", 1.0),
+        ("descent 1, lens 3 of 3", 3.0),
+        ("descent 2, lens 1 of 2", 0.5),
+        ("descent 2, lens 2 of 2", 0.7),
+        ("descent 3", 0.1),
+    ]
+
+
+def test_the_best_candidate_is_the_start(start):
+    """Plates lose to a lens in focus; the losses stand in history and origin."""
+    still = DescentSettings(steps=2, pixels=(5, 5), step_size=1e-9, criterion="log_image_error")
     sharp = spot_lens(start)
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    for restarts in ({}, {"restart": settings, "refinement": settings}):
-        design = ImageQualitySettings(method="image_quality", **given, **restarts)
-        candidates = {"plates": plates, "sharp": sharp}
-        lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(NO_LIMITS), design)
-        losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
-        assert origin["start"] == "sharp" and losses["candidate sharp"] == min(losses.values())
-        assert origin["candidate_losses"] == {name.removeprefix("candidate "): loss for name, loss in losses.items()}
-        assert origin["validation_loss"] == pytest.approx(losses["candidate sharp"], rel=1e-6)
-        assert ("candidate refinement" in losses) == bool(restarts)
-        torch.testing.assert_close(lens.curvature, sharp.curvature, rtol=0, atol=1e-6)
+    candidates = {"plates": plates, "sharp": sharp}
+    lens, origin, history = by_descents(plates, image_error, problem(NO_LIMITS), still, candidates=candidates)
+    losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
+    assert origin["start"] == "sharp" and losses["candidate sharp"] == min(losses.values())
+    assert origin["candidate_losses"] == {name.removeprefix("candidate "): loss for name, loss in losses.items()}
+    assert origin["validation_loss"] == pytest.approx(losses["candidate sharp"], rel=1e-6)
+    torch.testing.assert_close(lens.curvature, sharp.curvature, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("finished, kept", [(1.5, "sharp"), (0.5, "finished")])
@@ -148,28 +156,43 @@ def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, 
     """Losses by a list: plates 2, sharp 1, then the finished lens; the lens file has that of the lens which it is."""
     losses = iter([2.0, 1.0, finished])
     monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
-    finish = RaySpaceSettings(steps=2, pixels=(5, 5), step_size=1.0, criterion="log_image_error")
-    given = {"batch_size": 4, "rays": 16, "augment": False, "candidates": ["plates", "sharp"], "finish": finish}
-    design = ImageQualitySettings(method="image_quality", **given)
+    finish = DescentSettings(steps=2, pixels=(5, 5), step_size=1.0, criterion="log_image_error")
     sharp, plates = start, replace(start, curvature=0 * start.curvature)
     candidates = {"plates": plates, "sharp": sharp}
-    lens, origin, history = supervised.design(plates, candidates, IMAGE_ERRORS, problem(NO_LIMITS), design)
+    lens, origin, history = by_descents(plates, image_error, problem(NO_LIMITS), finish, candidates=candidates)
     assert origin["validation_loss"] == min(1.0, finished) and origin["start"] == "sharp"
     assert torch.equal(lens.curvature, sharp.curvature) is (kept == "sharp")
     assert origin["finished"] is (kept == "finished")
     assert history[-1] == {"phase": "finished", "validation_loss": finished}
 
 
-@pytest.mark.parametrize("finished", [False, True])
-def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, finished):
-    """Not of that of a finish which was not kept, nor of a refinement that lost to a candidate."""
-    rows = [{"phase": f"{label}, diverged", "step": 3, "cause": "field 2"} for label in ("refinement", "finish")]
-    origin = {"start": "imaging2", "finished": finished}
-    monkeypatch.setattr(supervised, "design", lambda *given: (start, origin, rows))
-    study = parse(changed(tiny_study(), "elements", {"doublet": ("COC", "OKP4")}))
-    wanted = jobs.design.plan(study, "doublet-image_error", 0).settings
-    _, notes, _ = methods.design(wanted, None, random_images(4, 16, 3, 0), {}, {"imaging2": start})
-    assert notes["origin"].get("diverged") == ("step 3: field 2" if finished else None)
+class Failing(ImageError):
+    """An image error that is not finite from some step on."""
+
+    def __init__(self, steps):
+        super().__init__(True)
+        object.__setattr__(self, "left", [steps])
+
+    def losses(self, captures, images, labels):
+        self.left[0] -= torch.is_grad_enabled()
+        return super().losses(captures, images, labels) * (torch.nan if self.left[0] < 0 else 1)
+
+
+@pytest.mark.parametrize("fails_at, told", [(1, False), (3, True), (5, False)])
+def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, fails_at, told):
+    """Of one of its own descents; not of a restart that was not refined, nor of a finish that was not kept."""
+    parts = [DescentSettings(steps=1, pixels=(20, 20), lenses=lenses) for lenses in (2, 1)]
+    criteria = [Failing(99) for _ in range(2)]
+    if fails_at == 5:  # of a finish that is worse than its start
+        losses = iter([1.0, 2.0])
+        monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
+        parts, criteria = [DescentSettings(steps=2, pixels=(20, 20))], [Failing(1)]
+        _, origin, _ = by_descents(start, lambda p: criteria[0], problem(), *parts, candidates={"start": start})
+    else:
+        criteria = [Failing(0) if fails_at == 3 else Failing(1), Failing(99)]
+        made = iter([criteria[1], criteria[0]])  # that of the last descent is made first
+        _, origin, _ = by_descents(start, lambda p: next(made), problem(), *parts)
+    assert ("diverged" in origin) is told
 
 
 def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
@@ -181,13 +204,11 @@ def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
         return 1.0
 
     monkeypatch.setattr(Supervisor, "selection_loss", selection_loss)
-    finish = RaySpaceSettings(steps=1, pixels=(5, 5), step_size=0.1, criterion="log_image_error")
-    given = {"batch_size": 4, "rays": 16, "augment": False, "candidates": ["start"], "finish": finish}
+    finish = DescentSettings(steps=1, pixels=(5, 5), step_size=0.1, criterion="log_image_error")
     margins = manufacturing_margins(start, LIMITS, clear_semi_diameters(start, LOOKS))
     least = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05  # broken by 0.05 mm
     limits = LIMITS.model_copy(update={"min_centre_thickness": least})
-    design = ImageQualitySettings(method="image_quality", **given)
-    lens, _, _ = supervised.design(start, {"start": start}, IMAGE_ERRORS, problem(limits), design)
+    lens, _, _ = by_descents(start, image_error, problem(limits), finish, candidates={"start": start})
     made, _ = repair(lens, LOOKS, limits)
     assert not torch.equal(made.thickness, lens.thickness) and torch.equal(judged[-1].thickness, made.thickness)
     assert lens.semi_diameter.isinf().any() and not judged[-1].semi_diameter.isinf().any()
@@ -244,10 +265,9 @@ def test_the_image_error_alone_makes_a_lens():
         sharp = images.batch(torch.arange(12))[0]
         return float(psnr(Camera(grid.float()).grid(sharp), sharp).mean())
 
-    steps = RaySpaceSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
-    given = {"batch_size": 6, "rays": 32, "augment": False, "restart": steps, "refinement": steps}
-    design = ImageQualitySettings(method="image_quality", **given)
-    lens, _, _ = supervised.design(plates, {}, IMAGE_ERRORS, replace(problem(), dataset=images), design)
+    steps = DescentSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
+    posed = replace(problem(), dataset=images)
+    lens, _, _ = by_descents(plates, image_error, posed, steps, steps, batch_size=6, rays=32)
     assert quality(lens) > quality(plates) + 3
 
 
@@ -260,11 +280,8 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
         seen.append(JointTaskLoss(copy.deepcopy(network), 1e-2, part.steps, part.final))
         return seen[-1]
 
-    descent = RaySpaceSettings(steps=3, pixels=(5, 5))
-    settings = {"batch_size": 4, "rays": 16, "micro_batch": 36, "augment": False, "network_learning_rate": 1e-2}
-    settings |= {"restart": descent, "refinement": descent}
-    design = JointRaySpaceSettings(method="joint_ray_space", **settings)
-    supervised.design(start, {}, {"classification": joint}, problem(NO_LIMITS), design)
+    descent = DescentSettings(steps=3, pixels=(5, 5), network_learning_rate=1e-2)
+    by_descents(start, joint, problem(NO_LIMITS), descent, descent, micro_batch=4)
     assert len(seen) == 2 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
     for criterion in seen:
         trained = criterion.network
@@ -278,12 +295,12 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
 def test_a_network_that_changes_halves_no_step(start):
     """A lens that does not move is no worse than the best, though a network trained too fast reads it ever worse."""
     network = small_network().train()
-    finish = RaySpaceSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0)
-    settings = {"batch_size": 4, "rays": 16, "micro_batch": 36, "augment": False, "network_learning_rate": 1.0}
-    design = JointRaySpaceSettings(method="joint_ray_space", candidates=("plates",), finish=finish, **settings)
-    criteria = {"classification": lambda part: JointTaskLoss(copy.deepcopy(network), 1.0, part.steps, 1.0)}
-    _, _, history = supervised.design(start, {"plates": start}, criteria, problem(NO_LIMITS), design)
-    rows = [row for row in history if row["phase"] == "finish"]
+    finish = DescentSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0, network_learning_rate=1.0)
+
+    def joint(part):
+        return JointTaskLoss(copy.deepcopy(network), 1.0, part.steps, 1.0)
+
+    _, _, rows = by_descents(start, joint, problem(NO_LIMITS), finish)
     losses = [row["validation_loss"] for row in rows if "validation_loss" in row]
     assert sum(later > losses[0] for later in losses) > 3
     assert len({row["step_size_um"] for row in rows}) == 1
@@ -291,45 +308,37 @@ def test_a_network_that_changes_halves_no_step(start):
 
 def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
     """By the accuracy given with it; no other lens competes, and the lens file says which it was."""
-    descent = {"steps": 1, "pixels": [1, 1]}
-    joint = {
-        "method": "joint_ray_space",
-        "network_learning_rate": 1e-3,
-        "batch_size": 2,
-        "candidates": ["imaging1", "imaging2"],
-    }
+    joint = {"start": ["imaging1", "imaging2"], "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
     study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
-    study = parse(changed(study, "designs.joint", joint | {"finish": descent}))
+    study = parse(changed(study, "designs.joint", joint))
     wanted, seen = jobs.design.plan(study, "doublet-joint", 0).settings, []
 
-    def design(flat, candidates, *rest):
-        seen.append(candidates)
-        return spot_lens(start), {}, []
+    def design(begin, candidates, *rest):
+        seen.append((begin, candidates))
+        raise Seen
 
-    monkeypatch.setattr(supervised, "design", design)
-    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (spot_lens(start), 70.0)}
-    _, notes, _ = methods.design(wanted, small_network(), None, starts, {})
-    assert notes["origin"]["start"] == "doublet-imaging2" and [*seen[0]] == ["doublet-imaging2"]
-    assert torch.equal(seen[0]["doublet-imaging2"].curvature, spot_lens(start).curvature)
+    sharp = spot_lens(start)
+    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (sharp, 70.0)}
+    monkeypatch.setattr(descents, "design", design)
+    with pytest.raises(Seen):
+        methods.design(wanted, small_network(), None, starts, {})
+    ((begin, candidates),) = seen
+    assert torch.equal(begin.curvature, sharp.curvature) and not candidates
 
 
 class Seen(Exception):
     """Ends a design where it begins."""
 
 
-@pytest.mark.parametrize("method, start", [("joint_ray_space", "even"), ("end_to_end", "uneven")])
-def test_a_joint_descent_in_ray_space_begins_with_no_lost_field(tmp_path, monkeypatch, method, start):
+@pytest.mark.parametrize("names, start", [(["imaging1"], "even"), ("best_imaging", "uneven")])
+def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names, start):
     """With the lens whose worst field is the best; end-to-end design, as in the paper, with the best mean."""
     lens, accuracies = flat(materials("COC"), Spec(), LIMITS), {"even": 9 * [60], "uneven": [*8 * [70], 10]}
     prescription.write(tmp_path / "lens.yaml", prescription.Prescription(lens), {})
     for name, values in accuracies.items():
         rows = [f"{field},minival_accuracy,{value}\n" for field, value in enumerate(values)]
         write(tmp_path / name, "field,metric,value\n" + "".join(rows))
-    joint = {"method": method, "batch_size": 2, "network_learning_rate": 1e-3}
-    if method == "joint_ray_space":
-        joint |= {"candidates": ["imaging1"], "finish": {"steps": 1, "pixels": [1, 1]}}
-    else:
-        joint |= {"start": "best_imaging", "steps": 1}
+    joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
     wanted = jobs.design.plan(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0).settings
 
     def design(settings, network, train, starts, *rest):
@@ -357,8 +366,6 @@ def test_descending_lowers_the_loss(start):
         grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
         return float(loss_at_psf(TaskLoss(network), images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
 
-    steps = RaySpaceSettings(steps=12, pixels=(10, 10), step_size=0.5)
-    lens, _ = designed(
-        network, start, NO_LIMITS, batch_size=12, augment=False, restarts=1, restart=steps, refinement=steps
-    )
+    steps = DescentSettings(steps=12, pixels=(10, 10), step_size=0.5)
+    lens, _ = designed(network, start, NO_LIMITS, (steps, steps), batch_size=12, augment=False)
     assert loss(lens) < loss(start)

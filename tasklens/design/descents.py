@@ -67,33 +67,34 @@ def design(
             micro_batch = (part.batch_size or settings.batch_size) * len(problem.view.fields)
         return Supervisor(made, problem, part.size, settings.augment, micro_batch, part.centre, settings.tolerances)
 
-    def selection_loss(judge: Supervisor, lens: Lens) -> float:
+    last = supervisor(settings.descents[-1])
+
+    def selection_loss(lens: Lens) -> float:
         repaired = with_clear_apertures(*repair(lens, problem.view, problem.limits))
-        return judge.selection_loss(repaired, settings.descents[-1].pixels[1])
+        return last.selection_loss(repaired, settings.descents[-1].pixels[1])
 
     origin: dict[str, Any] = {}
-    judge = supervisor(settings.descents[-1])
-    losses = {name: selection_loss(judge, lens) for name, lens in candidates.items()}
+    losses = {name: selection_loss(lens) for name, lens in candidates.items()}
     if losses:
         chosen = min(losses, key=lambda name: losses[name])
         start, origin["start"] = candidates[chosen], chosen
         history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     lenses = [_Descended(start)] * settings.descents[0].lenses
     for k, part in enumerate(settings.descents, 1):
-        judge = supervisor(part) if k < len(settings.descents) else judge
+        supervising = supervisor(part) if k < len(settings.descents) else last
         descended = []
         for i, before in enumerate(lenses[: part.lenses], 1):
             label = f"descent {k}" if part.lenses == 1 else f"descent {k}, lens {i} of {part.lenses}"
             seed = int(torch.randint(2**31, (), generator=generator))
-            descent = Descent(before.lens, judge, settings, part, seed)
+            descent = Descent(before.lens, supervising, settings, part, seed)
             lens, rows = run(descent, label, checkpoint)
             history += rows
             descended.append(_Descended(lens, descent.least, (*before.labels, label)))
         lenses = sorted(descended, key=lambda each: each.least)
     best = lenses[0]
     lens, loss, labels = best.lens, best.least[1], best.labels
-    if losses and not judge.criterion.trained:
-        loss = selection_loss(judge, lens)
+    if losses and not last.criterion.trained:
+        loss = selection_loss(lens)
         history.append({"phase": "finished", "validation_loss": loss})
         origin["finished"] = loss <= losses[chosen]
         if not origin["finished"]:
@@ -102,8 +103,8 @@ def design(
     causes = [row for row in history if "cause" in row and row["phase"].removesuffix(", diverged") in labels]
     if causes:
         origin["diverged"] = f"step {causes[-1]['step']}: {causes[-1]['cause']}"
-    if not judge.criterion.trained:  # else it is of another network than any other
+    if not last.criterion.trained:  # else it is of another network than any other
         origin["validation_loss"] = loss
     if losses:
         origin["candidate_losses"] = losses
-    return lens, origin, history, judge
+    return lens, origin, history, last
