@@ -12,11 +12,11 @@ from concurrent.futures import ProcessPoolExecutor
 import timing
 import timm
 import torch
+from tasklens.design.supervised import RaySpaceDescent
 
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervised import RaySpaceDescent
 from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec

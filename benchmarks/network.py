@@ -15,12 +15,12 @@ import timing
 import timm
 import torch
 import torch.nn.functional as F
+from tasklens.design.supervised import RaySpaceDescent
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervised import RaySpaceDescent
 from tasklens.design.supervision import Supervisor
 from tasklens.imaging import Camera
 from tasklens.materials.catalogues import builtin

@@ -15,11 +15,11 @@ import timing
 import timm
 import torch
 import yaml
+from tasklens.design.end_to_end import JointDescent
 from torch import nn
 
 from tasklens.design import least_squares
 from tasklens.design.criteria import TaskLoss
-from tasklens.design.end_to_end import JointDescent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor

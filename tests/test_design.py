@@ -191,9 +191,7 @@ def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
 
 def test_a_design_that_diverges_is_a_result(start):
     """Steps without measure: the descent stops, the last finite lens comes back, and the history says so."""
-    rates = LearningRates.model_construct(
-        curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0, normalised=True
-    )
+    rates = LearningRates.model_construct(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0, normalised=True)
     lens, history = descended(small_network(), start, steps=6, learning_rates=rates)
     assert history[-1]["phase"] == "descent 1, diverged" and history[-1]["step"] <= 6
     assert history[-1]["cause"].startswith("no field;")  # the penalty overflowed

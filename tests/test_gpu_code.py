@@ -69,9 +69,7 @@ def supervision(device, start) -> list[float]:
     problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
     supervisor = Supervisor(TaskLoss(frozen(small_network(0), data(device).images).to(device)), problem, None, False, 7)
     curvature = start.curvature.clone().requires_grad_()
-    loss = supervisor.loss(
-        replace(start, curvature=curvature), sobol_disc(64, seed=0), 2.0, torch.arange(4), seed=0
-    )
+    loss = supervisor.loss(replace(start, curvature=curvature), sobol_disc(64, seed=0), 2.0, torch.arange(4), seed=0)
     (gradient,) = torch.autograd.grad(loss.value, curvature)
     assert loss.fields.device == gradient.device == CPU and gradient.dtype == curvature.dtype
     return [*loss.fields.tolist(), *gradient.tolist(), supervisor.validation_loss(start, 2.0)]

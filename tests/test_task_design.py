@@ -55,7 +55,13 @@ def designed(network, lens, limits=LIMITS, parts=(RESTARTS, REFINEMENT), batch_n
 def spot_lens(start):
     """A doublet after 200 steps of spot descent, which violates limits a little."""
     settings = DescentSettings(
-        optimizer="adamw", criterion="spot", steps=200, learning_rates=FAST, betas=(0.9, 0.99), final=1.0, stop_scale=0.3
+        optimizer="adamw",
+        criterion="spot",
+        steps=200,
+        learning_rates=FAST,
+        betas=(0.9, 0.99),
+        final=1.0,
+        stop_scale=0.3,
     )
     return by_descents(start, lambda part: SpotRadius(), Problem(LOOKS, LIMITS, 0), settings, rays=64)[0]
 

@@ -18,7 +18,6 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.stage import STAGES
-from tasklens.study.design_settings import EndToEndSettings, JointRaySpaceSettings, TaskDrivenSettings
 from tasklens.study.loading import at_points, load, parse
 from tasklens.study.study import Study
 
@@ -83,6 +82,17 @@ def plan(folder: Path, study: dict | list[Path] | None, *targets: str) -> dict[s
 TOLD = ("psf_tail", "effort", "captures", "report")
 
 
+def by_network(lens) -> list:
+    """The descents of a lens on the loss of a network."""
+    return [descent for descent in getattr(lens.design, "descents", ()) if descent.criterion == "task"]
+
+
+def task_driven(lens) -> bool:
+    """Whether the network is frozen at first, or trained with a lens that is chosen from a list."""
+    found = by_network(lens)
+    return bool(found) and (found[0].network_learning_rate is None or isinstance(lens.design.start, tuple))
+
+
 class Expected:
     """Jobs counted from a study, by what the paper's tables are about."""
 
@@ -104,16 +114,15 @@ class Expected:
             return False
         if table == "table4" and self.study.restored is not None and lens.elements not in self.study.restored:
             return False
-        joint_from_lens = isinstance(lens.design, JointRaySpaceSettings) and bool(lens.design.candidates)
-        task_driven = isinstance(lens.design, TaskDrivenSettings) or joint_from_lens
-        joint = isinstance(lens.design, EndToEndSettings | JointRaySpaceSettings)
-        return joint or task_driven if table == "table3" else task_driven or not joint
+        return bool(by_network(lens)) if table == "table3" else task_driven(lens) or not by_network(lens)
 
     def add_starts(self, lenses) -> None:
         for lens in lenses:
-            named = lens.design.candidates if isinstance(lens.design, JointRaySpaceSettings) else ()
-            if getattr(lens.design, "start", None) == "best_imaging":
+            start, named = getattr(lens.design, "start", None), ()
+            if start == "best_imaging":
                 named = self.study.imaging_starts
+            elif isinstance(start, tuple) and lens.design.descents[-1].network_learning_rate:
+                named = start
             if named:
                 starts = {f"{lens.elements}-{name}" for name in named}
                 self.waiting |= starts
@@ -125,11 +134,9 @@ class Expected:
 
     def counts(self, *seedless: tuple[str, int], **others: int) -> dict[str, int]:
         """Jobs of these lenses and measurements; the numbers of `others` are per seed."""
-        supervised = [self.study.lens(name).design for name in self.designed]
+        supervised = [self.study.lens(name) for name in self.designed]
         needed = {classifier for _, classifier, _ in self.measured}
-        if any(
-            isinstance(design, TaskDrivenSettings | EndToEndSettings | JointRaySpaceSettings) for design in supervised
-        ):
+        if any(map(by_network, supervised)):
             needed |= {self.study.supervisor}
         by_seed = {
             "design": len(self.designed),
@@ -154,7 +161,7 @@ def expected_of_everything(study: Study) -> dict[str, int]:
     """Jobs of all tables, figures, certificates and ablations, and of the verification of the tables."""
     found = Expected(study)
     again = len(found.measured - {(name, study.supervisor, False) for name in found.waiting - found.shown})
-    drawn = {lens.elements for lens in study.lenses.values() if isinstance(lens.design, TaskDrivenSettings)}
+    drawn = {lens.elements for lens in study.lenses.values() if task_driven(lens)}
     found.measured |= {  # the best imaging lens stands beside the task-driven one
         (f"{elements}-{name}", study.supervisor, False) for elements in drawn for name in study.imaging_designs
     }

@@ -7,7 +7,6 @@ from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.settings import CaptureSettings, Constraints
 
-
 History = list[dict[str, Any]]  # a row per logged step of a design
 
 

@@ -143,6 +143,7 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
         raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least squares or image quality")
     known = [name for name, other in study.imported.items() if other.elements == lens.elements]
     known += study.imaging_starts if not design.by_network else [n for n in study.designs if n not in study.vignetted]
+    known = [name for name in known if name != lens.design_name]
     for name in design.candidates:
         if name not in known:
             raise ValueError(

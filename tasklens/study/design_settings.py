@@ -10,7 +10,6 @@ from tasklens.study.quantities import (
     Angle,
     Batch,
     Count,
-    Fraction,
     LearningRate,
     Magnification,
     Name,
@@ -124,6 +123,13 @@ class DescentSettings(Frozen):
         return self.network_learning_rate is not None
 
 
+def _start(given: Any) -> Any:
+    names = given if isinstance(given, list | tuple) else ()
+    if given not in ("flat", "best_imaging") and not (names and all(isinstance(name, str) for name in names)):
+        raise ValueError("expected flat, best_imaging, or a list of designs or imported lenses")
+    return given
+
+
 class GradientDesignSettings(Frozen):
     """Settings of a design by descents: the first is run from the start, each other from the best lens before it."""
 
@@ -140,7 +146,7 @@ class GradientDesignSettings(Frozen):
     )
 
     method: Literal["descents"] = Field("descents", description="Design by descents.")
-    start: Literal["flat", "best_imaging"] | tuple[Name, ...] = Field(
+    start: Annotated[Literal["flat", "best_imaging"] | tuple[str, ...], BeforeValidator(_start)] = Field(
         "flat",
         description="Flat plates; the imaging lens of the best minival accuracy; or a list of designs or imported "
         "lenses, of which the best lens of the same elements and seed is the start: by the criterion of the last "
@@ -168,13 +174,6 @@ class GradientDesignSettings(Frozen):
         description="Grade of manufacture for which the lens is designed: each step sees a lens built from it, with "
         "errors of its own, and focused; null: the lens as designed.",
     )
-
-    @field_validator("start")
-    @classmethod
-    def _some_start(cls, start: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        if not start:
-            raise ValueError("expected flat, best_imaging, or a list of at least one design")
-        return start
 
     @field_validator("descents")
     @classmethod
@@ -259,9 +258,13 @@ _FORMAT_2 = {  # how the methods of format 2 are written
 
 
 def _this_format(given: Any) -> Any:
-    method = given.get("method") if isinstance(given, dict) else None
+    if not isinstance(given, dict | GradientDesignSettings | LeastSquaresSettings):
+        raise ValueError("expected keys and values")
+    method = given.get("method", "descents") if isinstance(given, dict) else given.method
     if method in _FORMAT_2:
         raise ValueError(f"method: {method}: since format 3 this is {_FORMAT_2[method]}; see config/config.yaml")
+    if method not in ("descents", "least_squares"):
+        raise ValueError(f"method: expected descents, which is the default, or least_squares, got {method!r}")
     return given
 
 

@@ -1,7 +1,6 @@
 """Entries of a study's lenses: designed, or imported from files; no torch here."""
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field, FilePath, field_validator
 
