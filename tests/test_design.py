@@ -10,7 +10,7 @@ from examples import by_descents, changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import methods
-from tasklens.design.apertures import with_open_apertures
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.descent import divergence
 from tasklens.design.problem import Problem

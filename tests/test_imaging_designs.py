@@ -8,7 +8,7 @@ import pytest
 import torch
 from examples import by_descents, difference, materials
 
-from tasklens.design import least_squares, vignetting
+from tasklens.design import least_squares
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import SpotRadius
 from tasklens.design.merit import FIELD_HEIGHTS, VIOLATION_UM_PER_MM, Merit
@@ -16,6 +16,7 @@ from tasklens.design.problem import Problem
 from tasklens.design.random_starts import random_starts
 from tasklens.design.start import flat
 from tasklens.design.variables import Variables
+from tasklens.optics.analysis import vignetting
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields

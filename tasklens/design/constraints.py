@@ -69,9 +69,14 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays
         "distortion": limits.distortion - distortion(view.fields, points)[off_axis].abs(),
     }
     if limits.max_chief_ray_angle_deg is not None:
-        l, m, n = (v[off_axis, 0, 0] for v in (chief.l, chief.m, chief.n))
-        margins["chief_ray_angle"] = math.radians(limits.max_chief_ray_angle_deg) - torch.atan2(torch.hypot(l, m), n)
+        direction = (v[off_axis, 0, 0] for v in (chief.l, chief.m, chief.n))
+        margins["chief_ray_angle"] = math.radians(limits.max_chief_ray_angle_deg) - chief_ray_angle(*direction)
     return margins
+
+
+def chief_ray_angle(l: Tensor, m: Tensor, n: Tensor) -> Tensor:
+    """Compute the angle of rays with the axis [rad]."""
+    return torch.atan2(torch.hypot(l, m), n)
 
 
 def violation(margins: Mapping[str, Tensor]) -> Tensor:

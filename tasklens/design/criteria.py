@@ -120,10 +120,12 @@ class ImageError(CaptureCriterion):
 
 @dataclass(frozen=True)
 class Correlation(CaptureCriterion):
-    """Lost correlation 1 - r of capture c and sharp image s, r = <c - mean c, s - mean s> / (|c - mean c| |s - mean s|).
+    """Lost correlation 1 - r of capture c and sharp image s.
 
-    Means are over the pixels of each colour, the product and norms over all values. It does not change if the capture
-    is scaled or brightened, as by haze.
+    r = <c - mean c, s - mean s> / (|c - mean c| |s - mean s|)
+
+    Means are over the pixels of each colour, the product and norms over all values. The loss does not change if the
+    capture is scaled or brightened, as by haze.
     """
 
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:

@@ -15,12 +15,12 @@ from typing import Any
 
 import torch
 
-from tasklens.design.apertures import with_clear_apertures
 from tasklens.design.criteria import Criterion
 from tasklens.design.descent import Descent, run
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.supervision import Supervisor
+from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings

@@ -14,11 +14,11 @@ import numpy
 import torch
 from scipy.optimize import least_squares
 
-from tasklens.design import vignetting
 from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import History, Problem
 from tasklens.design.random_starts import random_starts
 from tasklens.design.variables import ORDERS, Variables
+from tasklens.optics.analysis import vignetting
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress

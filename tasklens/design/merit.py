@@ -109,7 +109,7 @@ class Merit:
         operands = LinearLimits(lens.detached(), self.limits, view, _APERTURE_RESERVE * used, chief)
         weight = torch.full((len(operands.values),), self.per_mm, dtype=lens.dtype)
         weight[len(weight) - operands.angles :] *= self.angle_weight
-        values = torch.cat([*(error.flatten() for error in errors), weight * torch.from_numpy(operands.values)])
+        values = torch.cat([*(error.flatten() for error in errors), weight * operands.values])
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
@@ -125,7 +125,7 @@ class Merit:
             ]
             apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
             along = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
-            rows.append((weight[:, None] * torch.from_numpy(along)).T)
+            rows.append((weight[:, None] * along).T)
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
         # A perturbed lens can have residuals that are not finite, which scipy does not accept.

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design import descents, imported, least_squares
-from tasklens.design.apertures import with_clear_apertures, with_open_apertures
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.optimum import local_optimum
@@ -21,6 +20,7 @@ from tasklens.design.variables import ORDERS
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
+from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import frozen

@@ -1,6 +1,9 @@
-"""Optimizers of a lens: steps of given ray displacement, or AdamW on the parameters."""
+"""Optimizers of a lens: steps of given ray displacement, or AdamW on the parameters.
 
-from abc import ABC, abstractmethod
+Both move the variables of a lens, concatenated in one vector (V,), and have `state_dict` and `load_state_dict` as
+torch's optimizers have. `change` computes what `apply` takes, so that what is not finite is never applied.
+"""
+
 from typing import Any
 
 import torch
@@ -18,62 +21,8 @@ LEEWAY_MM = 0.05  # violation norm above which a lens is far outside its limits;
 _HALVINGS = 5  # maximum number of halvings of a step
 
 
-class Optimizer(ABC):
-    """Optimizer of the variables of a lens, concatenated in one vector (V,).
-
-    It has `state_dict` and `load_state_dict`, as torch's optimizers have.
-    """
-
-    @abstractmethod
-    def vector(self) -> Tensor:
-        """Return the present variables (V,), to be differentiated by."""
-
-    @abstractmethod
-    def lens(self, vector: Tensor) -> Lens:
-        """Return the lens with these variables, differentiable in them."""
-
-    @abstractmethod
-    def violation(self) -> float:
-        """Compute the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
-
-    @abstractmethod
-    def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
-        """Compute what `apply` takes: the change (V,) of the variables, or the gradient if the optimizer steps by it.
-
-        Args:
-            vector, lens: variables from `vector`, and the lens with them.
-            loss: scalar whose gradient is that of the loss.
-            done: fraction of the steps that are done.
-            pixels: present pixel pitch [sensor pixels].
-        """
-
-    @abstractmethod
-    def apply(self, change: Tensor) -> None:
-        """Take the step."""
-
-    @abstractmethod
-    def go_back(self, best: Tensor) -> None:
-        """Go on from the best variables after validations without a better lens, if the optimizer does that."""
-
-    @abstractmethod
-    def numbers(self) -> dict[str, float]:
-        """Return numbers of the present step for the history."""
-
-    @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state."""
-
-    @abstractmethod
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from `state`."""
-
-
-class RaySpaceOptimizer(Optimizer):
-    """Steps of given ray displacement along the running mean of the gradient (see `ray_space`).
-
-    After a few validations without a better lens it goes back to the best, with half the step size: how large a step
-    may be depends on how sharp the lens is.
-    """
+class RaySpaceOptimizer:
+    """Steps of given ray displacement along the running mean of the gradient (see `ray_space`)."""
 
     def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
         self.settings, self.pitch = settings, problem.view.pixel_pitch
@@ -86,19 +35,26 @@ class RaySpaceOptimizer(Optimizer):
         self.step_um = 0.0
 
     def vector(self) -> Tensor:
-        """Return the present variables."""
+        """Return the present variables (V,), to be differentiated by."""
         return self.values.clone().requires_grad_()
 
     def lens(self, vector: Tensor) -> Lens:
-        """Return the lens with these variables."""
+        """Return the lens with these variables, differentiable in them."""
         return self.space.lens(vector)
 
     def violation(self) -> float:
-        """Return the violation at the fields of the merit function."""
+        """Return the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
         return self.model.violation_norm
 
     def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
-        """Compute the change along the mean gradient; limits are hard as soon as pixels have their last size."""
+        """Compute the change (V,) of the variables; limits are hard as soon as pixels have their last size.
+
+        Args:
+            vector, lens: variables from `vector`, and the lens with them.
+            loss: scalar whose gradient is that of the loss.
+            done: fraction of the steps that are done.
+            pixels: present pixel pitch [sensor pixels].
+        """
         settings = self.settings
         (slope,) = torch.autograd.grad(loss, vector)
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
@@ -121,12 +77,12 @@ class RaySpaceOptimizer(Optimizer):
         self.values, self.model = moved, model
 
     def go_back(self, best: Tensor) -> None:
-        """Go back to the best lens, with half the step size."""
+        """Go back to the best lens, with half the step size: how large that may be depends on how sharp the lens is."""
         self.values, self.model, self.factor = best, self.space.linearise(best), self.factor / 2
         self.mean, self.averaged = torch.zeros_like(self.mean), 0
 
     def numbers(self) -> dict[str, float]:
-        """Return step size and violation."""
+        """Return numbers of the present step for the history."""
         return {"step_size_um": self.step_um, "violation": self.model.violation_norm}
 
     def state_dict(self) -> dict[str, Any]:
@@ -135,12 +91,11 @@ class RaySpaceOptimizer(Optimizer):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from `state`, and linearise again."""
-        for name, value in state.items():
-            setattr(self, name, value)
+        vars(self).update(state)
         self.model = self.space.linearise(self.values)
 
 
-class AdamWOptimizer(Optimizer):
+class AdamWOptimizer:
     """AdamW on the parameters, with cosine schedule, and penalties on violated limits and angles of incidence."""
 
     def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
@@ -155,23 +110,23 @@ class AdamWOptimizer(Optimizer):
         self.penalty = 0.0
 
     def vector(self) -> Tensor:
-        """Return the present variables."""
+        """Return the present variables (V,), to be differentiated by."""
         return torch.cat(list(self.values.values()))
 
     def lens(self, vector: Tensor) -> Lens:
-        """Return the lens with these variables."""
+        """Return the lens with these variables, differentiable in them."""
         return self.variables.assemble_vector(list(self.values), vector)
 
     @torch.no_grad()
     def violation(self) -> float:
-        """Return the root of the sum of squared violations."""
+        """Return the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
         return float(self._limits(self.lens(self.vector())).sqrt())
 
     def _limits(self, lens: Lens) -> Tensor:
         return penalty(lens, self.problem.limits, self.problem.view)
 
     def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
-        """Compute the gradient of loss and penalties."""
+        """Compute the gradient (V,) of loss and penalties; arguments as of `RaySpaceOptimizer.change`."""
         settings, penalties = self.settings, self._limits(lens)
         if settings.max_incidence_deg is not None:
             penalties = penalties + incidence_penalty(lens, self.problem.view, settings.max_incidence_deg)
@@ -186,7 +141,7 @@ class AdamWOptimizer(Optimizer):
         self.optimizer.zero_grad()
 
     def go_back(self, best: Tensor) -> None:
-        """Go on from the present lens."""
+        """Go on from the present lens: the paper's protocol never goes back."""
 
     def numbers(self) -> dict[str, float]:
         """Return the learning rate of the curvatures [1/mm], and the penalty."""

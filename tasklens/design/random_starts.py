@@ -11,7 +11,7 @@ import torch
 from numpy import ndarray
 
 from tasklens.materials.material import AIR
-from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
@@ -56,25 +56,24 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
 def _possible(drawn: ndarray, flat: Lens, view: View, limits: Constraints, strongest: float) -> ndarray:
     """Return which of the drawn lenses (T, N) have a last curvature, back focus and track within the limits.
 
-    A paraxial ray of height 1 goes through all of them: n' u' = n u - y c (n' - n), y' = y + u' t.
+    The last curvature gives the focal length to a paraxial ray of height 1.
     """
-    surfaces = list(flat.refracting_surfaces)
-    indices = flat.refractive_indices((view.reference,))[:, 0].tolist()
-    thickness = numpy.tile(flat.thickness.numpy(), (len(drawn), 1))
-    thickness[:, surfaces[:-1]] = drawn[:, len(surfaces) :]
-    height, slope = numpy.ones(len(drawn)), numpy.zeros(len(drawn))  # slope times index
-    for column, i in enumerate(surfaces[:-1]):
-        slope = slope - height * drawn[:, column] * (indices[i + 1] - indices[i])
-        height = height + slope / indices[i + 1] * thickness[:, i]
-    last = surfaces[-1]
-    curvature = (1 / view.efl + slope) / (height * (indices[last + 1] - indices[last]))
-    back_focus = height * view.efl
-    track = thickness[:, :last].sum(1) + back_focus
+    surfaces, columns = list(flat.refracting_surfaces), torch.from_numpy(drawn.T)
+    indices = flat.refractive_indices((view.reference,))[:, 0, None]
+    thickness = flat.thickness[:, None].repeat(1, len(drawn))
+    thickness[surfaces[:-1]] = columns[len(surfaces) :]
+    curvature = torch.zeros_like(thickness)
+    curvature[surfaces[:-1]] = columns[: len(surfaces) - 1]
+    steps, one = indices[1:] - indices[:-1], torch.ones(len(drawn), dtype=flat.dtype)
+    heights, angles = paraxial_ray(steps * curvature, thickness / indices[1:], one, 0 * one)
+    last = (1 / view.efl + angles[-1]) / (heights[-1] * steps[-1])
+    back_focus = heights[-1] * view.efl
+    track = thickness[:-1].sum(0) + back_focus
     return (
-        (abs(curvature) <= strongest * (1 + _ROUNDING))
+        (last.abs() <= strongest * (1 + _ROUNDING))
         & (back_focus > limits.min_back_focus * (1 - _ROUNDING))
         & (track < limits.max_track * (1 + _ROUNDING))
-    )
+    ).numpy()
 
 
 def _focused(drawn: ndarray, flat: Lens, view: View, limits: Constraints, strongest: float) -> Lens | None:

@@ -1,8 +1,8 @@
 """Supervision of a lens by the loss of its rays, PSFs or captures, and the gradient of that loss.
 
-For captures the gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of captures,
-each of which gives dL/dcapture; then one backward pass through the convolutions gives dL/dPSF, and one passes through
-the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch statistics
+For captures the gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of
+captures, each of which gives dL/dcapture; then one backward pass through the convolutions gives dL/dPSF, and one passes
+through the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch statistics
 for one micro-batch per step.
 """
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from tasklens.design.apertures import with_clear_apertures
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.spots import clear_semi_diameters, evaluation_psf
+from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.report.figures import Panel, panel_of
 from tasklens.report.figures import draw as draw_panels

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, vertex_curvature
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_spaces, vertex_curvature
 from tasklens.optics.analysis.spots import chief_rays_full
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
@@ -61,7 +61,9 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     tangent = view.tangents.norm(dim=-1).max()
     z, vergence = first_order.entrance_pupil_z, view.object_vergence
     height = torch.stack([first_order.entrance_pupil_radius / (1 + z * vergence), -tangent * z])
-    heights, angles = paraxial_ray(lens, n, height, torch.stack([vergence * height[0], tangent]) * n[0])
+    heights, angles = paraxial_ray(
+        *powers_and_spaces(lens, n), height, torch.stack([vergence * height[0], tangent]) * n[0]
+    )
     (y, yb), (nu, nub) = heights.unbind(-1), angles[:-1].unbind(-1)
     c = vertex_curvature(lens)
     a, b = n[:-1] * c * y + nu, n[:-1] * c * yb + nub

@@ -42,24 +42,33 @@ def vertex_curvature(lens: Lens) -> Tensor:
     return lens.curvature + (2 * lens.alpha[:, 0] if lens.alpha.shape[1] else 0)
 
 
-def paraxial_ray(lens: Lens, indices: Tensor, height: Tensor, reduced_angle: Tensor) -> tuple[Tensor, Tensor]:
-    """Trace paraxial rays through all surfaces: n' u' = n u - y (n' - n) (c + 2 alpha_2), y_next = y + u' t.
+def powers_and_spaces(lens: Lens, indices: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute what paraxial rays need of a lens with refractive indices (S + 1,) before it and behind each surface.
+
+    Returns:
+        (S,) powers of the surfaces, (n' - n) (c + 2 alpha_2) [1/mm]; (S,) reduced spaces behind them, t / n [mm].
+    """
+    return (indices[1:] - indices[:-1]) * vertex_curvature(lens), lens.thickness / indices[1:]
+
+
+def paraxial_ray(power: Tensor, space: Tensor, height: Tensor, reduced_angle: Tensor) -> tuple[Tensor, Tensor]:
+    """Trace paraxial rays through all surfaces: n' u' = n u - y phi, y_next = y + n' u' t / n'.
 
     Args:
-        indices: (S + 1,) refractive indices before the lens and behind each surface.
+        power, space: (S, ...) powers phi of the surfaces, and reduced spaces behind them, of which the last is not
+            used; of more than one lens if they broadcast with the rays.
         height: y [mm] at the first vertex, any shape.
         reduced_angle: n u in front of the lens, of the same shape.
 
     Returns:
         (S, ...) heights y at the surfaces [mm], (S + 1, ...) reduced angles n u before the lens and behind each.
     """
-    strength = (indices[1:] - indices[:-1]) * vertex_curvature(lens)
     heights, angles = [], [reduced_angle]
-    for i in range(len(lens.media)):
+    for i in range(len(power)):
         if i > 0:
-            height = height + angles[-1] / indices[i] * lens.thickness[i - 1]
+            height = height + angles[-1] * space[i - 1]
         heights.append(height)
-        angles.append(angles[-1] - height * strength[i])
+        angles.append(angles[-1] - height * power[i])
     return torch.stack(heights), torch.stack(angles)
 
 
@@ -68,7 +77,7 @@ def paraxial(lens: Lens, wavelength: float) -> Paraxial:
     n = lens.refractive_indices((wavelength,))[:, 0]
     # Two rays, from (y, n u) = (1, 0) and (0, 1), form the matrix (A B; C D) from the first vertex to every other.
     unit = torch.eye(2, dtype=lens.dtype)
-    heights, angles = paraxial_ray(lens, n, *unit)
+    heights, angles = paraxial_ray(*powers_and_spaces(lens, n), *unit)
     height, angle = heights[-1, 0], angles[-1, 0]
     a, b = heights[lens.stop]
     # A ray through the centre of the stop has a y0 + b u0 = 0 and crosses the axis at z = -y0 / u0 = b / a.
