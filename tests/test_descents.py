@@ -31,8 +31,8 @@ COLD = {
 TRAINED = {"network_learning_rate": 1e-2}
 
 
-# Losses of the first four steps by the classes that one descent has replaced, at commit c0538e9, of the spot descent the
-# mean RMS spot radius [um].
+# Losses of the first four steps by the classes that one descent has replaced, at commit c0538e9; of the spot descent
+# the mean RMS spot radius [um].
 @pytest.mark.parametrize(
     "settings, expected",
     [
@@ -76,7 +76,7 @@ def test_steps_are_those_of_the_methods_before(settings, expected):
         ({"method": "spot", "steps": 3}, "`optimizer: adamw, criterion: spot`"),
         ({"restarts": 3, "descents": [{"steps": 1}]}, "it is now `lenses` of the first of `descents`"),
         ({"descents": []}, "at least 1 item"),
-        ({"start": [], "descents": [{"steps": 1}]}, "a list of at least one design"),
+        ({"start": [], "descents": [{"steps": 1}]}, "a list of designs or imported lenses"),
         ({"descents": [{"steps": 1, "optimizer": "adamw", "momentum": 0.5}]}, "momentum: of `optimizer: ray_space`"),
         ({"descents": [{"steps": 1, "penalty": 5}]}, "penalty: of `optimizer: adamw`"),
         ({"descents": [{"steps": 1, "criterion": "spot", "temperature": 5}]}, "temperature: of `criterion: task`"),
@@ -135,8 +135,8 @@ def test_incidence_on_a_sphere_as_traced_by_hand():
     normal = torch.stack([x + t * rays.l, y + t * rays.m, z + t * rays.n - radius]) / radius
     angle = torch.acos((normal * torch.stack([rays.l, rays.m, rays.n])).sum(0).abs())
     front = (angle - math.radians(20)).clamp(min=0).square().mean()
-    alone = replace(lens, curvature=lens.curvature[:2], conic=lens.conic[:2], alpha=lens.alpha[:2],
-                    thickness=lens.thickness[:2], semi_diameter=lens.semi_diameter[:2], media=lens.media[:2])  # fmt: skip
+    names = ("curvature", "conic", "alpha", "thickness", "semi_diameter", "media")
+    alone = replace(lens, **{name: getattr(lens, name)[:2] for name in names})
     assert float(front) > 1e-3
     assert float(incidence_penalty(alone, view, 20.0)) == pytest.approx(float(front), rel=1e-9)
 

@@ -65,7 +65,7 @@ class DescentSettings(Frozen):
     )
     network_learning_rate: LearningRate | None = Field(
         None,
-        description="Learning rate of a copy of the network that is trained with the lens; null: the network is frozen.",
+        description="Learning rate of a copy of the network that is trained with the lens; null: it is frozen.",
     )
     batch_size: Batch | None = Field(
         None, description="Images per step, each at all nine fields; null: `batch_size` of the design."

@@ -61,9 +61,8 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     tangent = view.tangents.norm(dim=-1).max()
     z, vergence = first_order.entrance_pupil_z, view.object_vergence
     height = torch.stack([first_order.entrance_pupil_radius / (1 + z * vergence), -tangent * z])
-    heights, angles = paraxial_ray(
-        *powers_and_spaces(lens, n), height, torch.stack([vergence * height[0], tangent]) * n[0]
-    )
+    angle = torch.stack([vergence * height[0], tangent]) * n[0]
+    heights, angles = paraxial_ray(*powers_and_spaces(lens, n), height, angle)
     (y, yb), (nu, nub) = heights.unbind(-1), angles[:-1].unbind(-1)
     c = vertex_curvature(lens)
     a, b = n[:-1] * c * y + nu, n[:-1] * c * yb + nub
