@@ -1,0 +1,53 @@
+"""Examples: what a reader is shown first does what the driver does."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+from test_design import LIMITS, LOOKS, problem, small_network
+
+from examples import by_descents, materials
+from tasklens.design import descent
+from tasklens.design.criteria import TaskLoss
+from tasklens.design.start import flat
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.recognition.training import Shuffled
+from tasklens.study.design_settings import DescentSettings, LearningRates
+from tasklens.study.settings import Spec
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def example(name: str):
+    specification = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_the_task_driven_example_takes_the_steps_of_the_driver(monkeypatch):
+    """The same lenses and losses in six steps of AdamW from flat plates, through the same rays."""
+    network, posed = small_network().eval().requires_grad_(False), problem()
+    plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
+    monkeypatch.setattr(descent, "sobol_disc", lambda count, seed: sobol_disc(count, 0))
+    rates = LearningRates(curvature=4e-3, thickness=4e-3, alpha_4=4e-3, decay=1.0, normalised=False)
+    part = DescentSettings(
+        optimizer="adamw", steps=6, learning_rates=rates, final=1.0, pixels=(20, 1), duration=0.8, centre="chief_ray"
+    )
+    _, _, history = by_descents(plates, lambda part: TaskLoss(network), posed, part, rays=32)
+    seed = int(torch.randint(2**31, (), generator=torch.Generator().manual_seed(posed.seed)))
+    order = Shuffled(12, 4, torch.Generator().manual_seed(seed))
+    batches = [posed.dataset.batch(order.next()) for _ in range(6)]
+    steps = list(example("task_driven").descend(plates, LOOKS, network, batches, rays=32))
+    assert [loss for _, loss in steps] == pytest.approx([row["loss"] for row in history], rel=1e-5)
+    assert not torch.equal(steps[-1][0].curvature, plates.curvature)
+
+
+@pytest.mark.slow
+def test_the_task_driven_example_makes_a_lens(monkeypatch, tmp_path, capsys):
+    """Its light comes together on the axis within sixty steps."""
+    monkeypatch.chdir(tmp_path)
+    example("task_driven").main(steps=60)
+    widths = [float(line.split()[-2]) for line in capsys.readouterr().out.splitlines() if line.startswith("step")]
+    assert widths[-1] < 0.5 * widths[0] and (tmp_path / "task_driven.yaml").exists()
