@@ -19,18 +19,18 @@ from tasklens.study.settings import Constraints, Spec, TrainingSettings
 LIMITS = Constraints()
 
 
-def descend(lens, view, network, batches, learning_rate=4e-3, coarsest=20.0, rays=256):
+def descend(start, view, network, batches, learning_rate=4e-3, coarsest=20.0, rays=256):
     """Yield the lens and its loss before each step of AdamW; pixels shrink from `coarsest` to the sensor's."""
-    curvature = lens.curvature[1:].clone().requires_grad_()  # [1/mm]; surface 0 is the stop
-    thickness = lens.thickness[1:].clone().requires_grad_()  # [mm]
-    alpha = lens.alpha[1:, 1:].clone().requires_grad_()  # of r^4 .. r^10
+    curvature = start.curvature[1:].clone().requires_grad_()  # [1/mm]; surface 0 is the stop
+    thickness = start.thickness[1:].clone().requires_grad_()  # [mm]
+    alpha = start.alpha[1:, 1:].clone().requires_grad_()  # of r^4 .. r^10
     optimizer = torch.optim.AdamW([curvature, thickness, alpha], lr=learning_rate, weight_decay=0.0)
     for step, (images, labels) in enumerate(batches):
         lens = replace(
-            lens,
-            curvature=torch.cat([lens.curvature[:1], curvature]),
-            thickness=torch.cat([lens.thickness[:1], thickness]),
-            alpha=torch.cat([lens.alpha[:1], torch.cat([lens.alpha[1:, :1], alpha], 1)]),
+            start,
+            curvature=torch.cat([start.curvature[:1], curvature]),
+            thickness=torch.cat([start.thickness[:1], thickness]),
+            alpha=torch.cat([start.alpha[:1], torch.cat([start.alpha[1:, :1], alpha], 1)]),
         )
         pixels = coarsest ** max(0.0, 1 - step / (0.8 * len(batches)))
         psf = tasklens.psf(lens, replace(view, pixel_pitch=pixels * view.pixel_pitch), rays)  # (field, colour, y, x)
@@ -52,9 +52,7 @@ def main(steps=300):
     batches = [dataset.batch(torch.randint(len(dataset), (8,))) for _ in range(steps)]
     for step, (lens, loss) in enumerate(descend(plates, view, network, batches)):
         if step % 20 == 0:
-            print(
-                f"step {step}: loss {loss:.2f}, axial spot {1e3 * float(tasklens.trace(lens, view).x[0].std()):.0f} um"
-            )
+            print(f"step {step}: loss {loss:.2f}, axial spot {1e3 * tasklens.trace(lens, view).x[0].std():.0f} um")
     tasklens.save_lens("task_driven.yaml", lens, view)
 
 
