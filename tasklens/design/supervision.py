@@ -2,8 +2,8 @@
 
 For captures the gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of
 captures, each of which gives dL/dcapture; then one backward pass through the convolutions gives dL/dPSF, and one passes
-through the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch statistics
-for one micro-batch per step.
+through the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch
+statistics for one micro-batch per step.
 """
 
 import math

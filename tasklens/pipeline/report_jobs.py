@@ -178,18 +178,16 @@ def report(study: Study) -> Plan:
         by_classifier=[lens for lens in lenses if study.lens(lens).classified],
         margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
         questions=[paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS],
-        gaps=contents.gaps,
+        supervised=contents.supervised,
         optional={path.stem.replace("-", "_"): path for path in _optional(study)},
         optional_figures={"merit_function": merit_function.output(study, "figure")},
         benchmarks=folder / "benchmarks",
         configuration=dump(study),
     )
-    keys = [(lens, study.supervisor, seed) for lens in lenses if (lens, study.supervisor) in contents.measured]
     inputs = {
         "tables": {name: table.output(study, "csv", table=name) for name in shown},
         "provenance": {name: table.output(study, "json", table=name) for name in shown},
         "others": {each.name: each.output(study, "csv") for each in (verdicts, psf_tail, effort)},
-        "frozen": {key: measurement(study, *key, "frozen") for key in keys},
         "lenses": {lens: lens_file(study, lens, seed) for lens in lenses},
         "histories": {lens: design.output(study, "history", **lenses[lens]) for lens in lenses},
         **{part: {lens: certificate.output(study, part, **lenses[lens]) for lens in lenses} for part in _LENS_PARTS},
@@ -224,7 +222,7 @@ def verify(study: Study) -> Plan:
     contents = paper_tables.verification(study)
     inputs = (
         _lenses(study, contents.lenses)
-        | _measured(study, contents.measured, "metrics", "predictions", "frozen")
+        | _measured(study, contents.measured, "metrics", "predictions")
         | {
             "reproduced": {
                 (lens, name, seed): reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=seed)

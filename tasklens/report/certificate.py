@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas
 
+from tasklens.report.optimality import optimum
 from tasklens.report.publish import right_aligned
 
 # Columns of the table of fields: key in the figures of the lens file, heading, number of decimals.
@@ -50,7 +51,7 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
 
     Args:
         fields_mm: (X, Y) of each field [mm].
-        content: `figures` of the lens, and its `worst_margin` if known, as in its file.
+        content: `figures` of the lens, and its `worst_margin` if known, as in its file; and how it was designed.
         by_surface: contributions of the surfaces to each Seidel sum [um], by name.
     """
     figures = content["figures"]
@@ -103,5 +104,7 @@ def _lens(content: Mapping) -> dict[str, str]:
     origin = content.get("origin", {})
     if "validation_loss" in origin:
         rows["loss on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
+    if (test := optimum(content)) is not None:
+        rows[f"largest gain of a step of {test.step_um:g} um within the limits, on {test.images} images"] = str(test)
     losses = origin.get("candidate_losses", {})
-    return rows | {f"that of {name}, before the last descent": f"{loss:.4f}" for name, loss in losses.items()}
+    return rows | {f"that of {name}, before the descents": f"{loss:.4f}" for name, loss in losses.items()}

@@ -1,17 +1,53 @@
-"""Optimality gap of task-driven lenses: the frozen classifier's loss beside that of the other lenses.
+"""Whether a descent has converged: the test of its optimum, and the frozen classifier's loss beside that of others.
 
-A descent on the classifier's loss that ends above the loss of another lens of the same elements has not converged, and
-shows nothing about the task. The loss is of the classifier before any fine-tuning, on the minival images.
+A lens is at a local optimum of its criterion if no small step within its limits lowers the loss. It can be one and yet
+have a larger loss than another lens of the same elements: its optimality gap, by the loss of the classifier before any
+fine-tuning, on the minival images.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import pandas
 
-_ERRORS = 2.0  # paired standard errors within which the loss counts as the least
+_ERRORS = 2.0  # paired standard errors within which losses count as equal
+_NEGLIGIBLE = 0.002  # gain of a step that is none, where losses are about 1
 _SAME = 1e-4  # difference of losses below which two lenses are one, such as a design and a candidate that it returned
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Test of a local optimum, from a lens file (see `design.optimum`).
+
+    Attributes:
+        step_um: RMS ray displacement of the steps that were tried [um].
+        gain: largest mean decrease of the loss by one of them; negative if all raise it.
+        error: standard error of the gain, paired by image.
+        along: direction of that step.
+        images: number of images.
+    """
+
+    step_um: float
+    gain: float
+    error: float
+    along: str
+    images: int
+
+    @property
+    def reached(self) -> bool:
+        """True if the gain is not more than twice its standard error and 0.002."""
+        return self.gain <= _ERRORS * self.error + _NEGLIGIBLE
+
+    def __str__(self) -> str:
+        return f"{self.gain:+.4f} +- {self.error:.4f}, {self.along}"
+
+
+def optimum(content: Mapping[str, Any]) -> Optimum | None:
+    """Return the test of the optimum in a lens file; None for designs without captures or PSFs."""
+    found = content.get("local_optimum")
+    return None if found is None else Optimum(**found)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Verification of a finished study: limits of the lenses, and reproduced accuracies.
+"""Verification of a finished study: limits and optima of the lenses, and reproduced accuracies.
 
 All test images are classified again with the stored weights and the cached PSFs (stage `reproduce`, a job per
 measurement). The predictions are compared with those and with the metrics of fine-tuning, and with the tables.
@@ -14,6 +14,7 @@ import pandas
 
 from tasklens.report import predictions
 from tasklens.report.measurements import Measurements
+from tasklens.report.optimality import optimum
 from tasklens.runtime.files import Files, read_table
 from tasklens.study import names
 from tasklens.study.names import SHARP
@@ -62,8 +63,8 @@ def verify(
     for lens, seed in product(contents.lenses, contents.seeds):
         found = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
         (failures if lens in contents.constrained else unconstrained).extend(found)
-        if contents.gaps.get(lens):
-            failures += _gap_failures(lens, seed, contents, measurements)
+        if lens in contents.supervised:
+            failures += _optimum_failures(lens, seed, measurements.lens_file(lens, seed))
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):
         anew = predictions.read(reproduced[lens, classifier, seed])
@@ -86,12 +87,11 @@ def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], contents: V
     return found
 
 
-def _gap_failures(lens: str, seed: int, contents: VerificationContents, measurements: Measurements) -> list[Failure]:
-    found = measurements.optimality_gap(lens, contents.gaps[lens], contents.supervisor, seed)
-    if found.converged:
+def _optimum_failures(lens: str, seed: int, content: Mapping[str, Any]) -> list[Failure]:
+    found = optimum(content)
+    if found is None or found.reached:
         return []
-    value = f"{found.difference:.3f} +- {found.error:.3f} above {found.nearest}"
-    return [Failure(lens, str(seed), f"not converged: the loss of {contents.supervisor}, frozen", value)]
+    return [Failure(lens, str(seed), f"not converged: a step of {found.step_um:g} um lowers the loss", str(found))]
 
 
 def violated_limits(content: Mapping[str, Any], efl_mm: float, efl_tolerance: float) -> dict[str, float]:
@@ -137,7 +137,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
 
 def run(contents: VerificationContents, inputs: Files, outputs: Files) -> int:
     """Print the verdicts and the results; return 1 if there are failures, else 0."""
-    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions, inputs.frozen)
+    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
     findings = verify(contents, measurements, inputs.reproduced, inputs.tables)
     print(inputs.verdicts.read_text())
     print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet

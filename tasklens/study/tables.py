@@ -225,9 +225,7 @@ class VerificationContents(Frozen):
         efl_tolerance: largest relative deviation from it.
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
-        supervisor: classifier of the optimality gaps.
-        gaps: the other lenses of an optimality gap, by lens that only the frozen supervisor has designed; of those that
-            it measures.
+        supervised: names of the constrained lenses that captures or PSFs have designed, so that they have an optimum.
         seeds: seeds of the study.
     """
 
@@ -237,8 +235,7 @@ class VerificationContents(Frozen):
     efl_tolerance: float
     tables: tuple[TableContents, ...]
     measured: tuple[tuple[str, str], ...]
-    supervisor: str
-    gaps: dict[str, tuple[str, ...]]
+    supervised: tuple[str, ...]
     seeds: tuple[int, ...]
 
 
@@ -246,7 +243,6 @@ def verification(study: Study) -> VerificationContents:
     """Return the contents of the verification of a study."""
     entries = {name: study.lens(name) for name in table_lenses(study)}
     measured = tuple(dict.fromkeys(pair for contents in tables(study) for pair in contents.measured))
-    gaps = _gaps(study, [name for name in entries if (name, study.supervisor) in measured])
     return VerificationContents(
         lenses=tuple(entries),
         constrained=tuple(name for name, lens in entries.items() if lens.constrained),
@@ -254,11 +250,6 @@ def verification(study: Study) -> VerificationContents:
         efl_tolerance=study.constraints.efl_tolerance,
         tables=tables(study),
         measured=measured,
-        supervisor=study.supervisor,
-        gaps={
-            name: others
-            for name, others in gaps.items()
-            if entries[name].task_driven and not any(descent.trains_network for descent in entries[name].descents)
-        },
+        supervised=tuple(name for name, lens in entries.items() if lens.supervised and lens.constrained),
         seeds=study.seeds,
     )

@@ -10,8 +10,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from tasklens.report.headings import STD
-from tasklens.report.measurements import Measurements
+from tasklens.report.optimality import Optimum, optimum
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
+from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError, Files, damaged, read_table, write_text
 from tasklens.study.settings import Slice
 
@@ -61,7 +62,7 @@ def render(settings: Slice, inputs: Files) -> str:
         "summary": _summary(settings, frames),
         "answers": _answers(settings, frames),
         "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
-        "convergence": words.convergence(_gaps(settings, inputs)),
+        "convergence": words.convergence(_optima(settings, inputs)),
         "missing": missing(settings, inputs),
         "optional": [name for name in settings.optional if name not in frames],
         "tables": [_table(name, frames[name]) for name in settings.tables if name in frames],
@@ -128,16 +129,11 @@ def _answers(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> dict[st
     return words.answers(frames["verdicts"], elements, settings.questions, settings.margins)
 
 
-def _gaps(settings: Slice, inputs: Files) -> dict[str, Any]:
-    """Return the optimality gap of each task-driven lens in the first seed, of the lenses that are measured."""
-    measured = Measurements({}, {}, frozen=inputs.frozen)
-    known = {lens for lens, _, _ in inputs.frozen}
-    found = {}
-    for lens, others in settings.gaps.items():
-        there = [other for other in others if other in known]
-        if lens in known and there:
-            found[lens] = measured.optimality_gap(lens, there, settings.supervisor, settings.seeds[0])
-    return found
+def _optima(settings: Slice, inputs: Files) -> dict[str, Optimum]:
+    """Return the test of the optimum of each supervised lens in the first seed."""
+    there = [lens for lens in settings.supervised if lens in inputs.lenses]  # not all, of a study that still runs
+    tests = {lens: optimum(yaml_files.read(inputs.lenses[lens])) for lens in there}
+    return {lens: test for lens, test in tests.items() if test is not None}
 
 
 def _of_earlier_lenses(path: Path, inputs: Files) -> str:

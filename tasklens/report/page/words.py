@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas
 
-from tasklens.report.optimality import Gap
+from tasklens.report.optimality import Optimum
 from tasklens.report.verdicts import FAILS, HOLDS, LEAST_SEEDS, SUGGESTS
 
 SHOWN, SUGGESTED, UNDECIDED = "shown", "suggested", "undecided"
@@ -119,18 +119,19 @@ def best_lenses(table1: pandas.DataFrame, task_driven: Iterable[str]) -> dict[st
     return found
 
 
-def convergence(gaps: Mapping[str, Gap]) -> list[Sentence]:
-    """Say of which task-driven lenses the descent has converged, from their optimality gaps."""
-    ended = [lens for lens, gap in gaps.items() if gap.converged]
-    found = []
+def convergence(optima: Mapping[str, Optimum]) -> list[Sentence]:
+    """Say which designs are at a local optimum of their criterion, by the test in their files."""
+    ended = [lens for lens, optimum in optima.items() if optimum.reached]
+    sentences = []
     if ended:
-        text = "Converged, with the least loss of all lenses of their elements within limits, up to two standard errors"
-        found.append(Sentence(f"{text}: {_listed(ended)}.", FOR))
-    for lens, gap in gaps.items():
-        if not gap.converged:
-            text = f"Not converged: {lens} ends {gap.difference:.3f} above the loss of {gap.nearest}"
-            found.append(Sentence(f"{text}; it shows nothing about the task.", AGAINST))
-    return found
+        step_um = optima[ended[0]].step_um
+        text = f"Converged: {_listed(ended)}. No step of {step_um:g} um within the limits lowers the loss by more than two"
+        sentences.append(Sentence(f"{text} standard errors and 0.002.", FOR))
+    for lens, optimum in optima.items():
+        if not optimum.reached:
+            text = f"Not converged: a step of {optimum.step_um:g} um within the limits lowers the loss of {lens} by"
+            sentences.append(Sentence(f"{text} {optimum.gain:.4f} (standard error {optimum.error:.4f}).", AGAINST))
+    return sentences
 
 
 def _listed(parts: list[str]) -> str:
