@@ -222,9 +222,13 @@ def with_imported(**catalogues) -> dict:
     return changed(tiny_study(), "imported.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})
 
 
-def changed(study: dict, key: str, value) -> dict:
-    """A copy of a study's mapping with the value at a dotted key replaced or added."""
+def changed(study, key: str, value):
+    """A copy of a study's mapping with the value at a dotted key replaced or added; numbers are of entries of lists."""
     head, _, rest = key.partition(".")
+    if isinstance(study, list):
+        found = list(study)
+        found[int(head)] = changed(found[int(head)], rest, value) if rest else value
+        return found
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
 
 

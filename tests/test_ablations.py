@@ -14,7 +14,8 @@ from tasklens.study.loading import dump, parse
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.study import StudyError
 
-RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8, "restart": {"pixels": [1, 1]}}}}
+FINE = {"descents": {"0": {"pixels": [1, 1]}}}  # the first descent, changed
+RAYS = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8} | FINE}}
 WINDOW = RAYS | {"variants": {"renormalised": {"capture": {"outside_window": "renormalise"}}}}
 
 
@@ -26,9 +27,10 @@ def test_a_variant_is_its_design_changed_in_what_it_names():
     """Keys deep inside too, and nothing else; it stands in no table of the paper."""
     study = parse(with_ablation(RAYS))
     base, variant = study.lens("singlet-tasklens"), study.lens("singlet-tasklens_mine_few")
-    assert variant.design.rays == 8 and variant.design.restart.pixels == (1, 1)
-    restart = base.design.restart.model_copy(update={"pixels": (1, 1)})
-    assert variant.design == base.design.model_copy(update={"rays": 8, "restart": restart})
+    first, *others = base.design.descents
+    assert variant.design.rays == 8 and variant.design.descents[0].pixels == (1, 1) != first.pixels
+    descents = (first.model_copy(update={"pixels": (1, 1)}), *others)
+    assert variant.design == base.design.model_copy(update={"rays": 8, "descents": descents})
     assert variant.plastics == base.plastics
     assert study.lenses == parse(tiny_study()).lenses
     assert parse(yaml.safe_load(dump(study))) == study
@@ -51,7 +53,7 @@ def test_an_ablation_changes_its_own_jobs_and_no_others():
     before, after = slices(tiny_study()), slices(with_ablation(RAYS))
     assert {job for job in before if before[job] != after[job]} == {("report",)}
     assert all(variant in job or job == ("ablation", "mine") for job in after.keys() - before.keys())
-    rays = slices(with_ablation(RAYS | {"variants": {"few": {"rays": 9, "restart": {"pixels": [1, 1]}}}}))
+    rays = slices(with_ablation(RAYS | {"variants": {"few": {"rays": 9} | FINE}}))
     assert {job for job in after if after[job] != rays[job]} == {("design", variant), ("report",)}
 
 

@@ -176,7 +176,7 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
         patch.setattr(Checkpoint, "write", killed)
         run(*JOBS["spot"])
     (old,) = Path("results/tiny/checkpoints").iterdir()
-    Path("study.yaml").write_text(yaml.safe_dump(changed(STUDY, "designs.imaging1.steps", 4)))
+    Path("study.yaml").write_text(yaml.safe_dump(changed(STUDY, "designs.imaging1.descents.0.steps", 4)))
     found = []
     monkeypatch.setattr(Checkpoint, "write", lambda self: found.append((self.path, next(iter(self.records.values())))))
     assert run(*JOBS["spot"]) == 0

@@ -43,10 +43,10 @@ def test_a_supervisor_is_built_for_every_size_that_it_sees():
     """A ViT has one; a descent by the error of the image may have another, since no network sees that."""
     vit = {"model": "vit_tiny_patch16_224", "arguments": {"img_size": 16, "patch_size": 8}, "weights": "/nowhere"}
     study = changed(changed(tiny_study(), "supervisor", "other"), "classifiers.other", vit)
-    study = changed(study, "designs.image_error.restart.size", 8)
+    study = changed(study, "designs.image_error.descents.0.size", 8)
     checks.check(parse(study), networks=True, weights=False)
-    study = changed(study, "designs.tasklens.finish.size", 8)
-    with pytest.raises(InputError, match=r"other for designs\.tasklens\.finish\.size.*8"):
+    study = changed(study, "designs.tasklens.descents.2.size", 8)
+    with pytest.raises(InputError, match=r"other for designs\.tasklens\.descents\.2\.size.*8"):
         checks.check(parse(study), networks=True, weights=False)
 
 

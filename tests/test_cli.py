@@ -10,7 +10,7 @@ import yaml
 from examples import changed, cooke_triplet, read_rows, tiny_study, write
 
 from tasklens.cli.app import main
-from tasklens.design import gradient_descent
+from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import figure_jobs, jobs
@@ -92,14 +92,14 @@ def test_every_design_leaves_a_readable_lens(lenses):
         assert content["worst_margin"]["value"] == min(content["margins"].values())
         assert read_rows(of_lens(jobs.design, "history", f"singlet-{name}"))
     phases = [row["phase"] for row in read_rows(of_lens(jobs.design, "history", "singlet-tasklens"))]
-    restarts = [f"restart {k} of 2" for k in (1, 1, 2, 2)]
-    assert phases == restarts + ["refinement"] * 2 + ["finish", "polish"]
+    first = [f"descent 1, lens {k} of 2" for k in (1, 1, 2, 2)]
+    assert phases == first + ["descent 2"] * 2 + ["descent 3", "descent 4"]
 
 
 def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch):
-    """Of a loss that is not finite at the third step, the lens of the second is left."""
-    penalty, steps = gradient_descent.penalty, iter((1.0, 1.0, float("nan")))
-    monkeypatch.setattr(gradient_descent, "penalty", lambda *rest: next(steps) * penalty(*rest))
+    """Of a gradient that is not finite at the third step, the lens of the second is left."""
+    change, steps = AdamWOptimizer.change, iter((1.0, 1.0, float("nan")))
+    monkeypatch.setattr(AdamWOptimizer, "change", lambda *rest: next(steps) * change(*rest))
     assert run("design", "singlet-imaging1", "--seed", "9") == 0
     assert lens_content("singlet-imaging1", 9)["origin"]["diverged"].startswith("step 3: ")
 

@@ -65,13 +65,12 @@ def test_a_lens_by_least_squares(folder, capsys):
 def test_a_lens_for_ones_own_network(photographs, capsys):
     """By its loss on one's own images, from flat plates: it begins with no other lens."""
     network = ("--classifier", "test_resnet", "--weights", "mine.safetensors", "--images", "photographs")
-    short = ("rays=16", "batch_size=2", "candidates=[]", "finish=null")
-    descents = ("restart={steps: 2, pixels: [20, 5]}", "refinement={steps: 2, pixels: [5, 1]}")
-    options = [word for each in (*short, *descents) for word in ("--set", each)]
+    descents = "descents=[{steps: 2, pixels: [20, 5]}, {steps: 2, pixels: [5, 1]}]"
+    options = [word for each in ("rays=16", "batch_size=2", "start=flat", descents) for word in ("--set", each)]
     given = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
     assert design(*given, "-o", "mine.yaml") == 0
     output = capsys.readouterr()
-    assert "refinement  step 2/2  loss" in output.err and "design: task by task, seed 0" in output.out
+    assert "descent 2  step 2/2  loss" in output.err and "design: task by descents, seed 0" in output.out
     assert design(*given, "-o", "again.yaml") == 0
     assert design(*given, "-o", "other.yaml", "--seed", "1") == 0
     first, again, other = (
@@ -85,7 +84,7 @@ MISTAKES = [
     (("--elements", "COC,GLASS"), "elements.lens: unknown plastic 'GLASS'; known ones nearest to it: PS, PMMA"),
     (
         ("--method", "magic"),
-        "method 'magic': expected one of least_squares, spot, image_quality, task, joint_ray_space",
+        "method 'magic': expected one of least_squares, spot, image_quality, task, joint, end_to_end",
     ),
     (("--method", "task"), "method task: needs a network: --classifier NAME --weights FILE, in Python `classifier`"),
     (("--method", "end_to_end"), "method end_to_end: needs a network: --classifier NAME --weights FILE"),
@@ -104,15 +103,15 @@ MISTAKES = [
         "classifiers.network: resnt: Unknown model",
     ),
     (
-        (*TASK, "--method", "joint_ray_space", "--weights", "words.pth", "--set", "candidates=[image_quality,spot]"),
-        "joint_ray_space begins with one lens, got lens-image_quality, lens-spot; give one of its `candidates` (on the",
+        (*TASK, "--method", "joint", "--weights", "words.pth", "--set", "start=[image_quality,spot]"),
+        "joint begins with one lens, got lens-image_quality, lens-spot; give it as `start` (on the command line --set",
     ),
     (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),
     (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
     (("--set", "a=1", "--set", "a.b.c=2"), "--set a.b.c=2: a has the value 1 by another --set"),
     (("--set", "a.b=2", "--set", "a=1"), "--set a=1: a has the values {'b': 2} by another --set"),
     (("--set", "evaluations=2001-99-99"), "--set evaluations=2001-99-99: expected KEY=VALUE"),
-    (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as finish.steps=200"),
+    (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as descents.0.steps=200"),
     (("--limit", "max_trak=6"), "constraints.max_trak = 6: unknown key; did you mean max_track?"),
     (("--field-of-view", "40"), "has room for its focus within constraints.max_track = 4.4 mm"),
     (("--f-number", "-1"), "spec.f_number = -1.0: expected greater than or equal to 0.5"),

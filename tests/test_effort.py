@@ -13,20 +13,16 @@ from tasklens.study.loading import parse
 DESCENT = {"steps": 5, "pixels": [4, 1]}
 DESIGNS = {
     "squares": {"method": "least_squares", "evaluations": 700},
-    "spots": {"method": "spot", "steps": 30},
-    "error": {
-        "method": "image_quality",
-        "candidates": ["squares"],
-        "finish": DESCENT | {"criterion": "image_error"},
-    },
+    "spots": {"descents": [{"optimizer": "adamw", "criterion": "spot", "steps": 30}]},
+    "error": {"start": ["squares"], "descents": [DESCENT | {"criterion": "image_error"}]},
     "task": {
-        "method": "task",
-        "restarts": 3,
-        "restart": DESCENT | {"steps": 10},
-        "refinement": DESCENT,
-        "candidates": ["squares", "error"],
-        "finish": DESCENT | {"steps": 2},
-        "polish": {"steps": 4},
+        "start": ["squares", "error"],
+        "descents": [
+            DESCENT | {"steps": 10, "lenses": 3},
+            DESCENT,
+            DESCENT | {"steps": 2},
+            {"optimizer": "adamw", "steps": 4, "network_learning_rate": 1e-5},
+        ],
     },
 }
 
@@ -43,7 +39,7 @@ def write_benchmark(folder: Path, lens: str, seed: int, seconds: int) -> None:
 
 
 def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_path):
-    """Steps of every descent, restarts each; evaluations; `squares` once, though both others name it."""
+    """Steps of every descent, of each of its lenses; evaluations; `squares` once, though both others name it."""
     for seed in (0, 3):
         for lens, minutes in (("squares", 2), ("spots", 1), ("error", 3), ("task", 5)):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60 * (minutes + seed))

@@ -43,8 +43,8 @@ def study(tmp_path, monkeypatch):
     monkeypatch.setattr(stage, "_SHAPE", SHAPE)
     tiny = tiny_study()
     task = tiny["designs"]["tasklens"]
-    joint = {"method": "joint_ray_space", "batch_size": 2, "rays": 16, "micro_batch": 18, "network_learning_rate": 1e-4}
-    joint |= {"candidates": ["imaging2"], "finish": task["finish"]}
+    joint = {"start": ["imaging2"], "batch_size": 2, "rays": 16}
+    joint |= {"descents": [task["descents"][2] | {"network_learning_rate": 1e-4}]}
     least = {"method": "least_squares", "starts": 3, "evaluations": 6}
     designs = {"tasklens": task, "tasklens_joint": joint, "imaging2": least, "imaging3": least}
     made_of = {"elements": {"doublet": ["COC", "OKP4"]}, "designs": designs}

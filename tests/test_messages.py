@@ -34,9 +34,9 @@ def test_the_file_and_all_its_mistakes_are_named(tmp_path, capsys):
 
 
 def keys(study: object, at: str = "") -> list[str]:
-    """All keys of a study at any depth."""
-    found = [f"{at}{key}" for key in study] if isinstance(study, dict) else []
-    return found + [inner for key in found for inner in keys(study[key.removeprefix(at)], f"{key}.")]
+    """All keys of a study at any depth, and numbers of entries of lists."""
+    inner = study.items() if isinstance(study, dict) else enumerate(study) if isinstance(study, list) else ()
+    return [key for name, value in inner for key in (f"{at}{name}", *keys(value, f"{at}{name}."))]
 
 
 @pytest.mark.parametrize("value", [None, True, -1, 1.5, "word", [], ["word"], {}, {"word": 1}, {3: 4}, [[1, 2], 3]])

@@ -143,9 +143,10 @@ def test_what_a_capture_cannot_be_made_of(doublet, tmp_path):
 
 
 def test_a_design_in_a_notebook():
-    lens, view, notes = tasklens.design("spot", ["COC"], settings={"steps": 3}, kernel_size=11, field_of_view_deg=40)
+    short = {"descents": {"0": {"steps": 3}}}
+    lens, view, notes = tasklens.design("spot", ["COC"], settings=short, kernel_size=11, field_of_view_deg=40)
     assert view.kernel_size == 11 and len(lens.media) == len(lens.curvature)
-    assert {"spec", "origin", "figures", "margins"} <= set(notes) and notes["origin"]["method"] == "spot"
+    assert {"spec", "origin", "figures", "margins"} <= set(notes) and notes["origin"]["method"] == "descents"
     assert notes["figures"]["efl_mm"] == pytest.approx(tasklens.analyse(lens, view)["efl_mm"], rel=1e-12)
     with pytest.raises(InputError, match=r"spec\.f_numbre = 2: unknown key; did you mean f_number\?"):
         tasklens.design("spot", ["COC"], f_numbre=2)

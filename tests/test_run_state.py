@@ -109,12 +109,12 @@ def test_a_running_job_says_how_far_it_is(place, monkeypatch):
     run.begin("design/0")
     assert run.describe("design/0", durations()) == "design 0  starting"
     with progress_file.progress_file(FOLDER, "design/0"):
-        progress = Progress("restart 1 of 2", 10)
+        progress = Progress("descent 1, lens 1 of 2", 10)
         for step in range(1, 5):
             clock[0] += 20.0
             progress(step, loss=0.123456)
-        assert run.describe("design/0", durations()) == "design 0  restart 1 of 2 4/10  loss 0.1235  2 min left"
-        Progress("polish", 3)(1)  # of the next phase nothing is known yet
+        assert run.describe("design/0", durations()) == "design 0  descent 1, lens 1 of 2 4/10  loss 0.1235  2 min left"
+        Progress("descent 2", 3)(1)  # of the next phase nothing is known yet
         clock[0] += 5.0
         found = run.progress("design/0")
         assert (found["pid"], found["host"]) == (os.getpid(), socket.gethostname())
@@ -135,9 +135,9 @@ def test_a_silent_job_is_told(place):
     """Nothing for ten minutes, of a job that should report: perhaps its machine has died."""
     run = run_of(design=1)
     run.begin("design/0")
-    state = {"updated": time.time() - 600, "phase": "polish", "step": 1, "total": 3, "values": {}}
+    state = {"updated": time.time() - 600, "phase": "descent 2", "step": 1, "total": 3, "values": {}}
     write(f"{FOLDER}/progress/design/0.json", json.dumps(state))
-    assert run.describe("design/0", durations()) == "design 0  polish 1/3  silent for 10 min"
+    assert run.describe("design/0", durations()) == "design 0  descent 2 1/3  silent for 10 min"
     write(f"{FOLDER}/progress/design/0.json", "{half")
     assert run.describe("design/0", durations()) == "design 0  starting"
 

@@ -36,7 +36,7 @@ def test_all_mistakes_are_reported_at_once():
     assert "spec.kernel_size = 50" in str(error.value) and "images.sise = 3" in str(error.value)
 
 
-# key of format 1, a value that it had, what the message must name instead
+# key of format 1 or 2, a value that it had, what the message must name instead
 RENAMED = [
     ("spec.kernel", 11, "kernel_size"),
     ("specs", {"singlet": {"kernel": 11}}, "kernel_size"),
@@ -48,18 +48,22 @@ RENAMED = [
     ("restoration.rate", 1e-3, "learning_rate"),
     ("restoration.batch", 4, "batch_size"),
     ("classifiers.small.training.rate", 1e-3, "learning_rate"),
-    ("designs.tasklens.images", 2, "batch_size"),
-    ("designs.tasklens.starts", 2, "restarts"),
-    ("designs.tasklens.start", {"steps": 2, "pixels": [20, 5]}, "restart"),
-    ("designs.tasklens.refine", {"steps": 2, "pixels": [5, 1]}, "refinement"),
-    ("designs.tasklens.restart.stride", 0.5, "step_size"),
-    ("designs.tasklens.size", 16, "a key of each descent"),
-    ("designs.tasklens.polish.network_rate", 1e-5, "network_learning_rate"),
-    ("designs.imaging1.rates", "ours", "learning_rates"),
-    ("designs.end_to_end_from_flat.images", 2, "batch_size"),
-    ("designs.end_to_end_from_flat.rates", "paper", "learning_rates"),
-    ("ablations.mine", {"elements": "singlet", "design": "imaging1", "variants": {"a": {"rates": "paper"}}},
-     "learning_rates"),
+    ("designs.tasklens.candidates", ["imaging2"], "`start`, a list of designs"),
+    ("designs.tasklens.restarts", 2, "`lenses` of the first of `descents`"),
+    ("designs.tasklens.restart", {"steps": 2, "pixels": [20, 5]}, "the first of `descents`"),
+    ("designs.tasklens.refinement", {"steps": 2, "pixels": [5, 1]}, "one of `descents`"),
+    ("designs.tasklens.finish", {"steps": 2, "pixels": [1, 1]}, "the last of `descents`"),
+    ("designs.tasklens.polish", {"steps": 2}, "`optimizer: adamw` and a `network_learning_rate`"),
+    ("designs.tasklens.network_learning_rate", 1e-4, "a key of each of `descents`"),
+    ("designs.tasklens.descents.0.stride", 0.5, "step_size"),
+    ("designs.tasklens.descents.3.network_rate", 1e-5, "network_learning_rate"),
+    ("designs.imaging1.descents.0.rates", "ours", "learning_rates"),
+    ("designs.end_to_end_from_imaging.descents.0.learning_rates.final", 0.05, "`final` of the descent"),
+    ("designs.end_to_end_from_flat.descents.0.images", 2, "batch_size"),
+    ("designs.end_to_end_from_flat.descents.0.rates", "paper", "learning_rates"),
+    ("designs.end_to_end_from_flat.descents.0.cold_start", {"stop_scale": 0.3}, "`stop_scale`"),
+    ("ablations.mine", {"elements": "singlet", "design": "imaging1",
+                        "variants": {"a": {"descents": {"0": {"rates": "paper"}}}}}, "learning_rates"),
 ]  # fmt: skip
 
 
@@ -67,30 +71,31 @@ LATE = ("specs", "ablations.mine")  # looked into when all else is right
 
 
 @pytest.mark.parametrize("key, value, now", RENAMED, ids=[key for key, *_ in RENAMED])
-def test_a_key_of_format_1_names_the_one_of_today(key, value, now):
+def test_a_key_of_an_older_format_names_the_one_of_today(key, value, now):
     """In one line, with the old key, beside whatever else is wrong."""
     study = changed(tiny_study(), key, value)
     with pytest.raises(StudyError) as error:
         parse(study if key in LATE else changed(study, "images.sise", 3))
-    (line,) = (line for line in str(error.value).splitlines() if "since format 2" in line)
+    (line,) = (line for line in str(error.value).splitlines() if "is a key of an older format" in line)
     old = {"specs": "kernel", "ablations.mine": "rates"}.get(key, key.rpartition(".")[2])
     assert all(part in line for part in key.split("."))
-    assert now in line.partition(f"since format 2 `{old}` is ")[2]
+    assert now in line.partition(f"`{old}` is a key of an older format; it is now ")[2]
     assert ("images.sise = 3" in str(error.value)) == (key not in LATE)
 
 
-def test_a_study_of_format_1_hears_of_all_its_keys_at_once():
+def test_a_study_of_an_older_format_hears_of_all_its_keys_at_once():
     """At any depth, with the format; a key that is renamed and wrong besides has a line for each."""
     study, keys = changed(tiny_study(), "format", 1), 0
     for key, value, _ in RENAMED:
-        if key not in (*LATE, "designs.tasklens.restart.stride"):  # which the old `start` replaces
+        if key not in LATE:
             study, keys = changed(study, key, value), keys + 1
     with pytest.raises(StudyError) as error:
         parse(changed(study, "spec.kernel", 50))
     message = str(error.value)
-    assert "format = 1: expected 2" in message
-    assert "spec.kernel = 50: since format 2" in message and "spec.kernel_size = 50: expected an odd" in message
-    assert message.count("since format 2") == keys
+    assert "format = 1: expected 3" in message
+    assert "spec.kernel = 50: `kernel` is a key of an older format" in message
+    assert "spec.kernel_size = 50: expected an odd" in message
+    assert message.count("is a key of an older format") == keys
     assert len(message.splitlines()) == 1 + keys + 2 and "unknown key" not in message
 
 
@@ -115,11 +120,12 @@ def test_rates_have_presets():
     """The paper's (section 3.3) and ours, under their names; a study file may also spell them out."""
 
     def rates(given) -> LearningRates:
-        return parse(changed(tiny_study(), "designs.imaging1.learning_rates", given)).designs["imaging1"].learning_rates
+        study = parse(changed(tiny_study(), "designs.imaging1.descents.0.learning_rates", given))
+        return study.designs["imaging1"].descents[0].learning_rates
 
     named = rates("paper")
     assert (named.curvature, named.thickness, named.alpha_4, named.decay) == (1e-4, 1e-4, 1e-4, 0.02)
-    assert not named.normalised and named.final == 1
+    assert not named.normalised
     assert rates(named.model_dump()) == named != rates("ours")
 
 
@@ -138,12 +144,13 @@ def test_each_file_of_config_is_a_study():
 def test_null_in_a_file_that_is_laid_over_another_takes_an_entry_away(tmp_path):
     """Of the sections with names, as in RFC 7386; alone, null is a mistake like any other."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
+    study = changed(study, "designs.tasklens.tolerances", "phone_moulding")
     below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
     write(below, yaml.safe_dump(study))
-    write(above, "{name: above, elements: {singlet: null}, designs: {imaging1: null, tasklens: {finish: null}}}")
+    write(above, "{name: above, elements: {singlet: null}, designs: {imaging1: null, tasklens: {tolerances: null}}}")
     found = load(below, above)
     assert set(found.lenses) == {f"doublet-{name}" for name in study["designs"] if name != "imaging1"}
-    assert found.designs["tasklens"].finish is None
+    assert found.designs["tasklens"].tolerances is None
     write(below, yaml.safe_dump(changed(study, "designs.imaging1", None)))
     with pytest.raises(StudyError, match=r"designs\.imaging1 = null: expected keys and values"):
         load(below)

@@ -103,7 +103,7 @@ def test_a_new_study_of_photographs(place):
     assert found.classifiers["resnet18"].model == "resnet18" and found.classifiers["resnet18"].pretrained
     # With the steps of the photographs study, each of which costs as much as twelve of the default study's.
     published = yaml.safe_load((ROOT / "config/photographs.yaml").read_text())
-    assert found.designs["tasklens"].finish.steps == published["designs"]["tasklens"]["finish"]["steps"]
+    assert found.designs["tasklens"].descents[-1].steps == published["designs"]["tasklens"]["descents"][-1]["steps"]
     write("mine.safetensors", "")
     options = ["--networks", "resnet18.a1_in1k", "--weights", "mine.safetensors", "--minutes", "9999", "--force"]
     assert study("new", "mine", "--yes", "--images", "photos", *options) == 0

@@ -286,14 +286,13 @@ def test_a_study_without_tasks_has_no_table():
 
 
 TASK_DRIVEN = {
-    "method": "task",
+    "start": ["imaging1"],
     "task": "boxes",
     "batch_size": 2,
     "rays": 16,
     "augment": False,
     "micro_batch": 18,
-    "candidates": ["imaging1"],
-    "finish": {"steps": 2, "pixels": [1, 1], "centre": "chief_ray"},
+    "descents": [{"steps": 2, "centre": "chief_ray"}],
 }
 
 
@@ -324,9 +323,9 @@ def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
     "change, words",
     [
         ({"task": "depth"}, "designs.for_boxes.task: 'depth' is not one of `tasks.networks`: boxes"),
-        ({"batch_norm": "batch"}, "expected `batch_norm: stored`"),
+        ({"batch_norm": "batch"}, "expected a frozen network, `batch_norm: stored`"),
         ({"augment": True}, "since masks fit the images as they are"),
-        ({"finish": TASK_DRIVEN["finish"] | {"size": 16}}, "since masks fit the images as they are"),
+        ({"descents": [{"steps": 2, "size": 16}]}, "since masks fit the images as they are"),
     ],
 )
 def test_designs_that_do_not_fit_their_task(change, words):
