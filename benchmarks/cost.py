@@ -20,7 +20,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from restoration.nafnet import build
 from tasklens.recognition.classifiers import Classifier
 from tasklens.study import loading
-from tasklens.study.design_settings import EndToEndSettings, JointRaySpaceSettings, TaskDrivenSettings
+from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.names import SHARP
 from tasklens.study.settings import ClassifierSettings
 from tasklens.study.study import Study
@@ -56,18 +56,13 @@ class Cost:
     def design(self, lens: str) -> float:
         """Of designing a lens under a classifier; of nothing, by image quality alone."""
         settings, size = self.study.lens(lens).design, self.study.images.size
-        total, supervisor = 0.0, self.study.supervisor
-        if isinstance(settings, TaskDrivenSettings | JointRaySpaceSettings):
-            back = TO_INPUT if isinstance(settings, TaskDrivenSettings) else TO_WEIGHTS
-            for name, descent in settings.descents.items():
-                if descent.criterion == "classification":
-                    steps = descent.steps * (settings.restarts if name == "restart" else 1)
-                    captures = self.fields * steps * settings.batch_size
-                    total += captures * back * self.forward(supervisor, descent.size or size)
-        together = settings if isinstance(settings, EndToEndSettings) else getattr(settings, "polish", None)
-        if together is not None:
-            captures = self.fields * together.steps * together.batch_size
-            total += captures * TO_WEIGHTS * self.forward(supervisor, together.size or size)
+        if not isinstance(settings, GradientDesignSettings):
+            return 0.0
+        total = 0.0
+        for descent in settings.by_network:
+            images = descent.steps * descent.lenses * (descent.batch_size or settings.batch_size)
+            back = TO_WEIGHTS if descent.trains_network else TO_INPUT
+            total += self.fields * images * back * self.forward(self.study.supervisor, descent.size or size)
         return total
 
     def fine_tune(self, lens: str, classifier: str, restored: bool) -> float:

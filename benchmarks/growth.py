@@ -1,6 +1,6 @@
 """Growth of resident memory in an hour of task-driven design and of fine-tuning, each in a process of its own.
 
-Jobs as those of the default study, at 64 pixels, with restarts, validations, checkpoints on the disk and the jobs'
+Jobs as those of the default study, at 64 pixels, with several lenses, validations, checkpoints on the disk and the jobs'
 settings of malloc, follow each other until the time is up. Compared are the medians of the samples of a sixth of the
 time, after the first minutes and at the end. The target is 2 %.
 """
@@ -21,7 +21,7 @@ import timing
 import timm
 import torch
 
-from tasklens.design import supervised
+from tasklens.design import descents
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
@@ -33,7 +33,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import Checkpoint
-from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
 
 JOBS_MALLOC = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "2147483647"}  # as in the Snakefile
@@ -67,21 +67,18 @@ def noise(tiny: bool) -> ImageDataset:
 
 
 def design(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
-    """Task-driven design by a frozen network: two short restarts, and a refinement with all other steps."""
+    """Task-driven design by a frozen network: a short descent of two lenses, and one with all other steps."""
     dataset, spec, limits = noise(tiny), Spec(), Constraints()
     classifier = frozen(Classifier(timm.create_model("resnet18", num_classes=10, **NETWORK)), dataset.images)
     problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
-    settings = TaskDrivenSettings(
-        method="task",
-        batch_size=1 if tiny else 8,
-        rays=128,
-        restarts=2,
-        restart=RaySpaceSettings(steps=max(1, steps // 40), pixels=(20, 5)),
-        refinement=RaySpaceSettings(steps=steps - 2 * max(1, steps // 40), pixels=(5, 1), duration=0.5),
-    )
-    criteria = {"classification": lambda part: TaskLoss(classifier)}
+    first = max(1, steps // 40)
+    parts = [
+        DescentSettings(steps=first, lenses=2, pixels=(20, 5)),
+        DescentSettings(steps=steps - 2 * first, pixels=(5, 1), duration=0.5),
+    ]
+    settings = GradientDesignSettings(descents=parts, batch_size=1 if tiny else 8, rays=128)
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    supervised.design(plates, {}, criteria, problem, settings, checkpoint)
+    descents.design(plates, {}, lambda part: TaskLoss(classifier), problem, settings, checkpoint)
 
 
 def fine_tuning(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:

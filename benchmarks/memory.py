@@ -12,9 +12,9 @@ from concurrent.futures import ProcessPoolExecutor
 import timing
 import timm
 import torch
-from tasklens.design.supervised import RaySpaceDescent
 
 from tasklens.design.criteria import TaskLoss
+from tasklens.design.descent import Descent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
@@ -22,7 +22,7 @@ from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
 
 LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
@@ -37,12 +37,12 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     images = torch.randint(0, 256, (count, 3, size, size), dtype=torch.uint8, generator=generator)
     dataset = ImageDataset(images, torch.arange(count), tuple(map(str, range(1000))))
     problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
-    steps = RaySpaceSettings(steps=2, pixels=(2, 1))  # no validation before the second step
-    settings = TaskDrivenSettings(method="task", batch_size=count, rays=256, restart=steps, refinement=steps)
+    steps = DescentSettings(steps=2, pixels=(2, 1))  # no validation before the second step
+    settings = GradientDesignSettings(descents=[steps], batch_size=count, rays=256)
     supervisor = Supervisor(TaskLoss(frozen(classifier, images)), problem, None, settings.augment, captures)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    RaySpaceDescent(plates, supervisor, settings, steps, seed=0).step(1)
+    Descent(plates, supervisor, settings, steps, seed=0).step(1)
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

@@ -15,10 +15,10 @@ import timing
 import timm
 import torch
 import torch.nn.functional as F
-from tasklens.design.supervised import RaySpaceDescent
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
+from tasklens.design.descent import Descent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
@@ -31,7 +31,7 @@ from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import fit, parameter_groups
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
-from tasklens.study.design_settings import RaySpaceSettings, TaskDrivenSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
 
 FIELDS = 9
@@ -82,11 +82,11 @@ def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: in
     dataset = noise(count, size, device)
     classifier = frozen(Classifier(network), dataset.images).to(device)
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
-    steps = RaySpaceSettings(steps=rounds + 2, pixels=(20, 19))  # no validation before the last step
-    settings = TaskDrivenSettings(method="task", batch_size=count, rays=rays, restart=steps, refinement=steps)
+    steps = DescentSettings(steps=rounds + 2, pixels=(20, 19))  # no validation before the last step
+    settings = GradientDesignSettings(descents=[steps], batch_size=count, rays=rays)
     supervisor = Supervisor(TaskLoss(classifier), problem, None, augment=False, micro_batch=micro_batch)
     plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
-    descent = RaySpaceDescent(plates, supervisor, settings, steps, seed=0)
+    descent = Descent(plates, supervisor, settings, steps, seed=0)
     for step in range(1, rounds + 2):
         descent.step(step)
         clock.due()

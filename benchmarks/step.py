@@ -15,20 +15,21 @@ import timing
 import timm
 import torch
 import yaml
-from tasklens.design.end_to_end import JointDescent
 from torch import nn
 
 from tasklens.design import least_squares
-from tasklens.design.criteria import TaskLoss
+from tasklens.design.constraints import penalty
+from tasklens.design.criteria import CaptureCriterion, TaskLoss
+from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
+from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.design_settings import EndToEndSettings, LeastSquaresSettings
+from tasklens.study.design_settings import DescentSettings, LeastSquaresSettings
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
 
@@ -68,31 +69,34 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     plates = flat((builtin("COC"), builtin("OKP4")), Spec(), problem.limits)
     quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost ones cost time
-    settings = EndToEndSettings(method="end_to_end", start="flat", steps=1, batch_size=timed, rays=rays)
-    descent = JointDescent(lens, Average(), problem, settings)
+    optimizer = AdamWOptimizer(lens, problem, DescentSettings(optimizer="adamw", steps=rounds + 1))
     captures = timed * len(problem.view.fields)
-    ours, nothing = (
-        Supervisor(TaskLoss(each), problem, None, augment=False, micro_batch=captures)
-        for each in (frozen(network, dataset.images), Average())
-    )
+    ours, nothing = TaskLoss(frozen(network, dataset.images)), TaskLoss(Average())
+    supervisor = Supervisor(ours, problem, None, augment=False, micro_batch=captures)
     indices = torch.arange(timed)
+
+    def at_psf(criterion: CaptureCriterion, grid: torch.Tensor) -> torch.Tensor:
+        images, labels = supervisor.images(indices, augment=False)
+        return loss_at_psf(criterion, images, labels, grid, supervisor.capture, captures)[1]
+
     for step in range(rounds + 1):
         if step <= 1:
             clock = Clock()  # the first step was the warm-up
         with clock("rays, PSFs, limits"):
-            lens = descent.assemble()
-            _, grid = ours.trace(lens, sobol_disc(rays, step), 1.0)
-            bounds = descent.penalty(lens)
+            vector = optimizer.vector()
+            lens = optimizer.lens(vector)
+            _, grid = supervisor.trace(lens, sobol_disc(rays, step), 1.0)
+            bounds = penalty(lens, problem.limits, problem.view)
         with clock("augmentation"):
-            ours.images(indices, augment=True)
+            supervisor.images(indices, augment=True)
         with clock("captures and their backward"):
-            nothing.loss(indices, grid, lens, 0)
+            at_psf(nothing, grid)
         with clock(NETWORK):
-            _, gradient = ours.loss(indices, grid, lens, 0)
+            gradient = at_psf(ours, grid)
         with clock("their backward"):
             torch.autograd.backward([grid, bounds], [gradient, None])
         with clock("optimiser"):
-            descent.advance()
+            optimizer.apply(vector)  # which takes the gradients that the variables have
     middle = {part: statistics.median(times) for part, times in clock.times.items()}
     middle[NETWORK] -= middle["captures and their backward"]
     scaled = (NETWORK, "captures and their backward", "augmentation")
