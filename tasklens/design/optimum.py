@@ -12,7 +12,8 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.study.design_settings import DescentSettings
 
-STEP_UM = 0.5  # RMS ray displacement of the steps that are tried
+# RMS ray displacements of steps along the gradient; of random ones the first, which a blurred lens does not feel.
+STEPS_UM = (0.5, 2.0, 8.0)
 _DIRECTIONS = 4  # random ones
 _RAYS = 512  # per field and colour, of the gradient
 _MICRO_STEP = 16  # images per gradient
@@ -28,28 +29,27 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
         supervisor: criterion of its last descent; a trained network is as at its end.
 
     Returns:
-        The step [um], the number of images, the largest `gain` of the steps: the mean decrease of the loss; its
-        standard `error`, paired by image; and `along` which direction it was. No step may gain more than a lens that
-        is no optimum: the gain is negative if all steps are worse.
+        The largest `gain` of the steps, the mean decrease of the loss, which is negative if all steps raise it; its
+        standard `error`, paired by image; the `step_um` and the direction `along` which it was; the number of images.
     """
     problem, pixels = supervisor.problem, settings.pixels[1]
     space = RaySpace(lens, problem.view, problem.limits)
     model = space.linearise(space.start)
     generator = torch.Generator().manual_seed(problem.seed)
-    directions = {"gradient": _gradient(space, supervisor, pixels)}
+    gradient = _gradient(space, supervisor, pixels)
+    steps = [("gradient", step_um, gradient) for step_um in STEPS_UM]
     for k in range(_DIRECTIONS):
         drawn = model.scale * torch.randn(len(model.scale), generator=generator, dtype=model.scale.dtype)
-        directions[f"random direction {k + 1}"] = model.metric @ drawn
+        steps.append((f"random direction {k + 1}", STEPS_UM[0], model.metric @ drawn))
     here = _losses(supervisor, lens, pixels)
-    gains = {}
-    for name, gradient in directions.items():
-        change = model.step(gradient, STEP_UM, settings.damping, HARD)
+    gains = []
+    for along, step_um, slope in steps:
+        change = model.step(slope, step_um, settings.damping, HARD)
         moved, _ = repair(space.lens(space.start + change), problem.view, problem.limits)
         difference = here - _losses(supervisor, moved, pixels)
-        gains[name] = float(difference.mean()), float(difference.std() / len(difference) ** 0.5)
-    along = max(gains, key=lambda name: gains[name])
-    gain, error = gains[along]
-    return {"step_um": STEP_UM, "gain": gain, "error": error, "along": along, "images": len(here)}
+        error = float(difference.std() / len(difference) ** 0.5)
+        gains.append({"gain": float(difference.mean()), "error": error, "step_um": step_um, "along": along})
+    return max(gains, key=lambda step: step["gain"]) | {"images": len(here)}
 
 
 def _halves(supervisor: Supervisor) -> tuple[slice, slice]:

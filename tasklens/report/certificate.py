@@ -105,6 +105,6 @@ def _lens(content: Mapping) -> dict[str, str]:
     if "validation_loss" in origin:
         rows["loss on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
     if (test := optimum(content)) is not None:
-        rows[f"largest gain of a step of {test.step_um:g} um within the limits, on {test.images} images"] = str(test)
+        rows[f"largest gain of the loss by a step within the limits, on {test.images} images"] = str(test)
     losses = origin.get("candidate_losses", {})
     return rows | {f"that of {name}, before the descents": f"{loss:.4f}" for name, loss in losses.items()}

@@ -22,16 +22,16 @@ class Optimum:
     """Test of a local optimum, from a lens file (see `design.optimum`).
 
     Attributes:
-        step_um: RMS ray displacement of the steps that were tried [um].
-        gain: largest mean decrease of the loss by one of them; negative if all raise it.
+        gain: largest mean decrease of the loss by one of the steps; negative if all raise it.
         error: standard error of the gain, paired by image.
-        along: direction of that step.
+        step_um: RMS ray displacement of that step [um].
+        along: its direction.
         images: number of images.
     """
 
-    step_um: float
     gain: float
     error: float
+    step_um: float
     along: str
     images: int
 
@@ -41,7 +41,7 @@ class Optimum:
         return self.gain <= _ERRORS * self.error + _NEGLIGIBLE
 
     def __str__(self) -> str:
-        return f"{self.gain:+.4f} +- {self.error:.4f}, {self.along}"
+        return f"{self.gain:+.4f} +- {self.error:.4f}, {self.step_um:g} um, {self.along}"
 
 
 def optimum(content: Mapping[str, Any]) -> Optimum | None:

@@ -124,9 +124,8 @@ def convergence(optima: Mapping[str, Optimum]) -> list[Sentence]:
     ended = [lens for lens, optimum in optima.items() if optimum.reached]
     sentences = []
     if ended:
-        step_um = optima[ended[0]].step_um
-        text = f"Converged: {_listed(ended)}. No step of {step_um:g} um within the limits lowers the loss by more than two"
-        sentences.append(Sentence(f"{text} standard errors and 0.002.", FOR))
+        text = f"Converged: {_listed(ended)}. No small step within the limits lowers the loss by more than two standard"
+        sentences.append(Sentence(f"{text} errors and 0.002.", FOR))
     for lens, optimum in optima.items():
         if not optimum.reached:
             text = f"Not converged: a step of {optimum.step_um:g} um within the limits lowers the loss of {lens} by"

@@ -1,0 +1,76 @@
+"""The test of a local optimum: on losses whose optimum is known, and on a lens that is none."""
+
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from test_design import LIMITS, LOOKS, problem
+from test_task_design import spot_lens
+
+from examples import by_descents, materials
+from tasklens.design.criteria import SpotRadius
+from tasklens.design.optimum import local_optimum
+from tasklens.design.ray_space import RaySpace, repair
+from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor
+from tasklens.optics.apertures import with_clear_apertures
+from tasklens.report.optimality import Optimum
+from tasklens.study.design_settings import DescentSettings
+from tasklens.study.settings import Spec
+
+PART = DescentSettings(steps=1, pixels=(5, 5))
+
+
+@dataclass(frozen=True)
+class Bowl(SpotRadius):
+    """The mean squared distance of rays from those of another lens [(10 um)^2]: quadratic, zero at that lens."""
+
+    target: object
+
+    def losses(self, rays):
+        from tasklens.optics.analysis.pupil import sobol_disc
+        from tasklens.optics.analysis.spots import trace_fields
+
+        count = rays.x.shape[-1]
+        goal = trace_fields(self.target, LOOKS, sobol_disc(count, seed=0))
+        return 1e4 * ((rays.x - goal.x) ** 2 + (rays.y - goal.y) ** 2).mean((1, 2))
+
+
+@pytest.fixture(scope="module")
+def feasible(start):
+    """A lens inside all limits, with its clear apertures."""
+    return with_clear_apertures(*repair(spot_lens(start), LOOKS, LIMITS))
+
+
+def examined(lens, target) -> Optimum:
+    supervisor = Supervisor(Bowl(target), problem(), None, False, 36)
+    return Optimum(**local_optimum(lens, supervisor, PART))
+
+
+def test_the_bottom_of_a_bowl_is_an_optimum(feasible):
+    found = examined(feasible, feasible)
+    assert found.reached and found.gain <= 1e-9
+
+
+def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):
+    """Rays 4 um beside their goal: of 0.5, 2 and 8 um, a step of 2 along the gradient wins most, (4^2 - 2^2) / 100."""
+    space = RaySpace(feasible, LOOKS, LIMITS)
+    gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(3)).double()
+    model = space.linearise(space.start)
+    target = space.lens(space.start + model.step(model.metric @ (model.scale * gradient), 4.0, 0.1))
+    found = examined(feasible, target)
+    assert not found.reached and found.along == "gradient" and found.step_um == 2.0
+    assert 0.03 < found.gain < 0.2
+
+
+def test_a_descent_that_was_cut_short_has_not_converged():
+    """By the spot: a lens of few steps from flat plates has far to go, and the same after many more has not."""
+    posed = replace(problem(), seed=0)
+    supervisor, gains = Supervisor(SpotRadius(), posed, None, False, 36), []
+    plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
+    for steps in (5, 250):
+        part = DescentSettings(steps=steps, criterion="spot", pixels=(10, 1), duration=0.7, final=0.02)
+        lens, _, _ = by_descents(plates, lambda part: SpotRadius(), posed, part, rays=64)
+        finished = with_clear_apertures(*repair(lens, LOOKS, LIMITS))
+        gains.append(Optimum(**local_optimum(finished, supervisor, part)).gain)
+    assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]
