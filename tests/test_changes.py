@@ -125,7 +125,7 @@ def test_what_takes_long_is_not_overwritten_without_consent():
     "key, value, counts",
     [
         ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "fine_tune_others": 2}),
-        ("designs.imaging1.steps", 9, {"design": 1, "fine_tune": 1, "fine_tune_others": 1}),
+        ("designs.imaging1.descents.0.steps", 9, {"design": 1, "fine_tune": 1, "fine_tune_others": 1}),
         ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2}),
         ("classifiers.third.training.learning_rate", 2e-3, {"reference": 1, "fine_tune_others": 2}),
         ("images.seed", 4, {"reference": 3, "fine_tune": 2, "fine_tune_others": 2}),
@@ -179,22 +179,22 @@ def test_changed_code_is_told_but_not_asked_about(found, tmp_path):
 
 def test_settings_of_the_outputs_count_where_they_are_known(found, tmp_path):
     """The study was stored by a run that left the lens alone, which was made before with two steps."""
-    after = parse(changed(base(), "designs.imaging1.steps", 3))
+    after = parse(changed(base(), "designs.imaging1.descents.0.steps", 3))
     label = next(label for label in jobs_of(after) if label.startswith("design/"))
     job = jobs_of(after)[label]
     made = json.loads(STAGES["design"].plan_from(after, job.wildcards).settings.model_dump_json())
     write(tmp_path / "now.yaml", dump(after))
     same = overwritten(tmp_path / "now.yaml", after, {label: replace(job, made_with=made)})
     assert same.by_values == () and same.otherwise == ("design",)
-    made["entry"]["design"]["steps"] = 2
+    made["entry"]["design"]["descents"][0]["steps"] = 2
     other = overwritten(tmp_path / "now.yaml", after, {label: replace(job, made_with=made)})
     assert other.by_values == ("design",)
     (head, line, *_) = refusal(other, after, Durations("tiny", str(tmp_path)), 1).splitlines()
-    assert "finished results" in head and line == "  entry.design.steps: 2 -> 3: 1 lens again"
+    assert "finished results" in head and line == "  entry.design.descents.0.steps: 2 -> 3: 1 lens again"
 
 
 def test_a_stored_study_of_another_version_is_asked_about(found, tmp_path):
     """What it was made with cannot be known."""
     write(tmp_path / "study.yaml", "format: 1\nname: tiny\n")
     lines = said(found(base()), base(), tmp_path)
-    assert "finished results" in lines[0] and any("format: 1 -> 2" in line for line in lines)
+    assert "finished results" in lines[0] and any("format: 1 -> 3" in line for line in lines)

@@ -13,7 +13,7 @@ from safetensors.numpy import save_file
 
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.run import run
-from tasklens.report.optimality import Gap
+from tasklens.report.optimality import Optimum
 from tasklens.report.page import assembly, captures, charts, tables, words
 from tasklens.report.verdicts import verdict
 from tasklens.runtime.files import FileError
@@ -120,9 +120,11 @@ def test_fewer_elements_name_the_elements_of_the_other_lens():
 
 
 def test_convergence_names_what_has_not_converged():
-    first, second = words.convergence({"a": Gap("b", 0.01, 0.01), "c": Gap("d", 0.3, 0.01)})
-    assert first.text.endswith(": a.") and first.direction == words.FOR
-    assert second.text.startswith("Not converged: c ends 0.300 above the loss of d")
+    tests = {"a": Optimum(0.3, 0.01, 0.01, "gradient", 48), "c": Optimum(0.3, 0.25, 0.01, "gradient", 48)}
+    first, second = words.convergence(tests)
+    assert first.text.startswith("Converged: a. No step of 0.3 um") and first.direction == words.FOR
+    assert second.text.startswith("Not converged: a step of 0.3 um within the limits lowers the loss of c by 0.2500")
+    assert second.direction == words.AGAINST
 
 
 TABLE = pandas.DataFrame(
