@@ -120,9 +120,9 @@ def test_fewer_elements_name_the_elements_of_the_other_lens():
 
 
 def test_convergence_names_what_has_not_converged():
-    tests = {"a": Optimum(0.3, 0.01, 0.01, "gradient", 48), "c": Optimum(0.3, 0.25, 0.01, "gradient", 48)}
+    tests = {"a": Optimum(0.01, 0.01, 0.3, "gradient", 48), "c": Optimum(0.25, 0.01, 0.3, "gradient", 48)}
     first, second = words.convergence(tests)
-    assert first.text.startswith("Converged: a. No step of 0.3 um") and first.direction == words.FOR
+    assert first.text.startswith("Converged: a. No small step within the limits") and first.direction == words.FOR
     assert second.text.startswith("Not converged: a step of 0.3 um within the limits lowers the loss of c by 0.2500")
     assert second.direction == words.AGAINST
 

@@ -156,7 +156,8 @@ def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm) | optimum(0.0041)))
     (found,) = failures(study)
     assert found == (
-        "singlet-tasklens seed 0: not converged: a step of 0.3 um lowers the loss: +0.0041 +- 0.0010, gradient"
+        "singlet-tasklens seed 0: not converged: a step within the limits lowers the loss: "
+        "+0.0041 +- 0.0010, 0.3 um, gradient"
     )
     write(lens_file(study, "singlet-tasklens"), yaml.safe_dump(lens_content(study.spec.efl_mm) | optimum(-0.5)))
     assert failures(study) == []
