@@ -5,19 +5,34 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import difference, f64, make_lens, materials
 from pydantic import TypeAdapter, ValidationError
 from test_design import LIMITS, LOOKS, RATES, problem, small_network
 
+from examples import changed, difference, f64, make_lens, materials, tiny_study
+from tasklens.design import least_squares, methods
 from tasklens.design.constraints import incidence_penalty
 from tasklens.design.criteria import Contrast, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
-from tasklens.optics.view import View
-from tasklens.study.design_settings import DescentSettings, DesignSettings, GradientDesignSettings
+from tasklens.materials.catalogues import PLASTICS
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
+from tasklens.optics.io import prescription
+from tasklens.optics.view import View, view_of_spec
+from tasklens.pipeline import jobs
+from tasklens.runtime.errors import InputError
+from tasklens.study.design_settings import (
+    DescentSettings,
+    DesignSettings,
+    GradientDesignSettings,
+    LeastSquaresSettings,
+)
 from tasklens.study.layers import laid_over
+from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
+from tasklens.study.study import StudyError
 
 COARSE = {"steps": 4, "pixels": (20, 10), "step_size": 0.6, "damping": 0.5}
 COLD = {
@@ -151,3 +166,48 @@ def test_gradient_of_the_incidence_penalty_is_that_of_differences(start):
         )
         assert float(expected.abs().max()) > 0
         torch.testing.assert_close(found[name], expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
+
+
+# ---- starts
+
+
+def with_start(file, start):
+    """The tiny study with a design that begins with an imported singlet."""
+    study = changed(tiny_study(), "imported.phone", {"elements": "singlet", "file": str(file)})
+    part = {"steps": 2, "criterion": "log_image_error", "pixels": [5, 5]}
+    return changed(study, "designs.mine", {"start": start, "batch_size": 2, "rays": 16, "descents": [part]})
+
+
+def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
+    """Its shape and materials; coefficients that its file does not have are zero, and free."""
+    plain = replace(start, alpha=start.alpha[:, :0])
+    prescription.write(tmp_path / "phone.yaml", prescription.Prescription(plain), {})
+    wanted = jobs.design.plan(parse(with_start(tmp_path / "phone.yaml", ["phone"])), "singlet-mine", 0)
+    assert [*wanted.inputs["candidates"]] == ["singlet-phone"]
+    lens, notes, _ = methods.design(wanted.settings, None, problem().dataset, {}, {"singlet-phone": plain})
+    assert notes["origin"]["start"] == "singlet-phone" and lens.media == plain.media
+    assert lens.alpha.shape[1] == 5 and [*notes["origin"]["candidate_losses"]] == ["singlet-phone"]
+
+
+def test_a_start_with_its_stop_inside_is_refused(start):
+    wanted = jobs.design.plan(parse(with_start(PLASTICS, ["phone"])), "singlet-mine", 0).settings
+    with pytest.raises(InputError, match="expected a lens with its stop in front, got one with the stop on surface 2"):
+        methods.design(wanted, None, problem().dataset, {}, {"singlet-phone": replace(start, stop=2)})
+
+
+def test_designs_that_begin_with_each_other_are_refused():
+    study = changed(tiny_study(), "designs.image_error.start", ["sharp"])
+    study = changed(study, "designs.sharp", study["designs"]["image_error"] | {"start": ["image_error"]})
+    with pytest.raises(StudyError, match="image_error would begin with itself, by way of sharp"):
+        parse(study)
+
+
+def test_least_squares_stops_at_a_spot():
+    """At 12 um on the average over fields of the merit function, which are near those of the view."""
+    settings = LeastSquaresSettings(method="least_squares", starts=60, evaluations=2000, spot_um={"doublet": 12.0})
+    assert settings.of_elements("triplet").spot_um is None
+    view, plates = view_of_spec(Spec()), flat(materials("COC", "OKP4"), Spec(), LIMITS)
+    lens, history = least_squares.design(plates, Problem(view, LIMITS, 0), settings.of_elements("doublet"))
+    rays = trace_fields(lens, view, sobol_disc(512, 0))
+    assert 1e3 * float(rms_spot_radius(rays, centroid(rays)).mean()) == pytest.approx(12, rel=0.1)
+    assert all(row["rms_um"] > 10 for row in history)

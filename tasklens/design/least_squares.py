@@ -30,6 +30,7 @@ _PERTURBATION_EVALUATIONS = 12
 _VIGNETTINGS = 4  # times that an aperture is set anew, with `_STRICT_EVALUATIONS` after each
 _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
 _FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
+_NEARLY_KEPT_UM = 50.0  # residual of limits that a repair changes little by
 _BISECTIONS = 30  # of a step that ends below `spot_um`
 _SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um for a degree; with 1, doublets end 1.3 um worse
 _STRICT_EVALUATIONS = 24
@@ -51,7 +52,8 @@ def improve(
     """Improve the variables `names` by damped least squares; return the lens and its root-sum-square residual [um].
 
     `watch` is called with the root-sum-square residual at each evaluation. As soon as the RMS spot radius is less than
-    `enough_um`, the lens on the way from the last step to this one is returned that has it, or `lens` if it has less.
+    `enough_um` and limits are nearly kept, the lens on the way from the last step to this one is returned that has this
+    spot, or `lens` if it has less.
     """
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
@@ -64,7 +66,7 @@ def improve(
     def residuals(vector: numpy.ndarray) -> numpy.ndarray:
         errors, columns = merit.linearise(assembled(vector))
         watch(float(errors.norm()))
-        if merit.spot_um(errors) < enough_um:
+        if merit.spot_um(errors) < enough_um and float(errors[merit.rays :].norm()) < _NEARLY_KEPT_UM:
             latest["enough"] = vector.copy()
             raise _Enough
         latest.update(columns=columns, vector=vector.copy())
@@ -193,8 +195,8 @@ def design(
     candidates: list[Candidate] = [(0.0, i, lens) for i, lens in enumerate(starts)]
     for part, orders, share in _STAGES:
         candidates = search.best(f"{orders} orders", candidates, part, share, partial(search.stage, orders))
-        for _, _, lens in candidates:
-            if search.merit.spot_um(search.merit.residuals(lens)) < search.enough_um:
+        for _, _, lens in sorted(candidates, key=lambda candidate: candidate[:2]):
+            if search.merit.spot_um(search.merit.residuals(lens)) <= search.enough_um:
                 return lens, [{"step": step, **row} for step, row in enumerate(search.history, 1)]
     for k, (part, share) in enumerate(_PERTURBATIONS):
         candidates = search.best(f"perturbations {k + 1}", candidates, part, share, search.hop)

@@ -78,13 +78,10 @@ class Merit:
         return self.linearise(lens)[0]
 
     def spot_um(self, residuals: Tensor) -> float:
-        """Compute the mean RMS spot radius of the fields [um] from the residuals (R,), with weight 1 for each field.
-
-        A violated limit is a spot too: the norm of its residuals, where that is larger.
-        """
+        """Compute the mean RMS spot radius of the fields [um] from the residuals (R,)."""
         squares = residuals[: self.rays].reshape(2, len(self.of_field), -1).square().sum((0, 2))
         spots = (squares / (self.of_field[:, 0, 0] * len(self.view.wavelengths))).sqrt()
-        return max(float(spots.mean()), float(residuals[self.rays :].norm()))
+        return float(spots.mean())
 
     def clear_semi_diameters(self, lens: Lens) -> Tensor:
         """Compute the semi-diameters (S,) at which limits are evaluated: 1 % more than the rays use [mm]."""
