@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from tasklens.design import descents, imported, least_squares
+from tasklens.design import descents, least_squares
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.optimum import local_optimum
@@ -17,6 +17,7 @@ from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import ORDERS
+from tasklens.optics import imported
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
