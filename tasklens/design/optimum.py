@@ -42,7 +42,7 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
         drawn = model.scale * torch.randn(len(model.scale), generator=generator, dtype=model.scale.dtype)
         steps.append((f"random direction {k + 1}", STEPS_UM[0], model.metric @ drawn))
     here = _losses(supervisor, lens, pixels)
-    gains = []
+    gains: list[dict[str, Any]] = []
     for along, step_um, slope in steps:
         change = model.step(slope, step_um, settings.damping, HARD)
         moved, _ = repair(space.lens(space.start + change), problem.view, problem.limits)
