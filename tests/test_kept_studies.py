@@ -9,7 +9,7 @@ from tasklens.pipeline import jobs, kept_studies
 from tasklens.study.loading import dump, load, parse
 
 LENS = {"lens": "singlet-imaging1", "seed": 0}
-STEPS = "designs.imaging1.steps"
+STEPS = "designs.imaging1.descents.0.steps"
 
 
 @pytest.fixture
