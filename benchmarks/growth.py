@@ -1,8 +1,8 @@
 """Growth of resident memory in an hour of task-driven design and of fine-tuning, each in a process of its own.
 
-Jobs as those of the default study, at 64 pixels, with several lenses, validations, checkpoints on the disk and the jobs'
-settings of malloc, follow each other until the time is up. Compared are the medians of the samples of a sixth of the
-time, after the first minutes and at the end. The target is 2 %.
+Jobs as those of the default study, at 64 pixels, with several lenses, validations, checkpoints on the disk and the
+jobs' settings of malloc, follow each other until the time is up. Compared are the medians of the samples of a sixth of
+the time, after the first minutes and at the end. The target is 2 %.
 """
 
 import multiprocessing
