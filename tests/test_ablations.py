@@ -3,10 +3,10 @@
 import pandas
 import pytest
 import yaml
+from examples import changed, finish, tiny_study
 from test_jobs import slices
 from test_verdicts import results
 
-from examples import changed, finish, tiny_study
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.report.verdicts import HOLDS
 from tasklens.study import claims

@@ -14,9 +14,9 @@ import pytest
 import test_zemax
 import torch  # noqa: F401  # before the processes are forked, which would each import it
 import yaml
+from examples import changed, tiny_study, write
 from test_messages import INNER_WORDS
 
-from examples import changed, tiny_study, write
 from tasklens.cli.app import main
 from tasklens.materials.catalogues import PLASTICS
 from tasklens.recognition import classifiers  # noqa: F401

@@ -4,8 +4,8 @@ import json
 from dataclasses import replace
 
 import pytest
-
 from examples import changed, tiny_study, write
+
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
 from tasklens.pipeline.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal
 from tasklens.pipeline.forecast import Durations

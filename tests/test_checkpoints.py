@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from examples import changed, random_images, tiny_study
 from test_design import descended, small_network
 
-from examples import changed, random_images, tiny_study
 from tasklens.cli.app import main
 from tasklens.design import supervision
 from tasklens.pipeline.digest import digest_of

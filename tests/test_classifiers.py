@@ -7,9 +7,9 @@ import numpy
 import pytest
 import timm
 import torch
+from examples import changed, random_images, tiny_study, trained_network
 from torch import nn
 
-from examples import changed, random_images, tiny_study, trained_network
 from tasklens.pipeline import checks
 from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition import dataset as data

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-
 from examples import changed, cooke_triplet, read_rows, tiny_study, write
+
 from tasklens.cli.app import main
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.optics.io import prescription

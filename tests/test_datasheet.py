@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 import yaml
-
 from examples import f64, make_lens, seen_lens
+
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
 from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, view_of
 from tasklens.optics.analysis.mtf import geometric_mtf

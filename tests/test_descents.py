@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from examples import changed, difference, f64, make_lens, materials, tiny_study
 from pydantic import TypeAdapter, ValidationError
 from test_design import LIMITS, LOOKS, RATES, problem, small_network
 
-from examples import changed, difference, f64, make_lens, materials, tiny_study
 from tasklens.design import least_squares, methods
 from tasklens.design.constraints import incidence_penalty
 from tasklens.design.criteria import Contrast, ImageError, JointTaskLoss, SpotRadius, TaskLoss

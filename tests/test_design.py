@@ -10,7 +10,6 @@ from examples import by_descents, changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import methods
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.descent import divergence
 from tasklens.design.problem import Problem
@@ -19,6 +18,7 @@ from tasklens.design.variables import Variables
 from tasklens.imaging import Camera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.psf import psf
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs

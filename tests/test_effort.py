@@ -4,8 +4,8 @@ import math
 from pathlib import Path
 
 import pytest
-
 from examples import tiny_study
+
 from tasklens.report import effort as report
 from tasklens.study import effort
 from tasklens.study.loading import parse

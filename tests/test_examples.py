@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from examples import by_descents, materials
 from test_design import LIMITS, LOOKS, problem, small_network
 
-from examples import by_descents, materials
 from tasklens.design import descent
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.start import flat

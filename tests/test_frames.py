@@ -8,9 +8,9 @@ import numpy
 import pandas
 import pytest
 import torch
+from examples import tiny_study, write
 from PIL import Image
 
-from examples import tiny_study, write
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.pipeline import figure_jobs, jobs

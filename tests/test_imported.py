@@ -5,15 +5,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
 from reference_files import reference_files
 
-from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
 from tasklens.design import methods
-from tasklens.optics import imported
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields, trace_fields_full
-from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io import imported, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace, trace_full

@@ -11,9 +11,9 @@ from re import fullmatch
 import pytest
 import torch
 import yaml
+from examples import changed, finish, tiny_study, with_imported, write
 from safetensors.torch import load_file
 
-from examples import changed, finish, tiny_study, with_imported, write
 from tasklens.cli import run as commands
 from tasklens.materials.catalogues import builtin
 from tasklens.pipeline import digest, figure_jobs, jobs, report_jobs, run

@@ -1,9 +1,9 @@
 """A job computes what its rule was planned with, whatever other runs of a study of the same name have written since."""
 
 import pytest
+from examples import changed, tiny_study, write
 from test_workflow import snakemake
 
-from examples import changed, tiny_study, write
 from tasklens.cli.app import main
 from tasklens.pipeline import jobs, kept_studies
 from tasklens.study.loading import dump, load, parse

@@ -4,8 +4,8 @@ import re
 
 import pytest
 import yaml
-
 from examples import changed, tiny_study
+
 from tasklens.cli.app import main
 from tasklens.study.loading import parse
 from tasklens.study.study import Study, StudyError

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy
 import pytest
 import torch
+from examples import difference
 
 import tasklens
-from examples import difference
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.runtime.errors import InputError
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import pytest
 import torch
+from examples import by_descents, materials
 from test_design import LIMITS, LOOKS, problem
 from test_task_design import spot_lens
 
-from examples import by_descents, materials
 from tasklens.design.criteria import SpotRadius
 from tasklens.design.optimum import local_optimum
 from tasklens.design.ray_space import RaySpace, repair

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy
 import pandas
 import pytest
+from examples import tiny_study, write
 from safetensors.numpy import save_file
 
-from examples import tiny_study, write
 from tasklens.pipeline import report_jobs
 from tasklens.pipeline.run import run
 from tasklens.report.optimality import Optimum

@@ -9,12 +9,12 @@ from test_design import LIMITS, LOOKS, problem, small_network
 from test_task_design import NO_LIMITS, designed, image_error, spot_lens
 
 from tasklens.design import descents, least_squares, methods, optimizers
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diameters, rms_spot_radius, trace_fields
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io import prescription
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import jobs

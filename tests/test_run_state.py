@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
-
 from examples import tiny_study, write
+
 from tasklens.cli.app import main
 from tasklens.pipeline import closing, progress_file, report_jobs, runs  # noqa: F401  declares the stages
 from tasklens.pipeline.changes import PlannedJob

@@ -8,8 +8,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 import yaml
-
 from examples import changed, studies_we_ship, tiny_study, with_imported, write
+
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.design_settings import LearningRates
 from tasklens.study.layers import laid_over

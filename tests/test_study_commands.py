@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from examples import changed, tiny_study, write
 from typer.testing import CliRunner
 
-from examples import changed, tiny_study, write
 from tasklens.cli.app import app, main
 from tasklens.pipeline import new_study, report_jobs  # noqa: F401  declares the stages
 from tasklens.study.loading import dump, load, parse

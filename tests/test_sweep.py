@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
+from examples import tiny_study, write
 from test_workflow import forked, plan
 
-from examples import tiny_study, write
 from tasklens.cli.app import main
 from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob

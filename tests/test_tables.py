@@ -7,8 +7,8 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-
 from examples import changed, finish, inputs_of, tiny_study, write
+
 from tasklens.cli.app import main
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.report_jobs import PAPER as PAPER_FILE

@@ -7,11 +7,11 @@ import pandas
 import pytest
 import torch
 import yaml
+from examples import changed, finish, random_images, read_rows, tiny_study, trained_network
 from pydantic import ValidationError
 from test_design import problem
 from torch import nn
 
-from examples import changed, finish, random_images, read_rows, tiny_study, trained_network
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.supervision import Supervisor
 from tasklens.imaging import Camera

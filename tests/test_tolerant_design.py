@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from examples import f64
 from test_design import problem, small_network
 from test_task_design import designed, spot_lens
 
-from examples import f64
 from tasklens.design import supervision
 from tasklens.design.criteria import Contrast, TaskLoss
 from tasklens.design.supervision import Supervisor

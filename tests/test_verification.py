@@ -5,8 +5,8 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-
 from examples import changed, finish, inputs_of, measurements_of, tiny_study, with_imported, write
+
 from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.run import run
 from tasklens.report import verification

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-
 from examples import changed, make_lens, studies_we_ship, tiny_study
+
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`

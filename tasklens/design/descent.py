@@ -133,10 +133,18 @@ class Descent:
         """Return the best variables, and the count of validations."""
         return {name: getattr(self, name) for name in ("best", "least", "failures")}
 
+    def result(self) -> dict[str, Any]:
+        """Return the state after the last step, with that of a trained network: the test of the optimum needs it."""
+        network = self.supervisor.criterion.holders.get("network")
+        return self.state() | ({} if network is None else {"network": network.state_dict()})
+
     def resume(self, state: dict[str, Any]) -> None:
-        """Resume from `state`."""
+        """Resume from `state`, or from `result`."""
         for name, value in state.items():
-            setattr(self, name, value)
+            if name == "network":
+                self.supervisor.criterion.holders[name].load_state_dict(value)
+            else:
+                setattr(self, name, value)
 
     def lens(self) -> Lens:
         """Return the lens of the smallest validation loss; before the first validation, the last finite one."""
@@ -175,7 +183,7 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
         if step % max(1, steps // _ROWS) == 0 or "validation_loss" in numbers:
             part.history.append({"phase": label, "step": step, **numbers, "rms_um": 1e3 * float(spots.mean())})
         part.save(step, **descent.state())
-    part.finish(**descent.state())
+    part.finish(**descent.result())
     return descent.lens(), part.history
 
 

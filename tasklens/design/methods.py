@@ -17,11 +17,11 @@ from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import ORDERS
-from tasklens.optics import imported
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
 from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
+from tasklens.optics.io import imported
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import frozen

@@ -220,12 +220,13 @@ class Supervisor:
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         before = random_state()
         torch.manual_seed(self.problem.seed)
-        losses = torch.stack([self._losses_on(part, built, lens, pixels) for built in lenses]).mean(0)
+        light = self.illumination(lens) if isinstance(self.criterion, CaptureCriterion) else None
+        losses = torch.stack([self._losses_on(part, built, light, pixels) for built in lenses]).mean(0)
         set_random_state(before)
         return losses
 
-    def _losses_on(self, part: slice, lens: Lens, design: Lens, pixels: float) -> Tensor:
-        """Compute the losses (N,) of one lens, built from a design, without augmentation."""
+    def _losses_on(self, part: slice, lens: Lens, light: Tensor | None, pixels: float) -> Tensor:
+        """Compute the losses (N,) of one lens at a relative illumination (F,), without augmentation."""
         criterion, pupil = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0)
         if isinstance(criterion, SpotRadius):
             return criterion.losses(trace_fields(lens, self.problem.view, pupil))
@@ -234,7 +235,7 @@ class Supervisor:
             return criterion.losses(grid)
         assert isinstance(criterion, CaptureCriterion)
         images, labels = self.images(self.fixed_images(part), augment=False)
-        capture, light = self.capture, self.illumination(design)
+        capture = self.capture
         camera = Camera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
         losses = []
         # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.

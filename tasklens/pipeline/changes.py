@@ -58,12 +58,18 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") ->
     """Return the changed values between two resolved studies, in the order of their keys."""
     found: list[Change] = []
     for key in dict.fromkeys([*old, *new]):
-        before, after, name = old.get(key), new.get(key), f"{prefix}{key}"
+        before, after, name = _by_number(old.get(key)), _by_number(new.get(key)), f"{prefix}{key}"
         if isinstance(before, Mapping) and isinstance(after, Mapping):
             found += changes(before, after, f"{name}.")
         elif before != after:
             found.append(Change(name, before, after))
     return found
+
+
+def _by_number(value: Any) -> Any:
+    """Return a list of mappings, such as descents, by their numbers; any other value as it is."""
+    listed = isinstance(value, list | tuple) and value and all(isinstance(entry, Mapping) for entry in value)
+    return dict(enumerate(value)) if listed else value
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def check(study: Study, networks: bool, weights: bool) -> None:
             raise FileError(f"classifiers.{name}.weights = {classifier.weights}: no such file; correct the path")
     compile_tracer()
     if study.imported:
-        from tasklens.optics import imported
+        from tasklens.optics.io import imported
         from tasklens.optics.view import view_of_spec
 
         for entry in study.imported.values():

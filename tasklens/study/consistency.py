@@ -142,24 +142,24 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     if design.start == "best_imaging" and not study.imaging_starts:
         raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least squares or image quality")
     known = [name for name, other in study.imported.items() if other.elements == lens.elements]
-    known += study.imaging_starts if not design.by_network else [n for n in study.designs if n not in study.vignetted]
-    known = [name for name in known if name != lens.design_name]
-    for name in design.candidates:
+    known += study.designs if design.by_network else study.imaging_starts
+    known = [name for name in known if name not in (lens.design_name, *study.vignetted_designs)]
+    for name in design.starting_designs:
         if name not in known:
             raise ValueError(
                 f"{where}.start: {name!r} is not one of the designs that it may begin with, {', '.join(known)}"
             )
-    _check_acyclic(study, where, lens.design_name, design.candidates)
+    _check_acyclic(study, where, lens.design_name, design.starting_designs)
 
 
-def _check_acyclic(study: Study, where: str, name: str, candidates: tuple[str, ...]) -> None:
+def _check_acyclic(study: Study, where: str, name: str, starts: tuple[str, ...]) -> None:
     """Check that no design begins, through others, with itself; raises ValueError."""
-    waiting, seen = list(candidates), set()
+    waiting, seen = list(starts), set()
     while waiting:
         other = waiting.pop()
         if other == name:
-            raise ValueError(f"{where}.start: {name} would begin with itself, by way of {', '.join(candidates)}")
+            raise ValueError(f"{where}.start: {name} would begin with itself, by way of {', '.join(starts)}")
         if other not in seen:
             seen.add(other)
             design = study.designs.get(other)
-            waiting += design.candidates if isinstance(design, GradientDesignSettings) else ()
+            waiting += design.starting_designs if isinstance(design, GradientDesignSettings) else ()

@@ -202,7 +202,7 @@ class GradientDesignSettings(Frozen):
         return tuple(descent for descent in self.descents if descent.criterion == "task")
 
     @property
-    def candidates(self) -> tuple[str, ...]:
+    def starting_designs(self) -> tuple[str, ...]:
         """Names of the designs of which the best is the start."""
         return self.start if isinstance(self.start, tuple) else ()
 
@@ -210,7 +210,7 @@ class GradientDesignSettings(Frozen):
     def end_to_end(self) -> bool:
         """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
         first = self.by_network[:1]
-        return bool(first) and first[0].trains_network and not self.candidates
+        return bool(first) and first[0].trains_network and not self.starting_designs
 
 
 class LeastSquaresSettings(Frozen):
@@ -261,10 +261,11 @@ def _this_format(given: Any) -> Any:
     if not isinstance(given, dict | GradientDesignSettings | LeastSquaresSettings):
         raise ValueError("expected keys and values")
     method = given.get("method", "descents") if isinstance(given, dict) else given.method
-    if method in _FORMAT_2:
+    if isinstance(method, str) and method in _FORMAT_2:
         raise ValueError(f"method: {method}: since format 3 this is {_FORMAT_2[method]}; see config/config.yaml")
     if method not in ("descents", "least_squares"):
-        raise ValueError(f"method: expected descents, which is the default, or least_squares, got {method!r}")
+        shown = f", got {method!r}" if isinstance(method, str) else ""
+        raise ValueError(f"method: expected descents, which is the default, or least_squares{shown}")
     return given
 
 

@@ -193,10 +193,10 @@ class Study(Frozen):
     @property
     def imaging_starts(self) -> tuple[str, ...]:
         """Names of the imaging designs that others start from: not those whose apertures stop light."""
-        return tuple(name for name in self.imaging_designs if name not in self.vignetted)
+        return tuple(name for name in self.imaging_designs if name not in self.vignetted_designs)
 
     @property
-    def vignetted(self) -> tuple[str, ...]:
+    def vignetted_designs(self) -> tuple[str, ...]:
         """Names of the designs whose apertures stop light."""
         return tuple(name for name, design in self.designs.items() if getattr(design, "vignetting", None) is not None)
 

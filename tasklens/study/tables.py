@@ -109,7 +109,7 @@ def starts(study: Study, lens: str) -> tuple[str, ...]:
     entry = study.lens(lens)
     named: tuple[str, ...] = ()
     if isinstance(entry.design, GradientDesignSettings):
-        named = study.imaging_starts if entry.design.start == "best_imaging" else entry.design.candidates
+        named = study.imaging_starts if entry.design.start == "best_imaging" else entry.design.starting_designs
         if entry.design.start != "best_imaging" and not entry.design.descents[-1].trains_network:
             named = ()
     return tuple(f"{entry.elements}-{name}" for name in named)
@@ -120,7 +120,7 @@ def candidates(study: Study, lens: str) -> tuple[str, ...]:
     entry = study.lens(lens)
     if not isinstance(entry.design, GradientDesignSettings) or entry.design.descents[-1].trains_network:
         return ()
-    return tuple(f"{entry.elements}-{name}" for name in entry.design.candidates)
+    return tuple(f"{entry.elements}-{name}" for name in entry.design.starting_designs)
 
 
 class TaskContents(Frozen):
