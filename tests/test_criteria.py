@@ -118,4 +118,6 @@ def test_temperature_softens_confident_wrong_answers():
         (gradient,) = torch.autograd.grad(loss.sum(), logits)
         expected = (logits / temperature).softmax(-1) - f64([[0.0, 1.0, 0.0]])
         torch.testing.assert_close(gradient, expected.detach(), rtol=1e-12, atol=0)
-        assert float(loss) == pytest.approx(-temperature * float((logits / temperature).log_softmax(-1)[0, 1]))
+        assert float(loss.detach()) == pytest.approx(
+            -temperature * float((logits.detach() / temperature).log_softmax(-1)[0, 1])
+        )

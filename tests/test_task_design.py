@@ -188,15 +188,14 @@ class Failing(ImageError):
 def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, fails_at, told):
     """Of one of its own descents; not of a restart that was not refined, nor of a finish that was not kept."""
     parts = [DescentSettings(steps=1, pixels=(20, 20), lenses=lenses) for lenses in (2, 1)]
-    criteria = [Failing(99) for _ in range(2)]
     if fails_at == 5:  # of a finish that is worse than its start
         losses = iter([1.0, 2.0])
         monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
-        parts, criteria = [DescentSettings(steps=2, pixels=(20, 20))], [Failing(1)]
-        _, origin, _ = by_descents(start, lambda p: criteria[0], problem(), *parts, candidates={"start": start})
+        failing = Failing(1)
+        parts = [DescentSettings(steps=2, pixels=(20, 20))]
+        _, origin, _ = by_descents(start, lambda p: failing, problem(), *parts, candidates={"start": start})
     else:
-        criteria = [Failing(0) if fails_at == 3 else Failing(1), Failing(99)]
-        made = iter([criteria[1], criteria[0]])  # that of the last descent is made first
+        made = iter([Failing(0 if fails_at == 3 else 99), Failing(0), Failing(99)])  # restarts, refinement
         _, origin, _ = by_descents(start, lambda p: next(made), problem(), *parts)
     assert ("diverged" in origin) is told
 
@@ -278,7 +277,7 @@ def test_the_image_error_alone_makes_a_lens():
 
 
 def test_a_joint_descent_trains_a_classifier_of_its_own(start):
-    """Restart and refinement each begin with the trained classifier, move a copy of it, and leave the original."""
+    """Two restarts and a refinement begin with the trained classifier, move copies of it, and leave the original."""
     network, seen = small_network().train(), []
     before = copy.deepcopy(network.state_dict())
 
@@ -287,8 +286,9 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
         return seen[-1]
 
     descent = DescentSettings(steps=3, pixels=(5, 5), network_learning_rate=1e-2)
-    by_descents(start, joint, problem(NO_LIMITS), descent, descent, micro_batch=4)
-    assert len(seen) == 2 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
+    restarts = descent.model_copy(update={"lenses": 2})
+    by_descents(start, joint, problem(NO_LIMITS), restarts, descent, micro_batch=4)
+    assert len(seen) == 3 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
     for criterion in seen:
         trained = criterion.network
         assert trained.training and criterion.schedule.last_epoch == descent.steps

@@ -28,9 +28,10 @@ from tasklens.study.design_settings import DescentSettings, GradientDesignSettin
 
 @dataclass(frozen=True)
 class _Descended:
-    """A lens with its loss as `Descent.least`, and the labels of the descents that it has come from."""
+    """A lens with its loss as `Descent.least`, its supervisor, and the labels of the descents that it has come from."""
 
     lens: Lens
+    supervisor: Supervisor | None = None
     least: tuple[bool, float] = (False, 0.0)
     labels: tuple[str, ...] = ()
 
@@ -67,34 +68,34 @@ def design(
             micro_batch = (part.batch_size or settings.batch_size) * len(problem.view.fields)
         return Supervisor(made, problem, part.size, settings.augment, micro_batch, part.centre, settings.tolerances)
 
-    last = supervisor(settings.descents[-1])
-
-    def selection_loss(lens: Lens) -> float:
+    def selection_loss(judge: Supervisor, lens: Lens) -> float:
         repaired = with_clear_apertures(*repair(lens, problem.view, problem.limits))
-        return last.selection_loss(repaired, settings.descents[-1].pixels[1])
+        return judge.selection_loss(repaired, settings.descents[-1].pixels[1])
 
     origin: dict[str, Any] = {}
-    losses = {name: selection_loss(lens) for name, lens in candidates.items()}
-    if losses:
+    losses: dict[str, float] = {}
+    if candidates:
+        judge = supervisor(settings.descents[-1])
+        losses = {name: selection_loss(judge, lens) for name, lens in candidates.items()}
         chosen = min(losses, key=lambda name: losses[name])
         start, origin["start"] = candidates[chosen], chosen
         history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
     lenses = [_Descended(start)] * settings.descents[0].lenses
     for k, part in enumerate(settings.descents, 1):
-        supervising = supervisor(part) if k < len(settings.descents) else last
         descended = []
         for i, before in enumerate(lenses[: part.lenses], 1):
             label = f"descent {k}" if part.lenses == 1 else f"descent {k}, lens {i} of {part.lenses}"
             seed = int(torch.randint(2**31, (), generator=generator))
-            descent = Descent(before.lens, supervising, settings, part, seed)
+            descent = Descent(before.lens, supervisor(part), settings, part, seed)  # a trained network begins anew
             lens, rows = run(descent, label, checkpoint)
             history += rows
-            descended.append(_Descended(lens, descent.least, (*before.labels, label)))
+            descended.append(_Descended(lens, descent.supervisor, descent.least, (*before.labels, label)))
         lenses = sorted(descended, key=lambda each: each.least)
     best = lenses[0]
-    lens, loss, labels = best.lens, best.least[1], best.labels
-    if losses and not last.criterion.trained:
-        loss = selection_loss(lens)
+    assert best.supervisor is not None  # there is a descent
+    lens, loss, labels, trained = best.lens, best.least[1], best.labels, best.supervisor.criterion.trained
+    if losses and not trained:
+        loss = selection_loss(best.supervisor, lens)
         history.append({"phase": "finished", "validation_loss": loss})
         origin["finished"] = loss <= losses[chosen]
         if not origin["finished"]:
@@ -103,8 +104,8 @@ def design(
     causes = [row for row in history if "cause" in row and row["phase"].removesuffix(", diverged") in labels]
     if causes:
         origin["diverged"] = f"step {causes[-1]['step']}: {causes[-1]['cause']}"
-    if not last.criterion.trained:  # else it is of another network than any other
+    if not trained:  # else it is of another network than any other
         origin["validation_loss"] = loss
     if losses:
         origin["candidate_losses"] = losses
-    return lens, origin, history, last
+    return lens, origin, history, best.supervisor
