@@ -88,7 +88,7 @@ def by_network(lens) -> list:
 
 
 def task_driven(lens) -> bool:
-    """Whether the network is frozen at first, or trained with a lens that is chosen from a list."""
+    """True if the network is frozen at first, or trained with a lens that is chosen from a list."""
     found = by_network(lens)
     return bool(found) and (found[0].network_learning_rate is None or isinstance(lens.design.start, tuple))
 

@@ -1,4 +1,4 @@
-"""Whether a descent has converged: the test of its optimum, and the frozen classifier's loss beside that of others.
+"""Convergence of designs: the test of a local optimum, and the frozen classifier's loss compared with other lenses.
 
 A lens is at a local optimum of its criterion if no small step within its limits lowers the loss. It can be one and yet
 have a larger loss than another lens of the same elements: its optimality gap, by the loss of the classifier before any
