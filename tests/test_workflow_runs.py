@@ -151,7 +151,7 @@ def test_a_killed_run_goes_on(tmp_path):
 
     Also where one of its two files is there already.
     """
-    study = changed(one_lens(), "designs.imaging1.steps", 1_000_000)
+    study = changed(one_lens(), "designs.imaging1.descents.0.steps", 1_000_000)
     target, log = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml", tmp_path / "results/tiny/logs/design"
     process = subprocess.Popen(
         command(tmp_path, study, target),

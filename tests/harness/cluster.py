@@ -82,7 +82,7 @@ def main() -> int:
     parent = Path(tempfile.mkdtemp(prefix="cluster-"))
     code, faults = parent / "code", list(FAULTS)
     copy_code(code)
-    study = changed(small_study(), "designs.imaging1.steps", 16000)  # a minute and a half
+    study = changed(small_study(), "designs.imaging1.descents.0.steps", 16000)  # a minute and a half
     for name in ("here", "slurm"):
         (parent / name).mkdir()
         (parent / name / "study.yaml").write_text(yaml.safe_dump(study))
