@@ -66,7 +66,7 @@ def improve(
     def residuals(vector: numpy.ndarray) -> numpy.ndarray:
         errors, columns = merit.linearise(assembled(vector))
         watch(float(errors.norm()))
-        if merit.spot_um(errors) < enough_um and float(errors[merit.rays :].norm()) < _NEARLY_KEPT_UM:
+        if enough_um and merit.spot_um(errors) < enough_um and float(errors[merit.rays :].norm()) < _NEARLY_KEPT_UM:
             latest["enough"] = vector.copy()
             raise _Enough
         latest.update(columns=columns, vector=vector.copy())
@@ -195,7 +195,7 @@ def design(
     candidates: list[Candidate] = [(0.0, i, lens) for i, lens in enumerate(starts)]
     for part, orders, share in _STAGES:
         candidates = search.best(f"{orders} orders", candidates, part, share, partial(search.stage, orders))
-        for _, _, lens in sorted(candidates, key=lambda candidate: candidate[:2]):
+        for _, _, lens in sorted(candidates, key=lambda candidate: candidate[:2]) if search.enough_um else ():
             if search.merit.spot_um(search.merit.residuals(lens)) <= search.enough_um:
                 return lens, [{"step": step, **row} for step, row in enumerate(search.history, 1)]
     for k, (part, share) in enumerate(_PERTURBATIONS):

@@ -14,7 +14,6 @@ import pandas
 
 _ERRORS = 2.0  # paired standard errors within which losses count as equal
 _NEGLIGIBLE = 0.002  # gain of a step that is none, where losses are about 1
-_SAME = 1e-4  # difference of losses below which two lenses are one, such as a design and a candidate that it returned
 
 
 @dataclass(frozen=True)
@@ -63,11 +62,6 @@ class Gap:
     nearest: str
     difference: float
     error: float
-
-    @property
-    def converged(self) -> bool:
-        """True if the loss is the least, or not above it by more than twice the standard error and 1e-4."""
-        return self.difference <= _ERRORS * self.error + _SAME
 
 
 def gap(loss: pandas.Series, others: Mapping[str, pandas.Series]) -> Gap:
