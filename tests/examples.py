@@ -1,7 +1,6 @@
 """Lenses, rays, networks and studies that several test files build on, and differences to check gradients against."""
 
 import csv
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -158,14 +157,9 @@ def by_descents(start, criterion, problem, *parts, candidates=None, checkpoint=N
     return descents.design(start, candidates or {}, criterion, problem, settings, checkpoint)[:3]
 
 
-def studies_we_ship() -> dict[str, list[Path]]:
-    """The files of each study of config/, by the last one's name, as its heading gives them to `--configfile`."""
-    config = Path(__file__).parents[1] / "config"
-    found = {"config.yaml": [config / "config.yaml"]}
-    for path in sorted(config.glob("*.yaml")):
-        if named := re.search(r"--configfile((?: config/\w+\.yaml)+)", path.read_text()):
-            found[path.name] = [config.parent / each for each in named[1].split()]
-    return found
+def studies_we_ship() -> dict[str, Path]:
+    """The file of each study of config/ by its name."""
+    return {path.name: path for path in sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))}
 
 
 def tiny_study() -> dict:

@@ -2,8 +2,7 @@
 
 import itertools
 import math
-from functools import reduce
-from pathlib import Path
+import re
 
 import jsonschema
 import pytest
@@ -12,8 +11,7 @@ from examples import changed, studies_we_ship, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.design_settings import LearningRates
-from tasklens.study.layers import laid_over
-from tasklens.study.loading import dump, load, parse, read, without_null
+from tasklens.study.loading import dump, extended, load, parse, read, without_null
 from tasklens.study.schema import schema
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
@@ -131,17 +129,47 @@ def test_rates_have_presets():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_studies_we_ship_can_be_read(name):
-    """By the command in their heading, which ends with themselves."""
-    study = load(*STUDIES[name])
-    assert STUDIES[name][-1].name == name
+    """And are run by the command in their heading; a study is in the file of its name, the default one in config.yaml."""
+    study = load(STUDIES[name])
+    assert study.name == {"config.yaml": "small"}.get(name, STUDIES[name].stem)
     assert study.lenses and study.supervisor in study.classifiers
+    file = "" if name == "config.yaml" else f" --configfile config/{name}"
+    commands = [line for line in STUDIES[name].read_text().splitlines() if line.startswith("#   snakemake")]
+    assert commands and all(re.split(" {3,}", line)[1].endswith(file) for line in commands)
 
 
-def test_each_file_of_config_is_a_study():
-    assert set(STUDIES) == {path.name for path in (Path(__file__).parents[1] / "config").glob("*.yaml")}
+def test_a_study_extends_another_one(tmp_path, monkeypatch):
+    """By its name: in the folder of its file, in `config`, among those that we ship. The file wins, key by key."""
+    monkeypatch.chdir(tmp_path)
+    study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
+    write(tmp_path / "own" / "base.yaml", yaml.safe_dump(study | {"name": "base"}))
+    write(tmp_path / "own" / "middle.yaml", "{name: middle, extends: base, seeds: [3], elements: {doublet: null}}")
+    top = "{name: top, extends: middle, designs: {tasklens: {descents: {1: {steps: 7}}}}}"
+    write(tmp_path / "own" / "any.yaml", top)
+    found = load(tmp_path / "own" / "any.yaml")
+    assert (found.name, found.seeds, set(found.elements)) == ("top", (3,), {"singlet"})
+    assert [each.steps for each in found.designs["tasklens"].descents] == [2, 7, 1, 1]
+    assert load(tmp_path / "own" / "base.yaml", tmp_path / "own" / "middle.yaml", tmp_path / "own" / "any.yaml") == found
+    (tmp_path / "own").rename(tmp_path / "config")
+    assert parse(yaml.safe_load(top)) == found
+    assert parse({"name": "mine", "extends": "smoke"}).designs == load(STUDIES["smoke.yaml"]).designs
 
 
-def test_null_in_a_file_that_is_laid_over_another_takes_an_entry_away(tmp_path):
+@pytest.mark.parametrize(
+    "extends, words",
+    [
+        ("absent", r"absent\.yaml: no such study in .* expected one of .*headline"),
+        ("mine", "extends: mine extends mine; expected a study that does not extend itself"),
+        ([1], r"extends = \[1\]: expected the name of a study"),
+    ],
+)
+def test_a_study_that_extends_nothing_is_refused(tmp_path, extends, words):
+    write(tmp_path / "mine.yaml", yaml.safe_dump({"name": "mine", "extends": extends}))
+    with pytest.raises(StudyError, match=words):
+        load(tmp_path / "mine.yaml")
+
+
+def test_null_in_a_study_that_extends_another_removes_an_entry(tmp_path):
     """Of the sections with names, as in RFC 7386; alone, null is a mistake like any other."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     study = changed(study, "designs.tasklens.tolerances", "phone_moulding")
@@ -159,9 +187,11 @@ def test_null_in_a_file_that_is_laid_over_another_takes_an_entry_away(tmp_path):
 @pytest.mark.parametrize("name", STUDIES)
 def test_editors_find_no_mistake_in_the_studies_we_ship(name):
     """By the schema, which takes plastics as files, and rates and grades by name, as the files of config/ have them."""
-    content = without_null(reduce(laid_over, map(read, STUDIES[name])))
-    jsonschema.validate(content, schema())
-    wrong = content | {"tolerances": {"grade": "by hand"}}
+    content = read(STUDIES[name])
+    whole = without_null(extended(content, STUDIES[name].parent))
+    jsonschema.validate(whole, schema())
+    assert set(content) <= {"extends", *whole}
+    wrong = whole | {"tolerances": {"grade": "by hand"}}
     assert not jsonschema.Draft202012Validator(schema()).is_valid(wrong)
 
 

@@ -285,7 +285,7 @@ def test_export_of_the_present_folder_has_its_name(results, monkeypatch):
         ("broken.yaml", "broken.yaml, line 1, column 5: not valid YAML"),
         ("binary.yaml", "binary.yaml, line 1: not valid YAML: no UTF-8"),
         ("list.yaml", "list.yaml: expected keys and values"),
-        ("part.yaml", "part.yaml: lay it over the study"),
+        ("part.yaml", "part.yaml: it has no format, name, images"),
     ],
 )
 def test_what_is_no_study_is_told(place, capsys, command, bad, words):

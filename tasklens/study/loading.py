@@ -1,7 +1,6 @@
 """Reading and writing of study files (YAML)."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from datetime import date
 from functools import reduce
@@ -21,21 +20,23 @@ from tasklens.study.settings import Spec
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
 
+SHIPPED = Path(__file__).parents[2] / "config"  # the studies that come with the program
+EXTENDS = "Name of the study whose keys this one changes; null removes an entry of a section."
+
 
 def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     """Validate a mapping and return the study.
 
     Args:
-        files: the files that it was read from, for messages; where one is laid over another, an element, design,
-            classifier, imported lens or ablation that is null is taken away.
+        files: the files that it was read from, for messages and for what it extends; in a study that extends another,
+            an element, design, classifier, imported lens or ablation that is null is taken away.
 
     Raises:
-        StudyError: names every wrong key, its value and what was expected; or says that the only file is to be laid
-            over another one.
+        StudyError: names every wrong key, its value and what was expected; or says that the only file extends no study.
     """
     name = f"{', '.join(map(str, files))}: " if files else ""
-    if len(files) > 1:
-        config = without_null(config)
+    if len(files) > 1 or "extends" in config:
+        config = without_null(extended(config, files[-1].parent if files else Path()))
     try:
         study = Study.model_validate(dict(config))
         consistency.check(study)
@@ -44,7 +45,9 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     except ValidationError as error:
         missing = missing_keys(error)
         if len(files) == 1 and "format" in missing and len(missing) > 1:
-            raise StudyError(_layer(files[0], missing)) from None
+            raise StudyError(
+                f"{files[0]}: it has no {', '.join(missing)}; name the study that it changes, such as `extends: small`"
+            ) from None
         lines = problems(error, Study)
     except ValueError as error:
         lines = [str(error)]
@@ -85,15 +88,44 @@ def _check_plain(value: Any, where: str) -> None:
         raise ValueError(f"{where} = {value!s}: expected a number, text, true, false or null; write text in quotes")
 
 
-def _layer(path: Path, missing: Sequence[str]) -> str:
-    """Say what a file that is no whole study is laid over, by the command in its head, if there is one."""
-    alone = f"alone it has no {', '.join(missing)}"
-    for names in re.findall(r"--configfile((?: \S+\.ya?ml)+)", path.read_text(encoding="utf-8")):
-        before, found, _ = names.partition(path.name)
-        below = before.split()[:-1] if not before.endswith(" ") else before.split()
-        if found and below:
-            return f"{path}: lay it over {' and '.join(below)} (--configfile {' '.join(below)} {path}); {alone}"
-    return f"{path}: lay it over the study that it changes (--configfile STUDY {path}); {alone}"
+def extended(config: Mapping, folder: Path) -> dict[str, Any]:
+    """Lay the keys of a study over those of the study that it extends, which may extend another one.
+
+    Args:
+        folder: folder of the file of the study.
+
+    Raises:
+        StudyError: there is no such study, or it extends itself.
+    """
+    below = [dict(config)]
+    names: list[str] = []
+    while (name := below[-1].pop("extends", None)) is not None:
+        if not isinstance(name, str):
+            raise StudyError(f"extends = {name!r}: expected the name of a study")
+        if name in names:
+            chain = " extends ".join([*names, name])
+            raise StudyError(f"extends: {chain}; expected a study that does not extend itself")
+        names.append(name)
+        path = file_of(name, folder)
+        below.append(dict(read(path)))
+        folder = path.parent
+    return reduce(laid_over, reversed(below))
+
+
+def file_of(name: str, *folders: Path) -> Path:
+    """Return the file of a study: NAME.yaml, or a config.yaml with this name, in some folders, `config`, or ours.
+
+    Raises:
+        StudyError: there is none; with the names of all.
+    """
+    places = dict.fromkeys((*folders, Path("config"), SHIPPED))
+    for folder in places:
+        if (path := folder / f"{name}.yaml").is_file():
+            return path
+        if (path := folder / "config.yaml").is_file() and read(path).get("name") == name:
+            return path
+    known = ", ".join(sorted({path.stem for folder in places for path in folder.glob("*.yaml")}))
+    raise StudyError(f"{name}.yaml: no such study in {' or '.join(map(str, places))}; expected one of {known}")
 
 
 def read(path: str | Path) -> Mapping:

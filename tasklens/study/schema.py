@@ -3,6 +3,7 @@
 from typing import Any
 
 from tasklens.study.learning_rates import PRESETS
+from tasklens.study.loading import EXTENDS
 from tasklens.study.study import Study
 from tasklens.study.tolerance_settings import GRADES
 
@@ -15,4 +16,6 @@ def schema() -> dict[str, Any]:
     materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, definitions]
     for name, known in (("LearningRates", PRESETS), ("Grade", GRADES)):
         found["$defs"][name] = {"anyOf": [{"enum": list(known)}, found["$defs"][name]]}
+    found["properties"]["extends"] = {"type": "string", "description": EXTENDS}
+    found["anyOf"] = [{"required": ["extends"]}, {"required": found.pop("required")}]
     return found
