@@ -7,8 +7,8 @@ all others last as long as those of the study `small` (config/durations.csv). No
 rays and captures. A job fails at a random time, and goes on from its checkpoint, or from the beginning.
 """
 
+import json
 import os
-import re
 import statistics
 import subprocess
 import sys
@@ -21,14 +21,15 @@ import timing
 from job_graph import graph
 from scheduling import chains, critical_path, simulate
 
+from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.digest import ROOT
 from tasklens.study import loading
 
 
-def planned(study: str, seeds: int) -> tuple[int, float, float, float]:
+def planned(study: str, seeds: int) -> tuple[list[PlannedJob], float, float, float]:
     """Jobs, wall and processor time [s] and peak memory [GB] of Snakemake's dry run."""
     words = ["-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", "1", "-n", "tables"]
-    words += ["--configfile", str(Path(study).resolve()), "--config", f"seeds={list(range(seeds))}"]
+    words += ["--configfile", str(Path(study).resolve()), "--config", f"seeds={list(range(seeds))}", "plan=jobs.json"]
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
         begin, peak = time.monotonic(), 0
         process = psutil.Popen([sys.executable, *words], cwd=folder, stdout=said, stderr=subprocess.STDOUT)
@@ -39,10 +40,9 @@ def planned(study: str, seeds: int) -> tuple[int, float, float, float]:
             ended = os.wait4(process.pid, os.WNOHANG)
         wall = time.monotonic() - begin
         said.seek(0)
-        text = said.read()
-    assert not ended[1], text
-    total = int(re.findall(r"^total +(\d+)", text, re.MULTILINE)[-1])
-    return total, wall, ended[2].ru_utime + ended[2].ru_stime, peak / 1e9
+        assert not ended[1], said.read()
+        jobs = [PlannedJob(**row) for row in json.loads(Path(folder, "jobs.json").read_text())]
+    return jobs, wall, ended[2].ru_utime + ended[2].ru_stime, peak / 1e9
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -53,12 +53,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--failing", type=float, default=0.01, help="probability that an attempt fails")
     options = parser.parse_args(arguments)
     seeds, gpus, trials = (1, 4, 2) if options.tiny else (options.seeds, options.gpus, 20)
-    total, *found = planned(options.study, seeds)
+    jobs, *found = planned(options.study, seeds)
     title, columns = f"Planning {options.study}, {seeds} seeds", ("jobs", "time [s]", "processor time [s]", "peak [GB]")
-    timing.report(title, columns, [(total, *(f"{value:.3g}" for value in found))], options.save)
+    timing.report(title, columns, [(len(jobs), *(f"{value:.3g}" for value in found))], options.save)
 
-    all_jobs = graph(loading.load(options.study).model_copy(update={"seeds": tuple(range(seeds))}))
-    assert len(all_jobs) == total - 1, f"{len(all_jobs)} declared jobs"  # `tables` itself is planned too
+    all_jobs = graph(loading.load(options.study).model_copy(update={"seeds": tuple(range(seeds))}), jobs)
     lengths, path = chains(all_jobs), critical_path(all_jobs)
     longest, work = lengths[path[0]], sum(job.hours * job.gpus for job in all_jobs.values())
     ranks = {"priorities": lambda name: -all_jobs[name].priority, "longest chain first": lambda name: -lengths[name]}

@@ -2,7 +2,7 @@
 
     python benchmarks/durations.py results/small results/smoke
 
-Stages that a study has not run here keep the row that they have.
+Rules that a study has not run here keep the row that they have.
 """
 
 import argparse
@@ -10,10 +10,10 @@ import csv
 import io
 from pathlib import Path
 
-from tasklens.pipeline.forecast import MEASURED, by_stage
+from tasklens.pipeline.forecast import MEASURED, by_rule
 from tasklens.runtime.files import write_text
 
-COLUMNS = ("study", "stage", "seconds", "longest_s", "memory_mb")
+COLUMNS = ("study", "rule", "seconds", "longest_s", "memory_mb")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -22,12 +22,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--table", type=Path, default=MEASURED, help="the file to write")
     options = parser.parse_args(arguments)
     with open(options.table, newline="") as file:
-        rows = {(row["study"], row["stage"]): row for row in csv.DictReader(file)}
+        rows = {(row["study"], row["rule"]): row for row in csv.DictReader(file)}
     for folder in options.results:
-        for stage, found in by_stage(folder / "benchmarks").items():
+        for rule, found in by_rule(folder / "benchmarks").items():
             numbers = {"seconds": found.seconds, "longest_s": found.longest_s, "memory_mb": found.memory_mb}
             words = {name: f"{value:.1f}" for name, value in numbers.items()}
-            rows[folder.name, stage] = {"study": folder.name, "stage": stage} | words
+            rows[folder.name, rule] = {"study": folder.name, "rule": rule} | words
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()

@@ -19,7 +19,6 @@ from timing import arguments, report
 
 from tasklens.imaging import Camera
 from tasklens.optics.io import psf_files
-from tasklens.pipeline import jobs
 from tasklens.recognition import classifiers, dataset, evaluation
 from tasklens.report import bootstrap
 from tasklens.study import loading
@@ -33,7 +32,8 @@ DESIGNS = ("tasklens", "image_psnr", "image_contrast", "image_error", "imaging2"
 def accuracies(study: Study, folder: Path, lenses: Sequence[str]) -> dict[str, pandas.DataFrame]:
     """Accuracy [%] of each photograph, mean over fields, by lens, sharp ones first: a column per seed."""
     settings = study.network(study.supervisor).model_copy(update={"outputs": "all_imagenet"})
-    weights = jobs.reference.output(study, "weights", classifier=study.supervisor)
+    results = Path("results", study.name)
+    weights = results / "classifiers" / "reference" / f"{study.supervisor}.safetensors"
     with tempfile.TemporaryDirectory() as place:
         wanted = ImageSettings(folder=folder, size=study.images.size)
         photographs = dataset.training_images(wanted, Path(place) / "photographs.npy")
@@ -41,8 +41,10 @@ def accuracies(study: Study, folder: Path, lenses: Sequence[str]) -> dict[str, p
         network = classifiers.frozen(published, photographs.images)
         found: dict[str, dict[int, torch.Tensor]] = {}
         for lens, seed in [(SHARP, study.seeds[0]), *product(lenses, study.seeds)]:
-            camera, psfs = None, jobs.psf_file(study, lens, seed)
-            if psfs is not None:
+            camera = None
+            if lens != SHARP:
+                name = "psf_diffraction" if study.capture_of(lens).diffraction else "psf"
+                psfs = results / "lenses" / lens / f"seed{seed}" / f"{name}.safetensors"
                 if not psfs.exists():
                     continue
                 camera = Camera.of(study.capture_of(lens), *psf_files.read(psfs))

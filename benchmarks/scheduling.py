@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Job:
-    """A job: its stage, hours, GPUs, and the names of the jobs that it waits for.
+    """A job: its rule, hours, GPUs, and the names of the jobs that it waits for.
 
     Its hours between checkpoints are 0 for a job without; `retries` is how often a workflow runs it again by itself.
     """
 
-    stage: str
+    rule: str
     hours: float
     gpus: int
     priority: int

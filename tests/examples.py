@@ -14,16 +14,12 @@ from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
-from tasklens.pipeline.run import run
-from tasklens.pipeline.stage import Stage
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.runtime.files import Files
 from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.settings import Spec, TrainingSettings
-from tasklens.study.study import Study
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 
@@ -226,20 +222,30 @@ def changed(study, key: str, value):
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
 
 
-def finish(stage: Stage, study: Study, **wildcards: str | int) -> Files:
-    """Do one job of a study in the present folder, as the command line does; returns its outputs."""
-    run(stage, study, wildcards)
-    return Files(**stage.outputs(study, **wildcards))
+def result(study: str, path: str) -> Path:
+    """A file of a study below its folder of results."""
+    return Path("results", study, path)
 
 
-def inputs_of(stage: Stage, study: Study, **wildcards: str | int) -> Files:
-    """Return the inputs of a job."""
-    return Files(**stage.plan(study, **wildcards).inputs)
+def measurement(study: str, lens: str, measured_name: str, seed: int = 0, kind: str = "") -> Path:
+    """A CSV file of metrics, or of another kind such as `-predictions`."""
+    return result(study, f"metrics/{lens}/seed{seed}/{measured_name}{kind}.csv")
 
 
-def measurements_of(inputs: Files) -> Measurements:
-    """Return the measurements among the inputs of a job."""
-    return Measurements(inputs.lenses, inputs.metrics, inputs.predictions, getattr(inputs, "frozen", {}))
+def lens_file(study: str, lens: str, seed: int = 0, name: str = "lens.yaml") -> Path:
+    """The prescription of a lens, or another file beside it."""
+    return result(study, f"lenses/{lens}/seed{seed}/{name}")
+
+
+def measurements_of(study: str, contents) -> Measurements:
+    """The measurements that a table of lenses, or claims, are about."""
+    lenses = {key: lens_file(study, *key) for key in contents.lens_keys}
+    metrics, predictions, frozen = (
+        {key: measurement(study, *key, kind) for key in contents.measured_keys}
+        for kind in ("", "-predictions", "-frozen")
+    )
+    shown = {key: frozen[key] for key in getattr(contents, "frozen_keys", [])}
+    return Measurements(lenses, metrics, predictions, shown)
 
 
 def write(path: str | Path, text: str) -> None:

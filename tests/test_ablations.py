@@ -1,13 +1,14 @@
 """Ablations: variants of a design, which jobs they change, and the table that compares them."""
 
+import json
+
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, tiny_study
-from test_jobs import slices
+from examples import changed, tiny_study
+from rules import finish, job_of, outputs, slices
 from test_verdicts import results
 
-from tasklens.pipeline import jobs, report_jobs
 from tasklens.report.verdicts import HOLDS
 from tasklens.study import claims
 from tasklens.study.loading import dump, parse
@@ -40,21 +41,24 @@ def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
     study = parse(with_ablation(WINDOW))
     lens = "singlet-tasklens_mine_renormalised"
     renormalised = CaptureSettings(outside_window="renormalise")
-    assert jobs.design.plan(study, lens, 0).settings.capture == renormalised
-    assert jobs.fine_tune.plan(study, lens, "small", 0).settings.capture == renormalised
-    assert jobs.reproduce.plan(study, lens, "small", 0).settings.capture == renormalised
-    assert jobs.restore.plan(study, lens, 0).settings.capture == renormalised
-    assert jobs.design.plan(study, "singlet-tasklens", 0).settings.capture == study.capture != renormalised
+
+    def capture(rule: str, lens: str, **wildcards: str) -> CaptureSettings:
+        settings = json.loads(job_of(rule, study, lens=lens, seed=0, **wildcards).settings)
+        return CaptureSettings.model_validate(settings["capture"])
+
+    assert capture("design", lens) == capture("restore", lens) == renormalised
+    assert all(capture(rule, lens, measured_name="small") == renormalised for rule in ("fine_tune", "reproduce"))
+    assert capture("design", "singlet-tasklens") == study.capture != renormalised
 
 
 def test_an_ablation_changes_its_own_jobs_and_no_others():
     """A new one adds jobs; another number of rays designs the variant anew; the report is of the whole study."""
     variant = "singlet-tasklens_mine_few"
     before, after = slices(tiny_study()), slices(with_ablation(RAYS))
-    assert {job for job in before if before[job] != after[job]} == {("report",)}
+    assert {job for job in before if before[job] != after[job]} == {("report_page",)}
     assert all(variant in job or job == ("ablation", "mine") for job in after.keys() - before.keys())
     rays = slices(with_ablation(RAYS | {"variants": {"few": {"rays": 9} | FINE}}))
-    assert {job for job in after if after[job] != rays[job]} == {("design", variant), ("report",)}
+    assert {job for job in after if after[job] != rays[job]} == {("design", variant), ("report_page",)}
 
 
 def test_a_capture_that_a_design_does_not_see_redesigns_nothing():
@@ -113,12 +117,12 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     assert compared.base == base and [claim.lens for claim in compared.claims.claims] == [variant]
     lenses = {base: 0.5, variant: 0.8}
     results(study, lambda lens, *_: lenses[lens], lenses=lenses)
-    worst = jobs.design.output(study, "lens", lens=variant, seed=seeds - 1)
+    worst = outputs("design", study, lens=variant, seed=seeds - 1).lens
     content = yaml.safe_load(worst.read_text())
     content["worst_margin"]["value"] = -0.2  # in one seed of five, too, it is the worst
     worst.write_text(yaml.safe_dump(content))
-    outputs = finish(report_jobs.ablation, study, ablation="mine")
-    rows = pandas.read_csv(outputs.csv).set_index("lens")
+    made = finish("ablation", study, ablation="mine")
+    rows = pandas.read_csv(made.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
     first, other = (rows.loc[lens] for lens in lenses)
     assert pandas.isna(first["difference"]) and other["verdict"].startswith(judged)
@@ -126,5 +130,5 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     assert other["low"] < other["difference"] < other["high"]
     assert other["rms_spot_um"] == 9.0 and other["worst_margin"] == -0.2
     assert first["worst_margin"] == 0.01
-    text = outputs.md.read_text()
+    text = made.md.read_text()
     assert variant in text and f"{other['difference']:+.2f}" in text and "nan" not in text

@@ -100,15 +100,15 @@ def test_times_are_taken_in_turn(monkeypatch, capsys):
     assert timing.ratio([2.0, 3.0, 8.0], [1.0, 1.0, 2.0]) == "3 (2 to 4)"
 
 
-def test_durations_are_collected_by_study_and_stage(tmp_path, monkeypatch):
-    """Mean and longest of the jobs of a stage, its largest memory; rows of other stages and studies stay."""
+def test_durations_are_collected_by_study_and_rule(tmp_path, monkeypatch):
+    """Mean and longest of the jobs of a rule, its largest memory; rows of other rules and studies stay."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
     folder = tmp_path / "mine" / "benchmarks" / "psf"
     folder.mkdir(parents=True)
     for name, seconds, memory in (("a", 2.0, 300.0), ("b", 4.0, 500.0)):
         (folder / f"{name}.tsv").write_text(f"s\tmax_rss\n{seconds}\t{memory}\n")
     table = tmp_path / "durations.csv"
-    table.write_text("study,stage,seconds,longest_s,memory_mb\nmine,design,60.0,90.0,1000.0\nother,psf,1.0,1.0,1.0\n")
+    table.write_text("study,rule,seconds,longest_s,memory_mb\nmine,design,60.0,90.0,1000.0\nother,psf,1.0,1.0,1.0\n")
     importlib.import_module("durations").main([str(tmp_path / "mine"), "--table", str(table)])
     assert table.read_text().splitlines()[1:] == [
         "mine,design,60.0,90.0,1000.0",

@@ -1,19 +1,23 @@
-"""Changed values of a study: how they are told, and which finished results of the last run they would overwrite."""
+"""Changed values of a study: how they are told, and which finished results they would overwrite."""
 
-import json
 from dataclasses import replace
 
 import pytest
 from examples import changed, tiny_study, write
+from rules import job_of, rule_names, workflow
 
-from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
 from tasklens.pipeline.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal
 from tasklens.pipeline.forecast import Durations
-from tasklens.pipeline.stage import STAGES
 from tasklens.study.loading import dump, parse, resolved
 from tasklens.study.study import Study
 
 LENSES = ("imaging1", "imaging2")
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 def base() -> dict:
@@ -26,43 +30,49 @@ def base() -> dict:
     }
 
 
-def jobs_of(study: Study, missing: tuple[str, ...] = ()) -> dict[str, PlannedJob]:
-    """All jobs of table 1 and of the other classifiers, as Snakemake would plan them where each is to run."""
-    jobs = {"images": PlannedJob("images", {}, True, ())}
+def jobs_of(study: Study) -> dict[str, PlannedJob]:
+    """All jobs of tables 1 and 2, as Snakemake plans them if each is to run."""
+    jobs: dict[str, PlannedJob] = {}
+
+    def add(label: str, *needs: str, **wildcards: str | int) -> None:
+        settings = job_of(label.partition("/")[0], study, **wildcards).settings
+        jobs[label] = PlannedJob("tiny", label, True, ("file",), needs, settings, settings)
+
+    add("images")
     for name in study.classifiers:
-        jobs[f"reference/{name}"] = PlannedJob("reference", {"classifier": name}, True, ("images",))
+        add(f"reference/{name}", "images", classifier=name)
     for lens in study.lenses:
         for seed in study.seeds:
-            wildcards, label = {"lens": lens, "seed": str(seed)}, f"{lens}-seed{seed}"
-            jobs[f"design/{label}"] = PlannedJob("design", wildcards, True, ())
-            needs = ("images", f"design/{label}", f"reference/{study.supervisor}")
-            measured = wildcards | {"measured_name": study.supervisor}
-            jobs[f"fine_tune/{label}"] = PlannedJob("fine_tune", measured, True, needs)
-            others = [f"reference/{name}" for name in study.classifiers if name != study.supervisor]
-            needs = ("images", f"design/{label}", *others)
-            jobs[f"fine_tune_others/{label}"] = PlannedJob("fine_tune_others", wildcards, True, needs)
-    jobs["table/table1"] = PlannedJob("table", {"table": "table1"}, True, tuple(jobs))
-    return {k: PlannedJob(j.stage, j.wildcards, k not in missing, j.needs) for k, j in jobs.items()}
+            add(f"design/{lens}-seed{seed}", lens=lens, seed=seed)
+            for name in study.classifiers:
+                needs = ("images", f"design/{lens}-seed{seed}", f"reference/{name}")
+                add(f"fine_tune/{lens}-{name}-seed{seed}", *needs, lens=lens, measured_name=name, seed=seed)
+    add("table/table1", *jobs, table="table1")
+    return jobs
 
 
 @pytest.fixture
-def found(tmp_path):
-    """What a changed study would overwrite, where every job of the first one is finished but `missing`."""
-    stored = tmp_path / "study.yaml"
+def found():
+    """What a changed study would overwrite, if every job of the first one is finished but `missing`."""
     before = parse(base())
-    write(stored, dump(before))
+    write("results/tiny/study.yaml", dump(before))
+    made = jobs_of(before)
 
     def find(after: dict, missing: tuple[str, ...] = (), only: tuple[str, ...] = ()):
-        after = parse(after)
-        new = tuple(jobs_of(after).keys() - jobs_of(before).keys())
-        jobs = {k: job for k, job in jobs_of(after, (*missing, *new)).items() if not only or job.stage in only}
-        return overwritten(stored, after, jobs)
+        jobs = {}
+        for label, job in jobs_of(parse(after)).items():
+            if not only or job.rule in only:
+                known = made[label].settings if label in made else None
+                jobs[label] = replace(
+                    job, outputs=("file",) if label in made and label not in missing else (), made_with=known
+                )
+        return overwritten(parse(after), jobs)
 
     return find
 
 
-def said(found, study: dict, tmp_path, cores: int = 1) -> list[str]:
-    text = refusal(found, parse(study), Durations("tiny", str(tmp_path)), cores)
+def said(found, tmp_path, cores: int = 1) -> list[str]:
+    text = refusal(found, "tiny", Durations("tiny", str(tmp_path)), cores)
     return [] if text is None else text.splitlines()
 
 
@@ -94,9 +104,9 @@ def test_changes_are_those_of_the_values_alone():
 def test_a_changed_value_overwrites_what_reads_it(found, tmp_path):
     """F/2 in place of F/2.8: both lenses and what was measured through them; the networks of sharp images stay."""
     after = changed(base(), "spec.f_number", 2.0)
-    only = ("design", "fine_tune", "fine_tune_others", "table")  # Snakemake plans no others
+    only = ("design", "fine_tune", "table")  # Snakemake plans no others
     write(tmp_path / "benchmarks/design/a.tsv", "s\tmax_rss\n300\t1\n")
-    head, line, *ways = said(found(after, only=only), after, tmp_path, cores=2)
+    head, line, *ways = said(found(after, only=only), tmp_path, cores=2)
     assert "finished results of the study tiny" in head and "nothing was changed" in head
     # two lenses of 5 minutes on two cores; each measured by the supervisor and by two other networks
     assert line == "  spec.f_number: 2.8 -> 2.0: 2 lenses, 6 classifiers again, 5 min"
@@ -106,36 +116,36 @@ def test_a_changed_value_overwrites_what_reads_it(found, tmp_path):
 def test_several_changed_values_are_told_together(found, tmp_path):
     """The first ten of them, and how many more."""
     after = changed(changed(base(), "spec.f_number", 2.0), "constraints.max_track", 4.2)
-    first, second, total = (line.strip() for line in said(found(after), after, tmp_path)[1:-2])
+    first, second, total = (line.strip() for line in said(found(after), tmp_path)[1:-2])
     assert {first.split(":")[0], second.split(":")[0]} == {"spec.f_number", "constraints.max_track"}
     assert total == "together: 2 lenses, 6 classifiers again"
     for k in range(10):
         after = changed(after, f"elements.mine{k}", ["COC"])
-    lines = said(found(after), after, tmp_path)
+    lines = said(found(after), tmp_path)
     assert lines[11:-2] == ["  and 2 more changed values", "  together: 2 lenses, 6 classifiers again"]
 
 
 def test_what_takes_long_is_not_overwritten_without_consent():
-    """All that is resumed where it was killed, but images, which are made of nothing else, and reproductions."""
-    long = {stage.name for stage in STAGES.values() if stage.resumable} - {"images", "reproduce"}
-    assert set(COUNTED) == long
+    """All that is resumed if it was killed, but images, which are made of nothing else, and reproductions."""
+    long = {name for name in rule_names() if workflow().get_rule(name)._restart_times}
+    assert set(COUNTED) == long - {"images", "reproduce"}
 
 
 @pytest.mark.parametrize(
     "key, value, counts",
     [
-        ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "fine_tune_others": 2}),
-        ("designs.imaging1.descents.0.steps", 9, {"design": 1, "fine_tune": 1, "fine_tune_others": 1}),
+        ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 6}),
+        ("designs.imaging1.descents.0.steps", 9, {"design": 1, "fine_tune": 3}),
         ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2}),
-        ("classifiers.third.training.learning_rate", 2e-3, {"reference": 1, "fine_tune_others": 2}),
-        ("images.seed", 4, {"reference": 3, "fine_tune": 2, "fine_tune_others": 2}),
+        ("classifiers.third.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2}),
+        ("images.seed", 4, {"reference": 3, "fine_tune": 6}),
         ("restoration.steps", 9, {}),
         ("tables", ["table1"], {}),
     ],
 )
 def test_only_what_depends_on_a_changed_value_is_asked_about(found, key, value, counts):
-    stages = found(changed(base(), key, value)).by_values
-    assert {stage: stages.count(stage) for stage in stages} == counts
+    rules = found(changed(base(), key, value)).by_values
+    assert {rule: rules.count(rule) for rule in rules} == counts
 
 
 @pytest.mark.parametrize(
@@ -148,53 +158,42 @@ def test_only_what_depends_on_a_changed_value_is_asked_about(found, key, value, 
     ],
 )
 def test_what_is_added_asks_nothing(found, tmp_path, key, value):
-    """Further seeds, lenses or classifiers, though classifiers are measured beside each other again."""
+    """Further seeds, lenses or classifiers."""
     after = changed(base(), key, value)
-    assert found(after).by_values == () and said(found(after), after, tmp_path) == []
+    assert found(after).by_values == () and said(found(after), tmp_path) == []
 
 
 def test_what_is_not_finished_asks_nothing(found, tmp_path):
     """Neither a study that never ran, nor jobs without results, nor those of a table."""
     after = changed(base(), "spec.f_number", 2.0)
     none = tuple(jobs_of(parse(base())))
-    assert said(found(after, missing=none), after, tmp_path) == []
-    assert said(found(after, only=("table",)), after, tmp_path) == []
-    study = parse(after)
-    assert overwritten(tmp_path / "absent.yaml", study, jobs_of(study)).by_values == ()
+    assert said(found(after, missing=none), tmp_path) == []
+    assert said(found(after, only=("table",)), tmp_path) == []
 
 
 def test_a_removed_result_does_not_hide_what_is_made_of_it(found):
-    """The lens was deleted, the networks fine-tuned on it were not: a changed spec would overwrite these."""
+    """The lens was deleted, the networks fine-tuned on it were not: changed limits would overwrite these."""
     missing = tuple(f"design/singlet-{name}-seed0" for name in LENSES)
     after = changed(base(), "constraints.max_track", 4.2)
-    assert sorted(found(after, missing=missing).by_values) == 2 * ["fine_tune"] + 2 * ["fine_tune_others"]
+    assert found(after, missing=missing).by_values == 6 * ("fine_tune",)
 
 
 def test_changed_code_is_told_but_not_asked_about(found, tmp_path):
     """With equal values every job runs for another reason, which Snakemake knows."""
     same = found(base())
-    assert same.changes == () and same.by_values == () and said(same, base(), tmp_path) == []
-    assert amount(same.otherwise, parse(base()), Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
+    assert same.changes == () and same.by_values == () and said(same, tmp_path) == []
+    assert amount(same.otherwise, Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
 
 
-def test_settings_of_the_outputs_count_where_they_are_known(found, tmp_path):
+def test_settings_of_the_outputs_count(tmp_path):
     """The study was stored by a run that left the lens alone, which was made before with two steps."""
-    after = parse(changed(base(), "designs.imaging1.descents.0.steps", 3))
-    label = next(label for label in jobs_of(after) if label.startswith("design/"))
-    job = jobs_of(after)[label]
-    made = json.loads(STAGES["design"].plan_from(after, job.wildcards).settings.model_dump_json())
-    write(tmp_path / "now.yaml", dump(after))
-    same = overwritten(tmp_path / "now.yaml", after, {label: replace(job, made_with=made)})
-    assert same.by_values == () and same.otherwise == ("design",)
-    made["entry"]["design"]["descents"][0]["steps"] = 2
-    other = overwritten(tmp_path / "now.yaml", after, {label: replace(job, made_with=made)})
+    before, after = (parse(changed(base(), "designs.imaging1.descents.0.steps", steps)) for steps in (2, 3))
+    write("results/tiny/study.yaml", dump(after))
+    label = "design/singlet-imaging1-seed0"
+    job = replace(jobs_of(after)[label], made_with=jobs_of(before)[label].settings)
+    other = overwritten(after, {label: job})
     assert other.by_values == ("design",)
-    (head, line, *_) = refusal(other, after, Durations("tiny", str(tmp_path)), 1).splitlines()
+    (head, line, *_) = said(other, tmp_path)
     assert "finished results" in head and line == "  entry.design.descents.0.steps: 2 -> 3: 1 lens again"
-
-
-def test_a_stored_study_of_another_version_is_asked_about(found, tmp_path):
-    """What it was made with cannot be known."""
-    write(tmp_path / "study.yaml", "format: 1\nname: tiny\n")
-    lines = said(found(base()), base(), tmp_path)
-    assert "finished results" in lines[0] and any("format: 1 -> 3" in line for line in lines)
+    unknown = overwritten(after, {label: replace(job, made_with=None)})
+    assert unknown.by_values == () and unknown.otherwise == ("design",)

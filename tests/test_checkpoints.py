@@ -7,21 +7,22 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-import yaml
 from examples import changed, random_images, tiny_study
+from rules import finish, job_of
 from test_design import descended, small_network
 
-from tasklens.cli.app import main
 from tasklens.design import supervision
-from tasklens.pipeline.digest import digest_of
 from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
+from tasklens.runtime import job as runtime_job
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError, read_tensors
+from tasklens.study.loading import parse
 from tasklens.study.settings import TrainingSettings
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
@@ -32,16 +33,16 @@ STUDY["classifiers"] = {
     "other": {"model": "test_vit", "arguments": _VIT, "training": _TRAINING},
     "third": {"model": "test_vit", "arguments": _VIT | {"drop_path_rate": 0.1}, "training": _TRAINING},
 }
+LENS = {"lens": "singlet-imaging1", "seed": 0}
 JOBS = {
-    "reference": ["reference", "small"],
-    "least_squares": ["design", "singlet-imaging2"],
-    "spot": ["design", "singlet-imaging1"],
-    "task": ["design", "singlet-tasklens"],
-    "end_to_end": ["design", "singlet-end_to_end_from_flat"],
-    "restoration": ["restore", "singlet-imaging1"],
-    "fine_tuning": ["fine-tune", "singlet-imaging1", "small"],
-    "fine_tuning_others": ["fine-tune-others", "singlet-imaging1"],
-    "reproduction": ["reproduce", "singlet-imaging1", "small"],
+    "reference": ("reference", {"classifier": "small"}),
+    "least_squares": ("design", {"lens": "singlet-imaging2", "seed": 0}),
+    "spot": ("design", LENS),
+    "task": ("design", {"lens": "singlet-tasklens", "seed": 0}),
+    "end_to_end": ("design", {"lens": "singlet-end_to_end_from_flat", "seed": 0}),
+    "restoration": ("restore", LENS),
+    "fine_tuning": ("fine_tune", LENS | {"measured_name": "small"}),
+    "reproduction": ("reproduce", LENS | {"measured_name": "small"}),
 }
 
 
@@ -53,16 +54,17 @@ class Killed(BaseException):
 def workplace(tmp_path_factory):
     """The tiny study with what the jobs read."""
     folder = tmp_path_factory.mktemp("study")
-    (folder / "study.yaml").write_text(yaml.safe_dump(STUDY))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for job in (["images"], *(["reference", name] for name in STUDY["classifiers"]), JOBS["spot"]):
-            assert run(*job) == 0
+        finish("images", parse(STUDY))
+        run("reference")
+        run("spot")
         yield folder
 
 
-def run(stage: str, *arguments: str) -> int:
-    return main(["run", stage, "study.yaml", *arguments])
+def run(job: str, study: dict = STUDY) -> None:
+    rule, wildcards = JOBS[job]
+    finish(rule, parse(study), **wildcards)
 
 
 def outputs(before: float) -> dict[str, bytes]:
@@ -76,9 +78,9 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
     """To the last bit, in every file, wherever it is killed; the checkpoint is gone then."""
     monkeypatch.setattr(evaluation, "_BATCH", 8)
     if job == "reproduction":
-        assert run(*JOBS["fine_tuning"]) == 0
+        run("fine_tuning")
     start = time.time()
-    assert run(*JOBS[job]) == 0
+    run(job)
     expected = outputs(start)
     assert len(expected) > 1 or job in ("reference", "reproduction")
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
@@ -95,12 +97,12 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
         try:
             with monkeypatch.context() as patch:
                 patch.setattr(Checkpoint, "write", write)
-                run(*JOBS[job])
+                run(job)
         except Killed:
             assert not any(Path(path).exists() for path in expected)
             assert len(list(Path("results/tiny/checkpoints").iterdir())) == 1
             torch.manual_seed(99)  # what a new process has drawn is nothing to it
-            assert run(*JOBS[job]) == 0
+            run(job)
         else:
             break  # it writes less often
         assert {path: Path(path).read_bytes() for path in expected} == expected
@@ -108,32 +110,17 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
     assert killed_at > 2
 
 
-def test_classifiers_are_fine_tuned_together_as_if_alone(workplace):
-    """The same weights, metrics and predictions, to the last bit, with random numbers of their own."""
-    start = time.time()
-    assert run(*JOBS["fine_tuning_others"]) == 0
-    expected = outputs(start)
-    assert len(expected) == 8
-    for name in ("third", "other"):
-        for path in expected:
-            if name in path:
-                Path(path).unlink()
-        assert run("fine-tune", "singlet-imaging1", name) == 0
-    assert {path: Path(path).read_bytes() for path in expected} == expected
-
-
 def test_a_network_that_is_not_trained_is_measured_once(workplace, monkeypatch):
     """Without epochs: minival images are captured once, for losses and accuracy; weights are those of the reference."""
     captured = []
     evaluate = evaluation.evaluate
     monkeypatch.setattr(evaluation, "evaluate", lambda *rest: captured.append(len(rest[1])) or evaluate(*rest))
-    assert run(*JOBS["fine_tuning"]) == 0
+    run("fine_tuning")
     folder = Path("results/tiny/metrics/singlet-imaging1/seed0")
     losses = (folder / "small-frozen.csv").read_bytes()
     assert captured == [10, 20, 10]
-    Path("study.yaml").write_text(yaml.safe_dump(changed(STUDY, "fine_tuning.epochs", 0)))
     captured.clear()
-    assert run(*JOBS["fine_tuning"]) == 0
+    run("fine_tuning", changed(STUDY, "fine_tuning.epochs", 0))
     assert captured == [10, 20]
     assert (folder / "small-frozen.csv").read_bytes() == losses
     weights = [
@@ -141,7 +128,6 @@ def test_a_network_that_is_not_trained_is_measured_once(workplace, monkeypatch):
         for place in ("reference", "singlet-imaging1/seed0")
     ]
     assert all(torch.equal(value, weights[1][name]) for name, value in weights[0].items())
-    Path("study.yaml").write_text(yaml.safe_dump(STUDY))
 
 
 def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypatch, tmp_path):
@@ -174,24 +160,22 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
 
     with monkeypatch.context() as patch, pytest.raises(Killed):
         patch.setattr(Checkpoint, "write", killed)
-        run(*JOBS["spot"])
+        run("spot")
     (old,) = Path("results/tiny/checkpoints").iterdir()
-    Path("study.yaml").write_text(yaml.safe_dump(changed(STUDY, "designs.imaging1.descents.0.steps", 4)))
     found = []
     monkeypatch.setattr(Checkpoint, "write", lambda self: found.append((self.path, next(iter(self.records.values())))))
-    assert run(*JOBS["spot"]) == 0
+    run("spot", changed(STUDY, "designs.imaging1.descents.0.steps", 4))
     assert [record.get("step") for _, record in found] == [1, 2, 3, 4, None]  # the last: what it ended with
     assert not old.exists() and found[0][0] != old
-    Path("study.yaml").write_text(yaml.safe_dump(STUDY))
-    assert run(*JOBS["spot"]) == 0
+    run("spot")
 
 
 def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     """SIGKILL, which nothing can catch, in the middle of a design; the next process ends it."""
-    command = "from tasklens.cli.app import main\nfrom tasklens.runtime import checkpoints\n"
-    command += "checkpoints.INTERVAL = 0.0\nmain()"
-    call = [sys.executable, "-c", command, "run", "design", "study.yaml", "singlet-tasklens"]
-    assert run(*JOBS["task"]) == 0
+    command = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nimport test_checkpoints\n"
+    command += "from tasklens.runtime import checkpoints\ncheckpoints.INTERVAL = 0.0\ntest_checkpoints.run('task')"
+    call = [sys.executable, "-c", command]
+    run("task")
     lens = Path("results/tiny/lenses/singlet-tasklens/seed0/lens.yaml")
     expected = lens.read_bytes()
     lens.unlink()
@@ -202,7 +186,7 @@ def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     os.kill(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     assert not lens.exists()
-    assert run(*JOBS["task"]) == 0
+    run("task")
     assert lens.read_bytes() == expected
 
 
@@ -262,10 +246,13 @@ def test_a_file_that_is_no_checkpoint_is_named(tmp_path):
         Checkpoint(tmp_path / "job.pt")
 
 
-def test_keys_follow_what_is_computed(tmp_path):
-    (tmp_path / "input").write_text("1")
-    first = digest_of("slice", "code", inputs=[tmp_path / "input"])
-    assert first == digest_of("slice", "code", inputs=[tmp_path / "input"])
-    found = {first, digest_of("slice", "other code", inputs=[tmp_path / "input"]), digest_of("slice", "code")}
-    (tmp_path / "input").write_text("12")
-    assert len(found | {digest_of("slice", "code", inputs=[tmp_path / "input"])}) == 4
+def test_keys_follow_what_is_computed(workplace, monkeypatch):
+    """A checkpoint of other settings, other code or other inputs is not taken."""
+    rule, wildcards = JOBS["fine_tuning"]
+    job, keys = job_of(rule, parse(STUDY), **wildcards), []
+    monkeypatch.setattr(runtime_job, "_checkpoint", lambda key, name: keys.append(key) or Checkpoint())
+    for each in (job, job, replace(job, code="other"), replace(job, settings=job.settings.replace("0.05", "0.06"))):
+        each.run()
+    os.utime(job.inputs["reference"][0])
+    job.run()
+    assert keys[0] == keys[1] and len(set(keys)) == 4

@@ -5,9 +5,9 @@ import os
 import pytest
 from examples import write
 
-from tasklens.pipeline.digest import folder_digest
 from tasklens.recognition import class_folders
 from tasklens.runtime.files import FileError
+from tasklens.study.job_settings import folder_digest
 from tasklens.study.settings import ImageSettings
 
 

@@ -1,4 +1,4 @@
-"""Every stage as a person types it, on a study of a few seconds; what each leaves, and how it complains."""
+"""Jobs of a study of a few seconds: what each leaves, and how it complains."""
 
 import subprocess
 import sys
@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from examples import changed, cooke_triplet, read_rows, tiny_study, write
+from examples import changed, cooke_triplet, lens_file, measurement, read_rows, result, tiny_study, write
+from rules import finish
 
 from tasklens.cli.app import main
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
-from tasklens.pipeline import figure_jobs, jobs
-from tasklens.pipeline.stage import STAGES
-from tasklens.runtime.files import read_tensors
-from tasklens.study.loading import parse
+from tasklens.runtime.files import FileError, read_tensors
+from tasklens.runtime.job import user_error
+from tasklens.study.loading import load, parse
 
 STUDY = parse(tiny_study())
 
@@ -28,26 +28,29 @@ def workplace(tmp_path_factory):
     (folder / "study.yaml").write_text(yaml.safe_dump(tiny_study()))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for stage in (["images"], ["reference", "small"]):
-            assert run(*stage) == 0
+        finish("images", STUDY)
+        finish("reference", STUDY, classifier="small")
         yield folder
 
 
-def run(stage: str, *arguments: str) -> int:
-    return main(["run", stage, "study.yaml", *arguments])
+def design(name: str) -> None:
+    finish("design", STUDY, lens=f"singlet-{name}", seed=0)
 
 
-def of_lens(stage, name: str, lens: str, seed: int = 0) -> Path:
-    """An output of a stage that has a job per lens."""
-    return stage.output(STUDY, name, lens=lens, seed=seed)
+def fine_tune(lens: str, measured_name: str = "small") -> None:
+    finish("fine_tune", STUDY, lens=lens, measured_name=measured_name, seed=0)
+
+
+def of_lens(lens: str, name: str = "lens.yaml") -> Path:
+    return lens_file("tiny", lens, name=name)
 
 
 def lens_content(lens: str, seed: int = 0) -> dict:
-    return yaml.safe_load(of_lens(jobs.design, "lens", lens, seed).read_text())
+    return yaml.safe_load(lens_file("tiny", lens, seed).read_text())
 
 
 def metrics(lens: str, measured_name: str = "small") -> Path:
-    return jobs.fine_tune.output(STUDY, "metrics", lens=lens, measured_name=measured_name, seed=0)
+    return measurement("tiny", lens, measured_name)
 
 
 def values(path: Path, metric: str) -> list[float]:
@@ -58,11 +61,11 @@ def values(path: Path, metric: str) -> list[float]:
 def lenses(workplace):
     """All six designs with their PSFs, the imaging designs judged, one restoration."""
     for name in ("image_error", "imaging1", "imaging2", "tasklens", "end_to_end_from_flat"):
-        assert run("design", f"singlet-{name}") == 0
+        design(name)
     for name in ("image_error", "imaging1", "imaging2"):
-        assert run("fine-tune", f"singlet-{name}", "small") == 0
-    assert run("design", "singlet-end_to_end_from_imaging") == 0
-    assert run("fine-tune", "sharp", "small") == 0
+        fine_tune(f"singlet-{name}")
+    design("end_to_end_from_imaging")
+    fine_tune("sharp")
     return workplace
 
 
@@ -90,8 +93,8 @@ def test_every_design_leaves_a_readable_lens(lenses):
         assert content["origin"]["design"] == name and content["spec"]["kernel_size"] == 11
         assert len(content["figures"]["rms_centroid_um"]) == 9
         assert content["worst_margin"]["value"] == min(content["margins"].values())
-        assert read_rows(of_lens(jobs.design, "history", f"singlet-{name}"))
-    phases = [row["phase"] for row in read_rows(of_lens(jobs.design, "history", "singlet-tasklens"))]
+        assert read_rows(of_lens(f"singlet-{name}", "history.csv"))
+    phases = [row["phase"] for row in read_rows(of_lens("singlet-tasklens", "history.csv"))]
     first = [f"descent 1, lens {k} of 2" for k in (1, 1, 2, 2)]
     assert phases == first + ["descent 2"] * 2 + ["descent 3", "descent 4"]
 
@@ -100,7 +103,7 @@ def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch)
     """Of a gradient that is not finite at the third step, the lens of the second is left."""
     change, steps = AdamWOptimizer.change, iter((1.0, 1.0, float("nan")))
     monkeypatch.setattr(AdamWOptimizer, "change", lambda *rest: next(steps) * change(*rest))
-    assert run("design", "singlet-imaging1", "--seed", "9") == 0
+    finish("design", STUDY, lens="singlet-imaging1", seed=9)
     assert lens_content("singlet-imaging1", 9)["origin"]["diverged"].startswith("step 3: ")
 
 
@@ -113,15 +116,15 @@ def test_design_from_imaging_begins_with_the_better_lens(lenses):
 
 def test_a_design_is_repeatable_to_the_last_byte(lenses):
     for name in ("imaging1", "tasklens"):
-        files = [of_lens(jobs.design, file, f"singlet-{name}") for file in ("lens", "history")]
+        files = [of_lens(f"singlet-{name}", file) for file in ("lens.yaml", "history.csv")]
         before = [path.read_bytes() for path in files]
-        assert run("design", f"singlet-{name}") == 0
+        design(name)
         assert [path.read_bytes() for path in files] == before
 
 
 def test_psf_file_says_what_it_holds(lenses):
     """9 fields, 3 colours, 11 x 11 pixels; the metadata's energies are the sums of the PSFs."""
-    tensors, notes = read_tensors(of_lens(jobs.design, "psf", "singlet-imaging1"))
+    tensors, notes = read_tensors(of_lens("singlet-imaging1", "psf.safetensors"))
     assert tensors["psf"].shape == (9, 3, 11, 11) and tensors["psf"].dtype == torch.float32
     assert len(notes["fields_mm"]) == 9 and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
     torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
@@ -140,35 +143,17 @@ def test_metrics_are_tidy(lenses):
     }
 
 
-def test_restoration_and_tables_and_figure(lenses):
-    """The rest of the journey: restored captures have metrics of their own; tables and images come out."""
-    assert run("restore", "singlet-imaging1") == 0
-    assert run("fine-tune", "singlet-imaging1", "small-restored") == 0
+def test_restoration_and_drawings(lenses):
+    """The rest of the journey: restored captures have metrics of their own; a page and images come out."""
+    finish("restore", STUDY, lens="singlet-imaging1", seed=0)
+    fine_tune("singlet-imaging1", "small-restored")
     restored = metrics("singlet-imaging1", "small-restored")
     assert values(restored, "psnr_db") != values(metrics("singlet-imaging1"), "psnr_db")
     assert {row["restored"] for row in read_rows(restored)} == {"True"}
-    assert run("table", "table1", "--partial") == 0
-    shown = read_rows("results/tiny/tables/table1-partial.csv")
-    assert [row["design"] for row in shown] == ["reference", "image_error", "imaging1", "imaging2"]
-    assert run("certificate", "singlet-imaging1") == 0
-    assert of_lens(figure_jobs.certificate, "figure", "singlet-imaging1").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    page = of_lens(figure_jobs.certificate, "page", "singlet-imaging1").read_text()
+    made = finish("certificate", STUDY, lens="singlet-imaging1", seed=0)
+    assert made.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    page = made.page.read_text()
     assert page.startswith("# singlet-imaging1, seed 0\n") and "## Manufacturability" in page
-
-
-def test_every_stage_can_be_typed(capsys, monkeypatch):
-    """With its wildcards as arguments, and what it does in a line of the overview."""
-    monkeypatch.setenv("COLUMNS", "200")
-    assert main([]) == 0
-    overview = capsys.readouterr().out
-    for stage in STAGES.values():
-        name = stage.name.replace("_", "-")
-        assert f"  {name} " in overview
-        assert main(["run", name, "--help"]) == 0
-        usage = capsys.readouterr().out
-        for wildcard in stage.wildcards:
-            assert ("--seed" if wildcard == "seed" else f" {wildcard} ") in usage
-        assert ("--partial" in usage) == (name in ("table", "report"))
 
 
 def test_an_imported_lens_goes_the_same_way(lenses, capsys):
@@ -178,12 +163,12 @@ def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     study = changed(tiny_study(), "imported.cooke", entry)
     path = lenses / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
-    for stage in ("design", "certificate"):
-        assert main(["run", stage, "imported.yaml", "triplet-cooke"]) == 0
+    for rule in ("design", "certificate"):
+        finish(rule, load(path), lens="triplet-cooke", seed=0)
     content = lens_content("triplet-cooke")
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
-    assert of_lens(figure_jobs.certificate, "figure", "triplet-cooke").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert result("tiny", "figures/triplet-cooke-seed0.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert main(["study", "check", "--no-weights", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
     assert main(["study", "check", "--no-weights", "imported.yaml"]) == 2
@@ -194,7 +179,7 @@ def test_analyse_prints_the_table_of_a_lens_file(lenses, capsys):
     """From the prescription and the spec in the file, without a study: the numbers that the design wrote."""
     content = lens_content("singlet-imaging1")
     capsys.readouterr()
-    assert main(["lens", "analyse", str(of_lens(jobs.design, "lens", "singlet-imaging1")), "--rays", "64"]) == 0
+    assert main(["lens", "analyse", str(of_lens("singlet-imaging1")), "--rays", "64"]) == 0
     printed = capsys.readouterr().out
     assert f"{content['figures']['efl_mm']:.4f}" in printed and content["worst_margin"]["limit"] in printed
     assert all(f" {value:.2f} |" in printed for value in content["figures"]["rms_centroid_um"])
@@ -237,38 +222,13 @@ def test_nonsense_in_a_lens_file_is_refused(lenses, capsys, keys, value, words):
     assert all(word in printed.err for word in ["tasklens: nonsense.yaml: ", *words]), printed.err
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["design", "doublet-imaging1"], ["doublet-imaging1", "singlet-imaging1"]),
-        (["fine-tune", "singlet-imaging1", "nobody"], ["nobody", "small"]),
-        (["certificate", "singlet-imaging1", "--seed", "7"], ["seed7", "lens.yaml"]),
-        (["fine-tune", "sharp", "small-restored"], ["sharp images are not restored", "small"]),
-        (["reference", "other"], ["/nowhere"]),
-        (["table", "table3"], ["metrics"]),
-    ],
-)
-def test_a_mistake_is_one_message_and_exit_status_2(workplace, capsys, arguments, words):
-    assert run(*arguments) == 2
-    message = capsys.readouterr().err
-    assert message.startswith("tasklens: ") and len(message.splitlines()) == 1
-    assert all(word in message for word in words)
-
-
-def test_the_first_seed_of_the_study_is_the_default(workplace, capsys):
-    (workplace / "seeds.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "seeds", [4, 0])))
-    assert main(["run", "certificate", "seeds.yaml", "singlet-imaging1"]) == 2
-    assert "singlet-imaging1/seed4/lens.yaml" in capsys.readouterr().err
-
-
-def test_a_training_that_is_not_finite_is_a_message_too(workplace, capsys):
+def test_a_training_that_is_not_finite_is_a_message_too(workplace):
     study = changed(
         tiny_study(), "fine_tuning", {"epochs": 20, "learning_rate": 10, "weight_decay": 100, "batch_size": 20}
     )
-    (workplace / "fast.yaml").write_text(yaml.safe_dump(study))
-    assert main(["run", "fine-tune", "fast.yaml", "sharp", "small"]) == 2
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith("tasklens: fine-tune: ") and last.endswith("lower its learning_rate")
+    with pytest.raises(FloatingPointError, match=r"^fine-tune: .*lower its learning_rate$") as caught:
+        finish("fine_tune", parse(study), lens="sharp", measured_name="small", seed=0)
+    assert user_error(caught.value) == str(caught.value)
 
 
 def test_a_wrong_study_is_a_message_too(workplace, capsys):
@@ -279,8 +239,8 @@ def test_a_wrong_study_is_a_message_too(workplace, capsys):
     assert "absent.yaml" in capsys.readouterr().err
 
 
-def test_a_broken_lens_file_is_a_message_too(workplace, capsys):
-    for name in ("lens", "psf"):
-        write(of_lens(jobs.design, name, "singlet-imaging1", 5), "format: 2\n")
-    assert run("certificate", "singlet-imaging1", "--seed", "5") == 2
-    assert "lens.yaml: " in capsys.readouterr().err
+def test_a_broken_lens_file_is_a_message_too(workplace):
+    for name in ("lens.yaml", "psf.safetensors"):
+        write(lens_file("tiny", "singlet-imaging1", 5, name), "format: 2\n")
+    with pytest.raises(FileError, match=r"seed5/lens\.yaml: "):
+        finish("certificate", STUDY, lens="singlet-imaging1", seed=5)

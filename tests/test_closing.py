@@ -1,9 +1,11 @@
 """The last words of a run: the study's answer, where its results are, what failed, and what to type next."""
 
+from dataclasses import replace
+
 import pytest
 from examples import tiny_study, write
 
-from tasklens.pipeline import closing, report_jobs, runs  # noqa: F401  declares the stages
+from tasklens.pipeline import closing, runs
 from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, OVER_LEAST_SQUARES
 from tasklens.study.loading import parse
 
@@ -51,10 +53,11 @@ def test_a_study_that_has_verdicts_gives_its_answer():
     """With jobs and duration, the page, and the next commands, which take the study as it was run."""
     verdicts(*CLAIMS)
     write(f"{FOLDER}/report.html", "")
-    run = run_of("design/a", "verdicts")
+    run = run_of("design/a", "verdicts_table", "report_page")
+    run.jobs["report_page"].result = f"{FOLDER}/report.html"
     run.finish()
     lines = closing.success(study(), {"tiny": run}).splitlines()
-    first = lines.index("Study tiny: 2 jobs in 5 min.") + 1
+    first = lines.index("Study tiny: 3 jobs in 5 min.") + 1
     assert lines[first : first + len(SENTENCES)] == SENTENCES  # the main questions alone, and how sure that is
     assert lines[lines.index(f"Results: {FOLDER}/") + 1].strip() == f"{FOLDER}/report.html"
     commands = [line for line in lines if line.startswith("  snakemake")]
@@ -64,14 +67,24 @@ def test_a_study_that_has_verdicts_gives_its_answer():
 
 
 def test_a_run_that_made_no_verdicts_does_not_repeat_old_ones():
-    """A drawing alone; where nothing was to be done, the answer stands."""
+    """Nor an old page; if nothing was to be done, the answer and the page stand."""
     verdicts(*CLAIMS)
+    write(f"{FOLDER}/report.html", "")
     run = run_of("certificate/a")
     run.jobs["certificate/a"].result = f"{FOLDER}/lenses/a/certificate.md"
     run.finish()
     said = closing.success(study(), {"tiny": run})
     assert "accurate" not in said and f"  {FOLDER}/lenses/a/certificate.md" in said.splitlines()
-    assert all(sentence in closing.success(study(), {}) for sentence in SENTENCES)
+    assert f"  {FOLDER}/report.html" not in said.splitlines()
+    again = closing.success(study(), {}).splitlines()
+    assert {*SENTENCES, f"  {FOLDER}/report.html"} <= {*again}
+
+
+def test_a_run_of_other_studies_says_where_they_are():
+    run = replace(run_of("design/a"), study="other", folder="results/other")
+    run.finish()
+    lines = closing.success(study(), {"other": run}).splitlines()
+    assert lines[1:] == ["Study other: 1 job in 5 min.", "Results: results/other/"]
 
 
 def test_without_verdicts_all_tables_come_next():
@@ -83,19 +96,18 @@ def test_without_verdicts_all_tables_come_next():
 
 
 def test_a_failed_run_says_what_failed_and_how_to_go_on():
-    """Each failed job with its last word and its log; and tables of what there is."""
+    """Each failed job with its last word and its log."""
     run = run_of("images", "design/a", "design/b", "table/table1")
     run.jobs["table/table1"].state = runs.WAITING
     run.end("design/a", runs.FAILED, 3.0, "tasklens: no such file")
     run.end("design/b", runs.FAILED, 3.0)
-    lines = closing.failure(study(), {"tiny": run}).splitlines()
+    lines = closing.failure({"tiny": run}).splitlines()
     assert "Study tiny: 1 of 4 jobs done." in lines
     at = lines.index("FAILED  design a: tasklens: no such file")
     assert lines[at + 1].strip() == f"{FOLDER}/logs/design/a.log"
     assert "FAILED  design b: no word in its log" in lines
-    assert any("--keep-going" in line for line in lines)
-    assert lines[-1].endswith(f"tasklens run table {FOLDER}/study.yaml table1 --partial")
+    assert lines[-1].startswith("The same command goes on from here; with --keep-going ")
 
 
 def test_a_run_that_never_began_has_nothing_failed():
-    assert "FAILED" not in closing.failure(study(), {})
+    assert "FAILED" not in closing.failure({})

@@ -13,12 +13,12 @@ from examples import random_images
 from PIL import Image
 from reference_files import SHIPPED
 
-from tasklens.pipeline.digest import folder_digest
 from tasklens.recognition import dataset as data
 from tasklens.recognition import folders
 from tasklens.runtime import checkpoints, files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError
+from tasklens.study.job_settings import folder_digest
 from tasklens.study.names import SPLITS
 from tasklens.study.settings import ImageSettings
 

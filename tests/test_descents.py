@@ -21,7 +21,6 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View, view_of_spec
-from tasklens.pipeline import jobs
 from tasklens.runtime.errors import InputError
 from tasklens.study.design_settings import (
     DescentSettings,
@@ -33,6 +32,7 @@ from tasklens.study.layers import laid_over
 from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
+from tasklens.study.tables import lens_design
 
 COARSE = {"steps": 4, "pixels": (20, 10), "step_size": 0.6, "damping": 0.5}
 COLD = {
@@ -182,15 +182,15 @@ def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
     """Its shape and materials; coefficients that its file does not have are zero, and free."""
     plain = replace(start, alpha=start.alpha[:, :0])
     prescription.write(tmp_path / "phone.yaml", prescription.Prescription(plain), {})
-    wanted = jobs.design.plan(parse(with_start(tmp_path / "phone.yaml", ["phone"])), "singlet-mine", 0)
-    assert [*wanted.inputs["candidates"]] == ["singlet-phone"]
-    lens, notes, _ = methods.design(wanted.settings, None, problem().dataset, {}, {"singlet-phone": plain})
+    settings = lens_design(parse(with_start(tmp_path / "phone.yaml", ["phone"])), "singlet-mine", 0)
+    assert settings.candidates == ("singlet-phone",)
+    lens, notes, _ = methods.design(settings, None, problem().dataset, {}, {"singlet-phone": plain})
     assert notes["origin"]["start"] == "singlet-phone" and lens.media == plain.media
     assert lens.alpha.shape[1] == 5 and [*notes["origin"]["candidate_losses"]] == ["singlet-phone"]
 
 
 def test_a_start_with_its_stop_inside_is_refused(start):
-    wanted = jobs.design.plan(parse(with_start(PLASTICS, ["phone"])), "singlet-mine", 0).settings
+    wanted = lens_design(parse(with_start(PLASTICS, ["phone"])), "singlet-mine", 0)
     with pytest.raises(InputError, match="expected a lens with its stop in front, got one with the stop on surface 2"):
         methods.design(wanted, None, problem().dataset, {}, {"singlet-phone": replace(start, stop=2)})
 

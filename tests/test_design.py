@@ -21,11 +21,11 @@ from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, t
 from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.psf import psf
 from tasklens.optics.view import view_of_spec
-from tasklens.pipeline import jobs
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.study.design_settings import DescentSettings, LearningRates
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
+from tasklens.study.tables import lens_design
 
 SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 LOOKS = view_of_spec(SPEC)
@@ -231,7 +231,7 @@ def test_the_cause_of_a_divergence_has_a_name(start):
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
-    wanted = jobs.design.plan(study, "doublet-imaging1", 0).settings
+    wanted = lens_design(study, "doublet-imaging1", 0)
     lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, LOOKS), wanted, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()
     assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
@@ -248,7 +248,7 @@ def test_finished_lens_passes_its_light_and_tells_its_margins(start):
 def test_rays_that_go_astray_are_stopped(start):
     """A clear aperture that light would use a little more of cuts what is outside, and limits are asked within it."""
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
-    wanted = jobs.design.plan(study, "doublet-imaging1", 0).settings
+    wanted = lens_design(study, "doublet-imaging1", 0)
     used = clear_semi_diameters(start, LOOKS)
     clear = used.clone()
     clear[-1] *= 0.97

@@ -1,16 +1,13 @@
 """Two processes that fine-tune a classifier together give the metrics of one."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import timm
 import torch
-import yaml
 from examples import changed, read_rows, tiny_study
+from test_workflow import snakemake
 
-from tasklens.cli.app import main
 from tasklens.runtime import distributed
 from tasklens.runtime.distributed import ProcessGroup
 from tasklens.runtime.errors import InputError
@@ -26,26 +23,22 @@ VIT = {
 def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     """Accuracies at all fields within one image, weights within rounding, and only one of them writes."""
     study = changed(changed(tiny_study(), "classifiers.small", VIT), "fine_tuning.epochs", 2)
-    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     monkeypatch.chdir(tmp_path)
-    for call in (["images"], ["reference", "small"], ["design", "singlet-imaging1"]):
-        assert main(["run", call[0], "study.yaml", *call[1:]]) == 0
-    job = ["run", "fine-tune", "study.yaml", "singlet-imaging1", "small"]
-    metrics = Path("results/tiny/metrics/singlet-imaging1/seed0/small.csv")
+    target = "results/tiny/metrics/singlet-imaging1/seed0/small.csv"
+    metrics, weights = Path(target), Path("results/tiny/classifiers/singlet-imaging1/seed0/small.safetensors")
 
     def measured() -> dict[tuple[str, str], float]:
         return {(row["metric"], row["field"]): float(row["value"]) for row in read_rows(metrics)}
 
-    assert main(job) == 0
+    assert snakemake(tmp_path, study, target).returncode == 0
     alone = measured()
-    weights = Path("results/tiny/classifiers/singlet-imaging1/seed0/small.safetensors")
     expected = {name: value.clone() for name, value in read_tensors(weights)[0].items()}
     for path in (metrics, weights):
         path.unlink()
-    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "tasklens.cli"]
-    done = subprocess.run([sys.executable, *torchrun, *job], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("fine-tune  step 1/") == 1
+    done = snakemake(tmp_path, changed(study, "classifiers.small.processes", 2), target, "--config", "overwrite=true")
+    log = Path("results/tiny/logs/fine_tune/singlet-imaging1-small-seed0.log").read_text()
+    assert done.returncode == 0, log
+    assert log.count("fine-tune  step 1/") == 1
     torch.testing.assert_close(read_tensors(weights)[0], expected, rtol=0, atol=1e-5)
     together = measured()
     assert together.keys() == alone.keys()

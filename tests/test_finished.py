@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import re
 from pathlib import Path
 
@@ -9,13 +10,12 @@ import browser
 import pytest
 import yaml
 from examples import read_rows, tiny_study
+from rules import finish, outputs
 from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from tasklens.cli.app import main
-from tasklens.pipeline import figure_jobs, jobs, report_jobs
-from tasklens.pipeline.run import run
+from tasklens.report.page import assembly
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.study.loading import parse
 from tasklens.study.names import split
@@ -30,7 +30,6 @@ STUDY = parse(TINY)
 def finished(tmp_path_factory):
     """A folder with the tiny study of one classifier: all tables, and every measurement reproduced."""
     folder = tmp_path_factory.mktemp("study")
-    (folder / "verified.yaml").write_text(yaml.safe_dump(TINY))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         make()
@@ -38,28 +37,27 @@ def finished(tmp_path_factory):
 
 
 def make() -> None:
-    """All stages, in the order in which they need each other."""
-    assert verified("images") == verified("reference", "small") == 0
+    """All jobs, in the order in which they need each other."""
+    finish("images", STUDY)
+    finish("reference", STUDY, classifier="small")
     imaging = list(STUDY.imaging_designs)
     for name in (*imaging, *(name for name in STUDY.designs if name not in imaging)):
-        assert verified("design", f"singlet-{name}") == 0
-        if name in imaging:  # what the end-to-end design starts from is judged first
-            assert verified("fine-tune", f"singlet-{name}", "small") == 0
+        finish("design", STUDY, lens=f"singlet-{name}", seed=0)
+        if name in imaging:  # the end-to-end design starts from the best
+            finish("fine_tune", STUDY, lens=f"singlet-{name}", measured_name="small", seed=0)
     for lens, name in verification(STUDY).measured:
         if split(name)[1]:
-            assert verified("restore", lens) == 0
-        for stage in ("fine-tune", "reproduce"):
-            assert verified(stage, lens, name) == 0
-    for stage in (*(["table", name] for name in TABLES), ["verdicts"], ["psf-tail"]):
-        assert verified(*stage) == 0
-
-
-def verified(stage: str, *arguments: str) -> int:
-    return main(["run", stage, "verified.yaml", *arguments])
+            finish("restore", STUDY, lens=lens, seed=0)
+        for rule in ("fine_tune", "reproduce"):
+            finish(rule, STUDY, lens=lens, measured_name=name, seed=0)
+    for name in TABLES:
+        finish("table", STUDY, table=name)
+    finish("verdicts_table", STUDY)
+    finish("psf_tail_table", STUDY)
 
 
 def measured(output: str, lens: str, measured_name: str = "small") -> Path:
-    return jobs.fine_tune.output(STUDY, output, lens=lens, measured_name=measured_name, seed=0)
+    return getattr(outputs("fine_tune", STUDY, lens=lens, measured_name=measured_name, seed=0), output)
 
 
 def accuracies(path: Path) -> list[float]:
@@ -73,7 +71,7 @@ def failed(printed: str) -> list[str]:
 def test_predictions_are_kept(finished):
     """A row per test image with its label; their means are the accuracies of the metrics file."""
     found = read_rows(measured("predictions", "singlet-imaging1"))
-    labels = json.loads(jobs.images.output(STUDY, "test_labels").read_text())
+    labels = json.loads(outputs("images", STUDY).test_labels.read_text())
     assert [row["image"] for row in found] == [str(k) for k in range(20)]
     assert [row["label"] for row in found] == [labels["classes"][k] for k in labels["labels"]]
     means = [100 * sum(int(row[f"field{k}"]) for row in found) / 20 for k in range(9)]
@@ -91,11 +89,12 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
     End-to-end design from flat, which need not converge, is not held to them.
     """
     capsys.readouterr()
-    assert verified("verify") == 1
+    with pytest.raises(SystemExit, match="1"):
+        finish("verify", STUDY)
     printed = capsys.readouterr().out
     violated: dict[str, set] = {"failed": set(), "unconstrained": set()}
     for name in STUDY.designs:
-        path = jobs.design.output(STUDY, "lens", lens=f"singlet-{name}", seed=0)
+        path = outputs("design", STUDY, lens=f"singlet-{name}", seed=0).lens
         margins = yaml.safe_load(path.read_text())["margins"]
         said = "unconstrained" if name == "end_to_end_from_flat" else "failed"
         violated[said] |= {
@@ -113,48 +112,74 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
 @pytest.mark.parametrize("name", ["small", "small-restored"])
 def test_other_weights_do_not_reproduce(finished, capsys, name):
     """The stored head turned to other classes: the captures that this changes are counted."""
+
+    def again() -> None:
+        finish("reproduce", STUDY, lens="singlet-imaging1", measured_name=name, seed=0)
+
     path = measured("weights", "singlet-imaging1", name)
     weights, notes = read_tensors(path)
     weights = {key: tensor.clone() for key, tensor in weights.items()}
     turned = {key: t.roll(1, 0) if t.shape[:1] == (10,) else t for key, t in weights.items()}
     try:
         write_tensors(path, turned, notes)
-        assert verified("reproduce", "singlet-imaging1", name) == 0
-        assert verified("verify") == 1
+        again()
+        with pytest.raises(SystemExit, match="1"):
+            finish("verify", STUDY)
         said = f"failed: singlet-imaging1 seed 0: {name}: stored predictions: "
         assert any(line.startswith(said) for line in capsys.readouterr().out.splitlines())
     finally:
         write_tensors(path, weights, notes)
-        assert verified("reproduce", "singlet-imaging1", name) == 0
+        again()
 
 
 def test_tails_of_all_lenses(finished):
-    found = read_rows(report_jobs.psf_tail.output(STUDY, "csv"))
+    found = read_rows(outputs("psf_tail_table", STUDY).csv)
     assert sorted(row["lens"] for row in found) == sorted(f"singlet-{name}" for name in STUDY.designs)
-    curves = read_rows(report_jobs.psf_tail.output(STUDY, "encircled_energy"))
+    curves = read_rows(outputs("psf_tail_table", STUDY).encircled_energy)
     assert {row["lens"] for row in curves} == {row["lens"] for row in found}
     assert all(0 <= float(row["fraction"]) <= 1 for row in curves)
 
 
 @pytest.fixture(scope="module")
 def page(finished):
-    """The page of the study, of which one lens has been drawn."""
-    assert verified("certificate", "singlet-tasklens") == verified("captures") == 0
-    run(report_jobs.report, STUDY, {}, partial=True)
-    return finished / "results/verified/report-partial.html"
+    """The page of the study."""
+    for name in STUDY.designs:
+        finish("certificate", STUDY, lens=f"singlet-{name}", seed=0)
+    finish("captures", STUDY)
+    finish("effort_table", STUDY)
+    return finished / finish("report_page", STUDY).report
 
 
 def test_the_page_has_every_part(page):
-    """Only the effort, whose benchmark has not been run, and the drawings of other lenses are missing."""
+    """All tables, and of every lens its drawings and files."""
     text = page.read_text()
-    missing = re.findall("<li>(.*?)</li>", text.partition('class="missing"')[2].partition("</ul>")[0])
-    assert [line.partition(":")[0] for line in missing] == [
-        "the table of efforts has not been made",
-        "5 of 6 lenses are without certificate and drawings",
-    ]
-    assert [name for name in (*TABLES, "verdicts", "psf_tail") if f'<table id="{name}">' not in text] == []
-    assert 'download="singlet-tasklens.yaml"' in text and 'download="singlet-tasklens.zmx"' in text
+    assert [name for name in (*TABLES, "verdicts", "psf_tail", "effort") if f'<table id="{name}">' not in text] == []
+    for name in STUDY.designs:
+        assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
+    assert "Not shown, since they have not been made: regimes, merit function, tolerances" in text
     assert len(page.read_bytes()) < 15e6
+
+
+def test_a_table_that_is_older_than_a_lens_says_so(page):
+    """Tables of other targets are not made again with the page."""
+    table = outputs("merit_function_table", STUDY).csv
+    table.write_text("lens,score\nsinglet-tasklens,1.0\n")
+    lens = outputs("design", STUDY, lens="singlet-tasklens", seed=0).lens
+    before, said = page.read_text(), "Older than these lenses, so maybe of earlier ones: "
+    for seconds, older in ((-1, True), (3600, False)):
+        os.utime(table, times=(0, lens.stat().st_mtime + seconds))
+        text = finish("report_page", STUDY).report.read_text()
+        assert (said in text) == older and '<table id="merit_function">' in text
+    table.unlink()
+    page.write_text(before)
+
+
+def test_a_page_that_is_too_large_is_refused(page, monkeypatch):
+    monkeypatch.setattr(assembly, "LARGEST_MB", 1.0)
+    before = page.read_text()
+    with pytest.raises(FileError, match=r"report\.html: would have .* MB, more than 1: show fewer lenses"):
+        finish("report_page", STUDY)
+    assert page.read_text() == before
 
 
 @pytest.fixture(scope="module")
@@ -182,8 +207,8 @@ def test_the_page_loads_nothing_and_complains_of_nothing(opened, page):
 def test_every_picture_has_loaded_and_says_what_it_shows(opened):
     script = "return [...document.images].map(i => [i.complete && i.naturalWidth > 0, i.alt.trim()])"
     found = opened.execute_script(script)
-    captures = read_rows(figure_jobs.captures.output(STUDY, "answers"))  # of one network: a row per picture
-    assert len(found) == len(captures) + len(("section", "spots", "psfs", "curves")) >= 30
+    captures = read_rows(outputs("captures", STUDY).answers)  # of one network: a row per picture
+    assert len(found) == len(captures) + len(STUDY.designs) * len(("section", "spots", "psfs", "curves")) >= 30
     assert all(loaded and len(words) > 10 for loaded, words in found)
     charts = opened.find_elements(By.CLASS_NAME, "chart")
     assert all(len(chart.get_attribute("aria-label")) > 40 for chart in charts)
@@ -249,13 +274,13 @@ def test_nothing_is_wider_than_the_screen(opened, width):
     assert opened.execute_script(widths) == [width, width]
 
 
-def test_half_a_table_of_tails_is_named(finished):
+def test_half_a_table_of_tails_is_named(page):
     """Rows that are lost as a whole, too."""
-    path = report_jobs.psf_tail.output(STUDY, "csv")
+    path = outputs("psf_tail_table", STUDY).csv
     whole = path.read_text()
     path.write_text("".join(whole.splitlines(keepends=True)[:3]))
     try:
         with pytest.raises(FileError, match=r"psf_tail\.csv: without .*; delete it and run again"):
-            run(report_jobs.report, STUDY, {}, partial=True)
+            finish("report_page", STUDY)
     finally:
         path.write_text(whole)

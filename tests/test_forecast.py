@@ -5,10 +5,10 @@ import csv
 import pytest
 import yaml
 from examples import write
+from rules import rule_names
 
-from tasklens.pipeline import forecast, report_jobs  # noqa: F401  declares the stages, with those of `jobs`
+from tasklens.pipeline import forecast
 from tasklens.pipeline.forecast import Durations, Measured
-from tasklens.pipeline.stage import STAGES
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time"  # as Snakemake writes it
 
@@ -24,7 +24,7 @@ def results(tmp_path, monkeypatch):
     """A folder of results without benchmarks; elsewhere, the study `mine` was measured."""
     write(
         tmp_path / "durations.csv",
-        "study,stage,seconds,longest_s,memory_mb\n"
+        "study,rule,seconds,longest_s,memory_mb\n"
         "mine,design,100,900,1000\nmine,psf,4,5,200\nmine,tail,6,8,300\ntheirs,figure,1000,1000,1000\n",
     )
     monkeypatch.setattr(forecast, "MEASURED", tmp_path / "durations.csv")
@@ -118,9 +118,9 @@ def test_the_durations_that_we_ship_are_of_our_studies():
     """Each once, of a stage that there is, and longest at least as long as the mean; gaps where nobody looked."""
     with open(forecast.MEASURED, newline="") as file:
         rows = list(csv.DictReader(file))
-    files = forecast.MEASURED.parent.glob("*.yaml")  # also those that are laid over another, which have a name
+    files = forecast.MEASURED.parent.glob("*.yaml")  # also those that extend another
     studies = {name for path in files if (name := yaml.safe_load(path.read_text()).get("name"))}
-    assert len({(row["study"], row["stage"]) for row in rows}) == len(rows) > 0
+    assert len({(row["study"], row["rule"]) for row in rows}) == len(rows) > 0
     for row in rows:
-        assert row["study"] in studies and row["stage"] in STAGES
+        assert row["study"] in studies and row["rule"] in rule_names()
         assert 0 < float(row["seconds"]) <= float(row["longest_s"] or "inf") and float(row["memory_mb"] or 1) > 0

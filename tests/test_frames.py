@@ -10,12 +10,11 @@ import pytest
 import torch
 from examples import tiny_study, write
 from PIL import Image
+from rules import finish, outputs
 
+from tasklens.jobs import frames as frames_job
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.pipeline import figure_jobs, jobs
-from tasklens.pipeline.run import run
-from tasklens.pipeline.stages import frames as stage
 from tasklens.report import frames
 from tasklens.study.loading import parse
 
@@ -40,7 +39,7 @@ def made(path: Path) -> Path:
 def study(tmp_path, monkeypatch):
     """Doublets of the headline study with planted predictions, and random images."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(stage, "_SHAPE", SHAPE)
+    monkeypatch.setattr(frames_job, "_SHAPE", SHAPE)
     tiny = tiny_study()
     task = tiny["designs"]["tasklens"]
     joint = {"start": ["imaging2"], "batch_size": 2, "rays": 16}
@@ -50,20 +49,20 @@ def study(tmp_path, monkeypatch):
     made_of = {"elements": {"doublet": ["COC", "OKP4"]}, "designs": designs}
     study = parse(tiny | made_of)
     images = numpy.random.default_rng(0).integers(0, 256, (IMAGES, 3, SIDE, SIDE), dtype=numpy.uint8)
-    numpy.save(made(jobs.images.output(study, "test")), images)
+    numpy.save(made(outputs("images", study).test), images)
     labels = {"classes": ["cat", "dog"], "labels": [0, 1] * (IMAGES // 2)}
-    write(jobs.images.output(study, "test_labels"), json.dumps(labels))
+    write(outputs("images", study).test_labels, json.dumps(labels))
     for lens, correct in CORRECT.items():
-        files = jobs.design.outputs(study, lens=lens, seed=0)
-        shutil.copy(LENSES / f"{lens}.yaml", made(files["lens"]))
+        files = outputs("design", study, lens=lens, seed=0)
+        shutil.copy(LENSES / f"{lens}.yaml", made(files.lens))
         psf = torch.zeros(FIELDS, 3, 5, 5)
         psf[..., 2, 2] = 1
-        psf_files.write(files["psf"], FieldPsfs(psf, torch.ones(FIELDS)), {"fields_mm": FIELDS * [[0, 0]]})
-        tuned = jobs.fine_tune.outputs(study, lens=lens, measured_name="small", seed=0)
+        psf_files.write(files.psf, FieldPsfs(psf, torch.ones(FIELDS)), {"fields_mm": FIELDS * [[0, 0]]})
+        tuned = outputs("fine_tune", study, lens=lens, measured_name="small", seed=0)
         columns = {f"field{k}": correct if k == 4 else [0] * IMAGES for k in range(FIELDS)}
         rows = {"image": range(IMAGES), "label": ["cat", "dog"] * (IMAGES // 2)} | columns
-        write(tuned["predictions"], pandas.DataFrame(rows).to_csv(index=False))
-        write(tuned["metrics"], f"metric,field,value\nminival_accuracy,0,{80 if lens == BEST else 10}\n")
+        write(tuned.predictions, pandas.DataFrame(rows).to_csv(index=False))
+        write(tuned.metrics, f"metric,field,value\nminival_accuracy,0,{80 if lens == BEST else 10}\n")
     return study
 
 
@@ -76,7 +75,7 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
         draw(path, title, shown, answered, rule)
 
     monkeypatch.setattr(frames, "draw", drawn)
-    run(figure_jobs.frames, study, {"elements": "doublet", "seed": 0})
+    finish("frames", study, elements="doublet", seed=0)
     for captures in found["shown"].values():
         assert list(captures) == ["sharp", TASK, JOINT, BEST]
         assert all(capture.shape == (3, *SHAPE) for capture in captures.values())
@@ -90,16 +89,14 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
     sharp = only_task.shown["sharp"]
     assert all(torch.allclose(capture, sharp, atol=1e-5) for capture in only_task.shown.values())  # PSFs of a point
     assert f"network of {TASK} " in found["rule"] and f"that of {BEST} " in found["rule"]
-    with Image.open(figure_jobs.frames.output(study, "figure", elements="doublet", seed=0)) as image:
+    with Image.open(outputs("frames", study, elements="doublet", seed=0).figure) as image:
         assert image.width > 3 * image.height / 4
 
 
 def test_networks_that_agree_leave_the_frames_alone(study, monkeypatch):
     answered = []
     monkeypatch.setattr(frames, "draw", lambda path, title, shown, found, rule: answered.append(found))
-    predictions = [
-        jobs.fine_tune.output(study, "predictions", lens=n, measured_name="small", seed=0) for n in (TASK, BEST)
-    ]
+    predictions = [outputs("fine_tune", study, lens=n, measured_name="small", seed=0).predictions for n in (TASK, BEST)]
     shutil.copy(*predictions)
-    run(figure_jobs.frames, study, {"elements": "doublet", "seed": 0})
+    finish("frames", study, elements="doublet", seed=0)
     assert answered == [[]]

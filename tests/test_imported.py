@@ -17,11 +17,11 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import view_of_spec
-from tasklens.pipeline import jobs
 from tasklens.runtime.files import FileError
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
+from tasklens.study.tables import lens_design
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
 VIEW = view_of_spec(SPEC)
@@ -114,7 +114,7 @@ def settings_of(folder: Path, lens: Lens, **spec):
         "spec",
         {"kernel_size": 11, "field_of_view_deg": 36, "f_number": 4} | spec,
     )
-    return jobs.design.plan(parse(changed(study, "evaluation_rays", RAYS)), "triplet-cooke", 0).settings
+    return lens_design(parse(changed(study, "evaluation_rays", RAYS)), "triplet-cooke", 0)
 
 
 def test_a_finished_imported_lens(tmp_path):

@@ -6,8 +6,7 @@ import time
 
 import pytest
 
-from tasklens.pipeline import job_lock
-from tasklens.runtime import locks
+from tasklens.runtime import job_lock, locks
 
 CONTEXT = multiprocessing.get_context("fork")
 

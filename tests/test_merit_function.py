@@ -1,18 +1,21 @@
 """The merit function of a classifier: modulation of PSFs, its fit, and the table of what each classifier wants."""
 
+from pathlib import Path
+
 import numpy
 import pandas
 import pytest
 import torch
-from examples import finish, tiny_study, write
+from examples import measurement, tiny_study, write
+from rules import finish, outputs
 
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.pipeline import jobs, report_jobs
 from tasklens.report import merit_function
 from tasklens.report.merit_function import BANDS, fit, left_out, modulation
 from tasklens.runtime.files import FileError
 from tasklens.study.loading import parse
+from tasklens.study.report_jobs import MeritFunctionJob
 
 KERNEL = 51
 
@@ -66,10 +69,10 @@ def test_a_lens_does_not_predict_itself():
 def planted(study) -> None:
     """Files of Gaussian PSFs, and of losses with a weight of 4 in one band, another for each classifier."""
     random = numpy.random.default_rng(2)
-    contents = report_jobs.merit_function.plan(study).settings.contents
+    contents = MeritFunctionJob.of(study).contents
     for lens in contents.lenses:
         psf = gaussians(random.uniform(0.4, 3, 9).tolist())
-        path = jobs.design.output(study, "psf", lens=lens, seed=0)
+        path = outputs("design", study, lens=lens, seed=0).psf
         path.parent.mkdir(parents=True, exist_ok=True)
         psf_files.write(
             path, FieldPsfs(torch.from_numpy(psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
@@ -78,7 +81,7 @@ def planted(study) -> None:
             loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
             losses = {"image": range(2), "label": ["cat", "dog"]}
             losses |= {f"field{k}": [0.5 * value, 1.5 * value] for k, value in enumerate(loss)}
-            write(jobs.measurement(study, lens, name, 0, "frozen"), pandas.DataFrame(losses).to_csv(index=False))
+            write(measurement(study.name, lens, name, 0, "-frozen"), pandas.DataFrame(losses).to_csv(index=False))
 
 
 def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch):
@@ -86,21 +89,22 @@ def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
     planted(study)
-    outputs = finish(report_jobs.merit_function, study)
-    rows = pandas.read_csv(outputs.csv).set_index("classifier")
+    made = finish("merit_function_table", study)
+    rows = pandas.read_csv(made.csv).set_index("classifier")
     for name, band in (("small", 2), ("other", 5)):
         weights = rows.loc[name].filter(like="to_")
         assert weights.idxmax() == f"to_{BANDS[band + 1]:g}" and weights.max() == pytest.approx(4, abs=0.1)
         assert rows.loc[name, "r2"] > 0.999
     assert rows.loc["small", "ranked_by_supervisor"] == pytest.approx(1, abs=1e-3)
     assert 0.9 < rows.loc["other", "ranked_by_supervisor"] <= 1
-    assert outputs.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in outputs.md.read_text()
+    assert made.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in made.md.read_text()
 
 
 def test_too_few_lenses_make_no_merit_function(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
-    plan = report_jobs.merit_function.plan(study)
-    few = merit_function.Files(psfs=dict(list(plan.inputs["psfs"].items())[:2]), frozen=plan.inputs["frozen"])
+    settings = MeritFunctionJob.of(study)
+    lenses = settings.contents.lenses[:2]
+    few = settings.model_copy(update={"contents": settings.contents.model_copy(update={"lenses": lenses})})
     with pytest.raises(FileError, match="2 lenses"):
-        merit_function.make(plan.settings, few, merit_function.Files())
+        merit_function.make(few, [], [Path()] * len(few.frozen_keys), Path("a.csv"), Path("a.md"), Path("a.png"))

@@ -8,12 +8,11 @@ import pandas
 import pytest
 import timm
 import torch
-from examples import changed, tiny_study, write
+from examples import changed, lens_file, tiny_study, write
 from PIL import Image
 
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.pipeline import jobs
 from tasklens.runtime.files import write_tensors
 from tasklens.study import loading
 
@@ -44,13 +43,13 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(script, tmp_path, monke
     write(Path("study.yaml"), loading.dump(study := loading.parse(config)))
     torch.manual_seed(0)
     network = timm.create_model("test_resnet", num_classes=1000)
-    weights = jobs.reference.output(study, "weights", classifier="small")
+    weights = Path("results/tiny/classifiers/reference/small.safetensors")
     weights.parent.mkdir(parents=True)
     write_tensors(weights, network.state_dict(), {})
     for design, light in (("tasklens", 1.0), ("imaging2", 0.0)):
         psf = torch.zeros(9, 3, 11, 11)
         psf[:, :, 5, 5] = light
-        path = jobs.psf_file(study, f"singlet-{design}", 0)
+        path = lens_file("tiny", f"singlet-{design}", name="psf.safetensors")
         path.parent.mkdir(parents=True)
         psf_files.write(path, FieldPsfs(psf, torch.ones(9)), {"fields_mm": [[0, 0]] * 9})
     found = script.accuracies(study, Path("others"), ["singlet-tasklens", "singlet-imaging1", "singlet-imaging2"])

@@ -1,24 +1,17 @@
 """The page of a study: what it says of verdicts, which values it marks, and what it lists as missing."""
 
 import json
-import os
-import re
-from pathlib import Path
 
 import numpy
 import pandas
 import pytest
-from examples import tiny_study, write
+from examples import write
 from safetensors.numpy import save_file
 
-from tasklens.pipeline import report_jobs
-from tasklens.pipeline.run import run
 from tasklens.report.optimality import Optimum
-from tasklens.report.page import assembly, captures, charts, tables, words
+from tasklens.report.page import captures, charts, tables, words
 from tasklens.report.verdicts import verdict
-from tasklens.runtime.files import FileError
 from tasklens.study.claims import FEWER_ELEMENTS, OVER_END_TO_END, OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES
-from tasklens.study.loading import parse
 
 KNOWN = 0.001  # p-value of a difference that is significant
 MARGINS = {OVER_END_TO_END: 0.5}
@@ -192,71 +185,6 @@ def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():
     assert charts.regime_map("map", "", pandas.DataFrame(rows | numbers | {"difference": 3 * [numpy.nan]})) is None
 
 
-DOUBLET = Path(__file__).parents[1] / "docs/results/headline/lenses/doublet-tasklens.yaml"
-STUDY = parse(tiny_study())
-
-
-def partial_page(monkeypatch, folder: Path) -> str:
-    monkeypatch.chdir(folder)
-    run(report_jobs.report, STUDY, {}, partial=True)
-    return Path("results/tiny/report-partial.html").read_text()
-
-
-def listed(page: str) -> list[str]:
-    """What the page lists as missing."""
-    part = page.partition('class="missing"')[2].partition("</ul>")[0]
-    return re.findall("<li>(.*?)</li>", part)
-
-
-def test_the_page_of_a_study_without_results_lists_what_is_missing(monkeypatch, tmp_path):
-    page = partial_page(monkeypatch, tmp_path)
-    found = listed(page)
-    assert found[:4] == [f"table{k} has not been made" for k in (1, 2, 3, 4)]
-    assert "verdicts have not been made" in found and "captures have not been rendered" in found
-    designed = ", ".join(f"singlet-{name}" for name in STUDY.designs)
-    assert f"6 of 6 lenses are not designed: {designed}" in found
-    for said in ("No table has been made yet.", "Nothing has been measured yet.", "No lens has been designed yet."):
-        assert said in page
-    assert len(page.encode()) < 15e6
-
-
-def test_the_page_of_a_half_finished_study_shows_what_there_is(monkeypatch, tmp_path):
-    """A partial table and verdicts are shown, and no longer missing."""
-    own = TABLE.replace({"elements": {"doublet": "singlet"}})
-    for kind, frame in (("table1-partial", own), ("verdicts", pandas.DataFrame([row(lens="singlet-tasklens")]))):
-        write(tmp_path / f"results/tiny/tables/{kind}.csv", frame.to_csv(index=False))
-    write(tmp_path / "results/tiny/tables/table1-partial.json", '{"commit": "abc123", "versions": {"torch": "2.11"}}')
-    page = partial_page(monkeypatch, tmp_path)
-    found = listed(page)
-    assert "table1 has not been made" not in found and "table2 has not been made" in found
-    assert "verdicts have not been made" not in found
-    assert '<table id="table1">' in page and '<table id="verdicts">' in page and "abc123" in page
-    assert "71.0 % through tasklens, the best designed by the task" in page
-    assert "Shown: tasklens is 2.0 points more accurate" in page
-
-
-def test_a_table_that_is_older_than_a_lens_says_so(monkeypatch, tmp_path):
-    """Tables of other targets are not made again with the report."""
-    monkeypatch.chdir(tmp_path)
-    lens, table = (
-        Path("results/tiny/lenses/singlet-tasklens/seed0/lens.yaml"),
-        Path("results/tiny/tables/merit_function.csv"),
-    )
-    write(lens, DOUBLET.read_text())
-    write(table, "lens,score\nsinglet-tasklens,1.0\n")
-    said = "Older than these lenses, so maybe of earlier ones: singlet-tasklens."
-    for seconds, older in ((-1, True), (1, False)):
-        os.utime(table, times=(0, lens.stat().st_mtime + seconds))
-        assert (said in partial_page(monkeypatch, tmp_path)) == older
-
-
-def test_a_page_that_is_too_large_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(assembly, "LARGEST_MB", 1.0)
-    with pytest.raises(FileError, match=r"report-partial\.html: would have .* MB, more than 1: show fewer lenses"):
-        partial_page(monkeypatch, tmp_path)
-    assert not Path("results/tiny/report-partial.html").exists()
-
-
 def test_a_class_may_be_called_by_a_number(tmp_path):
     """Answers are texts: 7 is 7, and 007 is not."""
     image = numpy.full((1, 1, 3, 4, 4), 128, dtype=numpy.uint8)
@@ -264,7 +192,6 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     head = "image,label,lens,field,restored,classifier,answer,probability,psnr_db\n"
     rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
     write(tmp_path / "answers.csv", head + rows)
-    files = {"images": tmp_path / "images.safetensors", "answers": tmp_path / "answers.csv"}
-    (found,) = captures.shown(files, "a")
+    (found,) = captures.shown(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
     assert [answer.right for answer in found.captures["lens", False][0].answers] == [True, False]
     assert found.label == "7"

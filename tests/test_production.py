@@ -8,7 +8,8 @@ from pathlib import Path
 import pandas
 import pytest
 import torch
-from examples import f64, finish, read_rows, tiny_study
+from examples import f64, read_rows, tiny_study
+from rules import finish
 from test_tolerancing import doublet, grade
 
 from tasklens.design import production
@@ -17,7 +18,6 @@ from tasklens.imaging import Camera
 from tasklens.optics.tolerancing import focus
 from tasklens.optics.tolerancing.errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
-from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.outcome import outcome
 from tasklens.report import tolerance_page, tolerances
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
@@ -169,21 +169,21 @@ def test_a_study_makes_the_table_and_the_page_of_each_lens(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     given = tiny_study() | {"tolerances": {"lenses": 10, "images": 10, "designs": ["imaging1", "imaging2"]}}
     study = parse(given)
-    finish(jobs.images, study)
-    finish(jobs.reference, study, classifier="small")
+    finish("images", study)
+    finish("reference", study, classifier="small")
     for lens in ("singlet-imaging1", "singlet-imaging2"):
-        finish(jobs.design, study, lens=lens, seed=0)
-        finish(jobs.fine_tune, study, lens=lens, measured_name="small", seed=0)
-        outputs = finish(jobs.production, study, lens=lens, seed=0)
-        assert len(read_rows(outputs.lenses)) == 11
-        said = outcome(study, "production", {"lens": lens, "seed": "0"}, Path("no.log"))
+        finish("design", study, lens=lens, seed=0)
+        finish("fine_tune", study, lens=lens, measured_name="small", seed=0)
+        made = finish("production", study, lens=lens, seed=0)
+        assert len(read_rows(made.lenses)) == 11
+        said = outcome("production", [*map(str, vars(made).values())], Path("no.log"))
         assert re.fullmatch(r"accuracy \d+\.\d %, of built lenses \d+\.\d %", said)
-        names = [row["error"] for row in read_rows(outputs.errors)]
+        names = [row["error"] for row in read_rows(made.error_table)]
         assert "radius 1" in names and "element tilt 1 y" in names
-        page = Path(outputs.page).read_text()
+        page = Path(made.page).read_text()
         assert page.startswith(f"# Tolerances of {lens}, seed 0\n") and "10 lenses were built" in page
         assert "precision moulding" in page and "on 10 images" in page
-    outputs = finish(report_jobs.tolerances, study)
-    rows = read_rows(outputs.csv)
+    made = finish("tolerances_table", study)
+    rows = read_rows(made.csv)
     assert [row["design"] for row in rows] == ["imaging1", "imaging2"] and {row["built"] for row in rows} == {"10"}
-    assert "Built lenses" in outputs.md.read_text() and "Do task-driven" not in outputs.md.read_text()
+    assert "Built lenses" in made.md.read_text() and "Do task-driven" not in made.md.read_text()

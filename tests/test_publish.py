@@ -6,7 +6,6 @@ import pandas
 import pytest
 
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files
 
 TABLE = pandas.DataFrame(
     {
@@ -52,22 +51,22 @@ def test_rounding_leaves_the_table_as_it_was():
 
 
 def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_markdown(tmp_path):
-    outputs = Files(csv=tmp_path / "new" / "t.csv", md=tmp_path / "new" / "t.md")
-    publish(outputs, "Title", TABLE, rounded(TABLE, {"": ".1f"}), "A note.")
-    found = pandas.read_csv(outputs.csv)
+    csv, md = tmp_path / "new" / "t.csv", tmp_path / "new" / "t.md"
+    publish(csv, md, "Title", TABLE, rounded(TABLE, {"": ".1f"}), "A note.")
+    found = pandas.read_csv(csv)
     assert list(found) == list(TABLE) and found["accuracy"].tolist()[::2] == [71.256, 60.0]
-    lines = outputs.md.read_text().splitlines()
+    lines = md.read_text().splitlines()
     assert lines[:2] == ["**Title**", ""] and lines[-2:] == ["", "A note."]
     body = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     assert body[0] == list(TABLE) and body[2] == ["a", "71.3", "1.0", "5.0", "True", "5.0"]
     assert body[3][1] == "–" and len(body) == 2 + 3
-    assert len(list(outputs.csv.parent.iterdir())) == 2
+    assert len(list(csv.parent.iterdir())) == 2
 
 
 def test_an_empty_table_is_a_title_and_a_note(tmp_path):
     """Its CSV has the columns, for programs that read it."""
-    outputs = Files(csv=tmp_path / "t.csv", md=tmp_path / "t.md")
+    csv, md = tmp_path / "t.csv", tmp_path / "t.md"
     empty = TABLE.iloc[:0]
-    publish(outputs, "Title", empty, rounded(empty, {"": ".1f"}), "Nothing.")
-    assert outputs.md.read_text() == "**Title**\n\nNothing.\n"
-    assert list(pandas.read_csv(outputs.csv)) == list(TABLE)
+    publish(csv, md, "Title", empty, rounded(empty, {"": ".1f"}), "Nothing.")
+    assert md.read_text() == "**Title**\n\nNothing.\n"
+    assert list(pandas.read_csv(csv)) == list(TABLE)

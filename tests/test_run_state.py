@@ -12,17 +12,21 @@ import pytest
 from examples import tiny_study, write
 
 from tasklens.cli.app import main
-from tasklens.pipeline import closing, progress_file, report_jobs, runs  # noqa: F401  declares the stages
+from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.terminal import Terminal
+from tasklens.runtime import progress_file
 from tasklens.runtime.progress import Progress
 from tasklens.study.loading import dump, parse
 
 STUDY = parse(tiny_study())
 FOLDER = "results/tiny"
 DESIGN, TUNE = "design/singlet-imaging1-seed0", "fine_tune/singlet-imaging1-small-seed0"
-LENS = {"lens": "singlet-imaging1", "seed": "0"}
+OUTPUTS = {
+    DESIGN: [f"{FOLDER}/lenses/singlet-imaging1/seed0/lens.yaml"],
+    TUNE: [f"{FOLDER}/metrics/singlet-imaging1/seed0/small.csv"],
+}
 
 
 @pytest.fixture
@@ -41,9 +45,9 @@ def durations() -> Durations:
     return Durations("tiny", FOLDER)
 
 
-def run_of(**stages: int) -> runs.Run:
-    """A run of some jobs of each stage, of our own process."""
-    jobs = {f"{stage}/{k}": runs.Job(stage) for stage, count in stages.items() for k in range(count)}
+def run_of(**rules: int) -> runs.Run:
+    """A run of some jobs of each rule, of our own process."""
+    jobs = {f"{rule}/{k}": runs.Job(rule) for rule, count in rules.items() for k in range(count)}
     return runs.Run("tiny", FOLDER, 2, jobs)
 
 
@@ -153,22 +157,22 @@ class Snakemake:
         default = logging.StreamHandler()
         default.name = handler
         self.logger.addHandler(default)
-        self.terminal = Terminal([STUDY], self.logger, quiet)
+        self.terminal = Terminal(STUDY, lambda name: STUDY, quiet, self.logger)
 
     def begin(self) -> None:
         jobs = {
-            DESIGN: PlannedJob("design", LENS, False, ()),
-            TUNE: PlannedJob("fine_tune", {}, False, (DESIGN,)),
+            DESIGN: PlannedJob("tiny", DESIGN, True, (), (), "{}"),
+            TUNE: PlannedJob("tiny", TUNE, True, (), (DESIGN,), "{}"),
         }
         self.terminal.begin({STUDY.name: jobs}, 2)
 
     def say(self, message: str, level: int = logging.INFO, **extra) -> None:
         self.logger.log(level, message, extra=extra)
 
-    def job(self, event: str, number: int, label: str, wildcards: dict, level: int = logging.INFO) -> None:
-        log = [f"{FOLDER}/logs/{label}.log"]
+    def job(self, event: str, number: int, label: str, level: int = logging.INFO) -> None:
+        log, output = [f"{FOLDER}/logs/{label}.log"], OUTPUTS[label]
         names = {"job_info": "jobid", "job_finished": "job_id", "job_error": "jobid"}
-        self.say("a job", level, event=event, log=log, wildcards=wildcards, **{names[event]: number})
+        self.say("a job", level, event=event, log=log, output=output, **{names[event]: number})
 
 
 @pytest.fixture
@@ -182,12 +186,12 @@ def test_a_finished_job_has_one_line(snakemake, capsys):
     """What, how long, and what came out; nothing else that Snakemake says of it."""
     snakemake.begin()
     snakemake.say("Building DAG of jobs...")
-    snakemake.job("job_info", 7, TUNE, LENS | {"measured_name": "small"})
+    snakemake.job("job_info", 7, TUNE)
     snakemake.say("Shell command: tasklens run ...", event="shellcmd")
     rows = "metric,value\naccuracy,40\naccuracy,50\nchance,10\n"
     write(f"{FOLDER}/metrics/singlet-imaging1/seed0/small.csv", rows)
     benchmark(TUNE, 75)
-    snakemake.job("job_finished", 7, TUNE, {})
+    snakemake.job("job_finished", 7, TUNE)
     lines = capsys.readouterr().err.splitlines()
     assert [line.split() for line in lines] == [
         ["1/2", "fine_tune", "singlet-imaging1-small-seed0", *["1", "min", "accuracy", "45.0", "%"]]
@@ -201,8 +205,8 @@ def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
     snakemake.begin()
     log = [f"line {k}" for k in range(40)] + ["", "tasklens: lens.yaml: no such file"]
     write(f"{FOLDER}/logs/{DESIGN}.log", "\n".join(log) + "\n")
-    snakemake.job("job_info", 3, DESIGN, LENS)
-    snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
+    snakemake.job("job_info", 3, DESIGN)
+    snakemake.job("job_error", 3, DESIGN, logging.ERROR)
     snakemake.say("Trying to restart job 3.", logging.INFO)
     lines = capsys.readouterr().err.splitlines()
     assert (
@@ -214,26 +218,26 @@ def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
     out = status(capsys)
     assert "0 of 2 jobs, 1 failed" in out
     assert "FAILED  design singlet-imaging1-seed0: tasklens: lens.yaml: no such file" in out
-    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.job("job_info", 3, DESIGN)
     assert "FAILED" not in status(capsys)
 
 
 def test_a_job_without_a_log_says_why(snakemake, capsys):
     snakemake.begin()
-    snakemake.job("job_info", 3, DESIGN, LENS)
-    snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
+    snakemake.job("job_info", 3, DESIGN)
+    snakemake.job("job_error", 3, DESIGN, logging.ERROR)
     assert "the job was killed, or did not start" in capsys.readouterr().err
 
 
 def test_a_job_ended_by_the_user_has_not_failed(snakemake, capsys):
     """Ctrl-C ends the jobs that run: they wait for the next run, and nothing is called a failure."""
     snakemake.begin()
-    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.job("job_info", 3, DESIGN)
     snakemake.say("Terminating processes on user request, this might take some time.")
-    snakemake.job("job_error", 3, DESIGN, LENS, logging.ERROR)
+    snakemake.job("job_error", 3, DESIGN, logging.ERROR)
     assert capsys.readouterr().err.splitlines()[1:] == ["stopped  design singlet-imaging1-seed0"]
     assert runs.read(Path(FOLDER)).labels(runs.WAITING) == [DESIGN, TUNE]
-    said = closing.failure(STUDY, snakemake.terminal.runs)
+    said = closing.failure(snakemake.terminal.runs)
     assert "FAILED" not in said and "--keep-going" not in said and "The same command goes on from here." in said
 
 
@@ -260,7 +264,7 @@ def test_who_wants_other_words_gets_no_lines_of_ours(place, capsys, options):
     snakemake = Snakemake(**options)
     snakemake.begin()
     snakemake.terminal.console.print("not shown")
-    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.job("job_info", 3, DESIGN)
     assert len(snakemake.logger.handlers) == 2  # that of Snakemake has stayed
     assert runs.read(place / FOLDER).labels(runs.RUNNING) == [DESIGN]
     snakemake.terminal.close()
@@ -271,9 +275,9 @@ def test_what_cannot_be_shown_does_not_end_the_run(snakemake, monkeypatch, capsy
     """A finished job whose files are broken is finished all the same."""
     monkeypatch.setattr(logging, "raiseExceptions", False)
     snakemake.begin()
-    snakemake.job("job_info", 3, DESIGN, LENS)
+    snakemake.job("job_info", 3, DESIGN)
     write(f"{FOLDER}/lenses/singlet-imaging1/seed0/lens.yaml", "[")
-    snakemake.job("job_finished", 3, DESIGN, {})
+    snakemake.job("job_finished", 3, DESIGN)
     assert runs.read(Path(FOLDER)).jobs[DESIGN].state == runs.DONE
 
 

@@ -7,16 +7,12 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rules import rule_names, workflow
 
-from tasklens.pipeline import (
-    digest,
-    report_jobs,  # noqa: F401  declares the stages
-)
-from tasklens.pipeline.stage import STAGES
+from tasklens.pipeline import digest
 from tasklens.runtime import files
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +35,7 @@ FLOORS = [
     ("tasklens.design",),
     ("tasklens.report", "restoration"),
     ("tasklens.notebook",),
+    ("tasklens.jobs",),
     ("tasklens.pipeline",),
     ("tasklens.cli",),
 ]
@@ -93,10 +90,10 @@ def test_modules_of_a_room_do_not_import_in_a_circle():
         done |= ready
 
 
-def test_only_the_stages_that_measure_import_restoration():
+def test_only_the_jobs_that_measure_import_restoration():
     users = {name_of(path) for path in MODULES if any(name.startswith("restoration") for name in imports_of(path))}
     found = {user for user in users if not user.startswith("restoration")}
-    assert found == {f"tasklens.pipeline.stages.{name}" for name in ("restore", "classify", "captures")}
+    assert found == {f"tasklens.jobs.{name}" for name in ("restore", "classify", "captures")}
 
 
 def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
@@ -110,16 +107,13 @@ def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
 
 def test_parsing_a_study_needs_no_torch():
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
-    pipeline = [
-        f"tasklens.pipeline.{name}"
-        for name in ("digest", "stage", "jobs", "figure_jobs", "report_jobs", "run", "forecast")
-    ]
+    pipeline = [f"tasklens.pipeline.{name}" for name in ("digest", "changes", "forecast", "snakemake_internals")]
     study = [name_of(path) for path in (ROOT / "tasklens" / "study").glob("*.py")]
     others = [
         "tasklens",
         "tasklens.cli.app",
         "tasklens.runtime.files",
-        "tasklens.runtime.errors",
+        "tasklens.runtime.job",
         "tasklens.materials.catalogues",
     ]
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
@@ -159,9 +153,9 @@ NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
         ("classify", ("numba", "pandas", "matplotlib", "torchvision.transforms.v2")),
     ],
 )
-def test_a_stage_imports_what_it_uses(module, unused):
+def test_a_job_imports_what_it_uses(module, unused):
     """Of the time of a short job, imports were nine tenths."""
-    assert imported_with([f"tasklens.pipeline.stages.{module}"], unused) == ""
+    assert imported_with([f"tasklens.jobs.{module}"], unused) == ""
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -173,81 +167,32 @@ def test_a_module_holds_one_idea(path):
 # ---- digests of code
 
 
-def running_nodes(tree: ast.AST) -> Iterator[ast.AST]:
-    """The nodes of a syntax tree but for what only type checkers see."""
-    waiting = [tree]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            waiting += node.orelse
-        else:
-            yield node
-            waiting += ast.iter_child_nodes(node)
+FUNCTIONS = {name: workflow().get_rule(name).params.function for name in rule_names()}
 
 
-def taken_from_data(tree: ast.AST) -> list[str]:
-    """What code takes from the modules that digests leave out, other than classes, and classes that it fills itself."""
-    wrong, classes = [], set()
-    for node in running_nodes(tree):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-            wrong += [name for name in names if any(f"{data}.".startswith(f"{name}.") for data in digest.DATA_ONLY)]
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "digests do not see relative imports"
-            for alias in node.names:
-                if f"{node.module}.{alias.name}" in digest.DATA_ONLY:
-                    wrong.append(f"{node.module}.{alias.name}")
-                elif node.module in digest.DATA_ONLY:
-                    body = digest.parse(node.module).body
-                    if any(isinstance(found, ast.ClassDef) and found.name == alias.name for found in body):
-                        classes.add(alias.asname or alias.name)
-                    else:
-                        wrong.append(f"{node.module}.{alias.name}")
-    for node in running_nodes(tree):
-        if isinstance(node, ast.Call):
-            called = node.func.value if isinstance(node.func, ast.Attribute) else node.func
-            if isinstance(called, ast.Name) and called.id in classes:
-                wrong.append(f"{called.id}(..)")
-    return wrong
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_digests_cover_every_constant_that_a_stage_computes_with(stage):
-    """The modules that they leave out are data: code takes classes of settings from there, whose values are in a job's
-    slice, and no constant, no function, and no settings of its own making, whose defaults would be constants."""
-    modules = digest.reached_modules(STAGES[stage].function.rpartition(".")[0])
-    assert {module: wrong for module in modules if (wrong := taken_from_data(digest.parse(module)))} == {}
-
-
-def test_nothing_computes_with_methods_of_data():
-    """Settings, tables and claims come to a stage as values, computed fields too, but methods and properties do not."""
-    classes = [
-        node for module in digest.DATA_ONLY for node in digest.parse(module).body if isinstance(node, ast.ClassDef)
-    ]
-    fields = {entry.target.id for found in classes for entry in found.body if isinstance(entry, ast.AnnAssign)}
-    methods = {entry for found in classes for entry in found.body if isinstance(entry, ast.FunctionDef)}
-    names = {entry.name for entry in methods if "computed_field" not in map(ast.unparse, entry.decorator_list)} - fields
-    assert {"spec_of", "imaging_designs"} <= names  # a method and a property of a study
-    reached = set().union(*(digest.reached_modules(stage.function.rpartition(".")[0]) for stage in STAGES.values()))
-    for module in reached:
+def test_what_a_job_takes_of_the_settings_is_classes():
+    """Digests leave their package out: a job has the values from its rule, and computes with no constant of theirs."""
+    modules = (digest.reached_modules(function.rpartition(".")[0]) for function in FUNCTIONS.values())
+    for module in set().union(*modules):
         for node in ast.walk(digest.parse(module)):
-            own = isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("self", "super()")
-            assert own or not (isinstance(node, ast.Attribute) and node.attr in names), f"{module}: {ast.unparse(node)}"
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tasklens.study."):
+                constants = [alias.name for alias in node.names if alias.name.isupper() or alias.name.islower()]
+                assert node.module == "tasklens.study.names" or not constants, f"{module}: {ast.unparse(node)}"
 
 
-def test_digests_leave_out_data_alone():
-    """A digest covers all that a stage's module imports, lazily or not, but for the modules of data."""
-    for stage in STAGES.values():
-        first = stage.function.rpartition(".")[0]
+def test_digests_cover_all_but_the_settings():
+    """All that the module of a job imports, lazily or not."""
+    for function in FUNCTIONS.values():
+        first = function.rpartition(".")[0]
         waiting, seen = [first], set()
         while waiting:
             module = waiting.pop()
-            if module not in seen:
+            if module not in seen and not f"{module}.".startswith("tasklens.study."):
                 seen.add(module)
                 path = ROOT.joinpath(*module.split("."))
                 path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-                waiting += [] if module in digest.DATA_ONLY else modules_named_in(path.read_text())
-        assert digest.reached_modules(first) == seen - set(digest.DATA_ONLY)
+                waiting += modules_named_in(path.read_text())
+        assert digest.reached_modules(first) == seen
 
 
 def modules_named_in(code: str) -> list[str]:
@@ -260,43 +205,15 @@ def modules_named_in(code: str) -> list[str]:
     return [name for name in names if name in known]
 
 
-def test_modules_of_data_are_there_and_of_no_torch():
-    for module in digest.DATA_ONLY:
-        assert ROOT.joinpath(*module.split(".")).with_suffix(".py").is_file(), module
-        names = {node.id for node in ast.walk(digest.parse(module)) if isinstance(node, ast.Name)}
-        assert not names & {"torch", "numpy"}, module
-
-
-@pytest.mark.parametrize(
-    "code, wrong",
-    [
-        ("from tasklens.study.settings import RENDERED_CLASSES", ["tasklens.study.settings.RENDERED_CLASSES"]),
-        ("def f():\n    from tasklens.study.study import pick, Study", ["tasklens.study.study.pick"]),
-        ("from tasklens.study import settings, names", ["tasklens.study.settings"]),
-        ("from tasklens.study.settings import *", ["tasklens.study.settings.*"]),
-        ("import tasklens.study.settings as s", ["tasklens.study.settings"]),
-        ("import tasklens.study", ["tasklens.study"]),
-        ("from tasklens.study.settings import Spec as S\nS()", ["S(..)"]),
-        ("from tasklens.study.settings import Spec\nSpec.model_validate({})", ["Spec(..)"]),
-        ("from tasklens.study.settings import Spec\ndef f(x: Spec):\n    return isinstance(x, Spec)", []),
-        ("if TYPE_CHECKING:\n    from tasklens.study.study import pick\nelse:\n    import tasklens.study.study",
-         ["tasklens.study.study"]),
-        ("from tasklens.study.names import SHARP", []),
-    ],
-)  # fmt: skip
-def test_what_is_taken_from_modules_of_data_is_found(code, wrong):
-    assert taken_from_data(ast.parse(code)) == wrong
-
-
 @pytest.fixture(scope="module")
 def digests() -> dict[str, str]:
-    """Of every stage, as it is."""
-    return {name: digest.code_digest(stage.function) for name, stage in STAGES.items()}
+    """Of every rule, as it is."""
+    return {name: digest.code_digest(function) for name, function in FUNCTIONS.items()}
 
 
 @pytest.fixture
 def edited(tmp_path, monkeypatch):
-    """A function that edits a file in a copy of the packages, and returns the digests of all stages then."""
+    """A function that edits a file in a copy of the packages, and returns the digests of all rules then."""
     for package in digest.PACKAGES:
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(digest, "ROOT", tmp_path)
@@ -306,7 +223,7 @@ def edited(tmp_path, monkeypatch):
         assert old in text
         (tmp_path / path).write_text(text.replace(old, new, 1))
         forget()
-        return {name: digest.code_digest(stage.function) for name, stage in STAGES.items()}
+        return {name: digest.code_digest(function) for name, function in FUNCTIONS.items()}
 
     def forget() -> None:
         for cached in (digest.parse, digest.code_and_imports, digest.code_digest):
@@ -323,7 +240,6 @@ READ_IMAGES = {
     "design",
     "restore",
     "fine_tune",
-    "fine_tune_others",
     "reproduce",
     "production",
     "captures",
@@ -331,13 +247,14 @@ READ_IMAGES = {
     "scenes",
     *TASKS,
 }
-JUDGE = {"verdicts", "regimes", "ablation", "report"}
-TABLES = {"table", "psf_tail", "effort", "merit_function", "certificate", "production", "tolerances", "tasks"}
-FIGURES = {"certificate", "comparison", "frames", "tasks"}
-MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function", "tolerances", *JUDGE}
+JUDGE = {"verdicts_table", "regimes_table", "ablation", "report_page"}
+TABLES = {f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "tolerances", "tasks")}
+TABLES |= {"table", "certificate", "production"}
+FIGURES = {"certificate", "comparison", "frames", "tasks_table"}
+MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function_table", "tolerances_table", *JUDGE}
 PSFS = {"design", "diffraction"}
-OPTICS = {*PSFS, "psf_tail", "production", *FIGURES}
-SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
+OPTICS = {*PSFS, "psf_tail_table", "production", *FIGURES}
+SEE = {"restore", "fine_tune", "reproduce", "captures"}
 
 
 @pytest.mark.parametrize(
@@ -346,8 +263,7 @@ SEE = {"restore", "fine_tune", "fine_tune_others", "reproduce", "captures"}
         ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread'),
         ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices"),
         ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n"),
-        ("tasklens/pipeline/stages/design.py", '"""Write the prescription', '"""Write a prescription'),
-        ("tasklens/pipeline/report_jobs.py", '"""Make the tables of core', '"""Make all tables of core'),
+        ("tasklens/jobs/design.py", '"""Write the prescription', '"""Write a prescription'),
     ],
 )
 def test_words_do_not_change_a_digest(digests, edited, path, old, new):
@@ -364,40 +280,34 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("tasklens/report/measurements.py", "default=", "default=None or ", MEASUREMENTS),
-        ("tasklens/report/publish.py", "index=False", "index=True", TABLES | JUDGE | {"sweep"}),
-        (
-            "tasklens/study/names.py",
-            '"-restored"',
-            '"-mended"',
-            READ_IMAGES | MEASUREMENTS - {"comparison", "merit_function"},
-        ),
+        ("tasklens/report/publish.py", "index=False", "index=True", TABLES | JUDGE | {"sweep_table"}),
+        ("tasklens/study/names.py", '"-restored"', '"-mended"', set()),  # it is in the settings
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
         ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
-        ("tasklens/pipeline/stages/design.py", "FieldPsfs(grid,", "FieldPsfs(grid * 1,", {"design"}),
+        ("tasklens/jobs/design.py", "FieldPsfs(grid,", "FieldPsfs(grid * 1,", {"design"}),
         ("tasklens/optics/analysis/diffraction.py", "_MARGIN = 8.0", "_MARGIN = 9.0", OPTICS),
         (
-            "tasklens/pipeline/stages/classify.py",
-            "test.images)",
-            "test.images[:2])",
+            "tasklens/jobs/classify.py",
+            "(network, images.images)",
+            "(network, images.images[:2])",
             SEE - {"restore", "captures"},
         ),
-        ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail", *FIGURES}),
+        ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail_table", *FIGURES}),
         ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
-        ("tasklens/report/page/words.py", '"hold"', '"are true"', {"report"}),
-        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE | {"tolerances"}),
+        ("tasklens/report/page/words.py", '"hold"', '"are true"', {"report_page"}),
+        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE | {"tolerances_table"}),
         ("tasklens/study/settings.py", "Field(68.8,", "Field(68.9,", set()),  # such a value is in the slice
-        ("tasklens/pipeline/jobs.py", "priority=1", "priority=2", set()),
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )
-def test_code_changes_the_digests_of_the_stages_that_run_it(digests, edited, path, old, new, touched):
+def test_code_changes_the_digests_of_the_jobs_that_run_it(digests, edited, path, old, new, touched):
     after = edited(path, old, new)
-    assert {stage for stage in STAGES if after[stage] != digests[stage]} == touched
+    assert {rule for rule in FUNCTIONS if after[rule] != digests[rule]} == touched
 
 
-def test_unknown_stage_raises():
+def test_an_unknown_module_raises():
     with pytest.raises(ValueError, match="bake"):
-        digest.code_digest("tasklens.pipeline.stages.bake.run")
+        digest.code_digest("tasklens.jobs.bake.run")
 
 
 # ---- files

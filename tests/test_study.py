@@ -129,7 +129,7 @@ def test_rates_have_presets():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_studies_we_ship_can_be_read(name):
-    """And are run by the command in their heading; a study is in the file of its name, the default one in config.yaml."""
+    """And are run by the command in their heading; each is in the file of its name, the default one in config.yaml."""
     study = load(STUDIES[name])
     assert study.name == {"config.yaml": "small"}.get(name, STUDIES[name].stem)
     assert study.lenses and study.supervisor in study.classifiers
@@ -149,7 +149,7 @@ def test_a_study_extends_another_one(tmp_path, monkeypatch):
     found = load(tmp_path / "own" / "any.yaml")
     assert (found.name, found.seeds, set(found.elements)) == ("top", (3,), {"singlet"})
     assert [each.steps for each in found.designs["tasklens"].descents] == [2, 7, 1, 1]
-    assert load(tmp_path / "own" / "base.yaml", tmp_path / "own" / "middle.yaml", tmp_path / "own" / "any.yaml") == found
+    assert load(*(tmp_path / "own" / f"{name}.yaml" for name in ("base", "middle", "any"))) == found
     (tmp_path / "own").rename(tmp_path / "config")
     assert parse(yaml.safe_load(top)) == found
     assert parse({"name": "mine", "extends": "smoke"}).designs == load(STUDIES["smoke.yaml"]).designs

@@ -10,7 +10,7 @@ from examples import changed, tiny_study, write
 from typer.testing import CliRunner
 
 from tasklens.cli.app import app, main
-from tasklens.pipeline import new_study, report_jobs  # noqa: F401  declares the stages
+from tasklens.pipeline import new_study
 from tasklens.study.loading import dump, load, parse
 
 ROOT = Path(__file__).parents[1]

@@ -9,18 +9,16 @@ import pandas
 import pytest
 import yaml
 from examples import tiny_study, write
-from test_workflow import forked, plan
+from rules import finish
+from test_workflow import forked, plan, snakemake
 
 from tasklens.cli.app import main
 from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import Durations
-from tasklens.pipeline.report_jobs import sweep as sweep_stage
-from tasklens.pipeline.stage import results
 from tasklens.pipeline.terminal import Terminal
-from tasklens.report.sweep import make
-from tasklens.runtime.files import Files
 from tasklens.study.loading import at_points, dump, load, parse
+from tasklens.study.report_jobs import SweepJob
 from tasklens.study.study import StudyError
 
 GRID = {"spec.f_number": [2.0, 2.8], "capture.diffraction": [False, True]}
@@ -85,35 +83,31 @@ def test_a_point_has_all_jobs_of_a_study(tmp_path):
     """Two F-numbers: every job twice, in folders of their own, and the table of both."""
     once = plan(tmp_path, one_lens(), "tables")
     found = plan(tmp_path, one_lens(**{"spec.f_number": [2.0, 2.8]}), "tables")
-    assert found.pop("sweep") == 1
-    assert found == {f"{stage}_{number}": count for stage, count in once.items() for number in (0, 1)}
+    assert found.pop("sweep_table") == 1
+    assert found == {rule: 2 * count for rule, count in once.items()}
 
 
 def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
-    """A finished lens of one point, made with another limit."""
-    name = "tiny/spec.f_number=2.0"
-    (before,) = at_points(parse(one_lens(**{"spec.f_number": [2.0]})))
-    write(tmp_path / results(before) / "study.yaml", dump(before))
-    for path in ("lens.yaml", "history.csv", "psf.safetensors"):
-        write(tmp_path / results(before) / "lenses/singlet-imaging1/seed0" / path, "")
+    """A lens of one point, made with another limit; the other point has none yet."""
+    lens = "results/tiny/spec.f_number=2.0/lenses/singlet-imaging1/seed0/lens.yaml"
+    assert snakemake(tmp_path, one_lens(**{"spec.f_number": [2.0]}), lens).returncode == 0
     changed = one_lens(**{"spec.f_number": [2.0, 2.8]}) | {"constraints": {"max_track": 4.2}}
-    status, said = forked(tmp_path, changed, "--dry-run", "table1", "--forcerun", "design_0")
-    assert status == 0 and f"results of the study {name}; nothing was changed" in said
+    status, said = forked(tmp_path, changed, "--dry-run", "table1")
+    assert status == 0 and "results of the study tiny/spec.f_number=2.0; nothing was changed" in said
     assert "--config name=tiny_2" in said and said.count("nothing was changed") == 1
 
 
-def tables(study, accuracies: list[float]) -> Files:
+def tables(study, accuracies: list[float]) -> None:
     """Table 1 of every point, with the accuracy of its lens."""
     for each, accuracy in zip(at_points(study), accuracies, strict=True):
         rows = f"elements,design,accuracy,rms_spot_um\n,reference,80,\nsinglet,imaging1,{accuracy},{accuracy / 10}\n"
-        write(f"{results(each)}/tables/table1.csv", rows)
-    return Files(**sweep_stage.plan(study).inputs)
+        write(f"results/{each.name}/tables/table1.csv", rows)
 
 
 def test_numbers_of_all_points_stand_beside_each_other(swept):
     """Accuracies as columns of points in the order of the grid; all numbers with the swept values in the CSV file."""
-    settings = sweep_stage.plan(swept).settings
-    make(settings, tables(swept, [10, 20, 30, 40]), Files(**sweep_stage.outputs(swept)))
+    tables(swept, [10, 20, 30, 40])
+    finish("sweep_table", swept)
     lines = [line for line in Path("results/tiny/sweep.md").read_text().splitlines() if line.startswith("| table")]
     assert [cell.strip() for cell in lines[0].split("|")[3:-1]] == POINTS
     assert [cell.strip() for cell in lines[2].split("|")[2:-1]] == ["singlet-imaging1", "10.0", "20.0", "30.0", "40.0"]
@@ -123,15 +117,16 @@ def test_numbers_of_all_points_stand_beside_each_other(swept):
 
 
 def test_the_last_words_are_the_table(swept):
-    make(sweep_stage.plan(swept).settings, tables(swept, [10, 20, 30, 40]), Files(**sweep_stage.outputs(swept)))
+    tables(swept, [10, 20, 30, 40])
+    finish("sweep_table", swept)
     write(f"results/tiny/{POINTS[1]}/report.html", "")
     said = closing.success(swept, {})
     assert "| singlet-imaging1 |" in said and f"  results/tiny/{POINTS[1]}/report.html" in said
     part = runs.Run(f"tiny/{POINTS[0]}", f"results/tiny/{POINTS[0]}", 1, {"images": runs.Job("images")})
     assert "| singlet" not in closing.success(swept, {part.study: part})  # a run that did not make it again
     part.end("images", runs.FAILED)
-    said = closing.failure(swept, {part.study: part, f"tiny/{POINTS[1]}": replace(part, jobs={})})
-    assert said.count("--partial") == 1 and f"table results/tiny/{POINTS[0]}/study.yaml table1 --partial" in said
+    said = closing.failure({part.study: part, f"tiny/{POINTS[1]}": replace(part, study=f"tiny/{POINTS[1]}", jobs={})})
+    assert f"Study tiny/{POINTS[0]}: 0 of 1 jobs done." in said and said.count("FAILED") == 1
 
 
 def test_points_side_by_side_share_the_cores(swept):
@@ -147,14 +142,9 @@ def test_points_side_by_side_share_the_cores(swept):
     assert runs.headline(found) == "0 of 2 jobs, about 2 min left"
 
 
-def test_stages_are_of_points_and_the_table_is_of_the_sweep(swept, capsys):
-    """By hand too: the study of a sweep is no point, and a plain study has no table of points."""
-    write("swept.yaml", dump(swept))
-    write("plain.yaml", dump(parse(one_lens())))
-    assert main(["run", "table", "swept.yaml", "table1"]) == 2
-    assert f"results/tiny/{POINTS[3]}/study.yaml" in capsys.readouterr().err
-    assert main(["run", "sweep", "plain.yaml"]) == 2
-    assert "has no sweep" in capsys.readouterr().err
+def test_the_table_of_points_is_of_a_sweep():
+    with pytest.raises(StudyError, match="tiny: has no sweep"):
+        SweepJob.of(parse(one_lens()))
 
 
 @pytest.mark.parametrize("name", ["tiny/tables", "tiny/..", "tiny/a=../b", "tiny/a=b/c=d"])
@@ -169,14 +159,15 @@ def test_jobs_of_all_points_are_counted_together(swept, capsys):
     default = logging.StreamHandler()
     default.name = "DefaultStreamHandler"
     logger.addHandler(default)
-    terminal = Terminal(at_points(swept), logger, False)
+    terminal = Terminal(swept, lambda name: swept, False, logger)
     label = "design/singlet-imaging1-seed0"
-    jobs = {f"tiny/{point}": {label: PlannedJob("design", {}, False, ())} for point in POINTS}
+    jobs = {f"tiny/{point}": {label: PlannedJob(f"tiny/{point}", label, True, (), (), "{}")} for point in POINTS}
     terminal.begin(jobs, 2)
-    log, wildcards = [f"results/tiny/{POINTS[2]}/logs/{label}.log"], {"lens": "singlet-imaging1", "seed": "0"}
+    log = [f"results/tiny/{POINTS[2]}/logs/{label}.log"]
+    output = [f"results/tiny/{POINTS[2]}/lenses/singlet-imaging1/seed0/lens.yaml"]
     lens = {"figures": {"rms_centroid_um": [1.0, 2.0]}, "origin": {}, "worst_margin": {"value": 0.1, "limit": "gap"}}
-    write(f"results/tiny/{POINTS[2]}/lenses/singlet-imaging1/seed0/lens.yaml", yaml.safe_dump(lens))
-    logger.info("", extra={"event": "job_info", "jobid": 7, "log": log, "wildcards": wildcards})
+    write(output[0], yaml.safe_dump(lens))
+    logger.info("", extra={"event": "job_info", "jobid": 7, "log": log, "output": output})
     logger.info("", extra={"event": "job_finished", "job_id": 7})
     terminal.close()
     said = capsys.readouterr().err

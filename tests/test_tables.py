@@ -3,20 +3,16 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, inputs_of, tiny_study, write
+from examples import changed, lens_file, measurement, measurements_of, result, tiny_study, write
 
-from tasklens.cli.app import main
-from tasklens.pipeline import jobs, report_jobs
-from tasklens.pipeline.report_jobs import PAPER as PAPER_FILE
 from tasklens.report import tables
 from tasklens.report.failure import failed
 from tasklens.report.latex import escaped
-from tasklens.report.measurements import Measurements
-from tasklens.runtime.files import FileError, Files
 from tasklens.study.loading import dump, parse
 from tasklens.study.names import SHARP, restored
 from tasklens.study.study import TABLES
@@ -65,10 +61,10 @@ def results(tmp_path, monkeypatch, study):
         rows += [("minival_accuracy", k, 2.0 - seed) for k in range(FIELDS)]
         rows += [("chance", "", CHANCE), ("parameters_m", "", 0.5)]
         loss = (100 - accuracy) / 100
-        files = jobs.fine_tune.outputs(study, lens=lens, measured_name=measured_name, seed=seed)
-        write(files["metrics"], pandas.DataFrame(rows, columns=["metric", "field", "value"]).to_csv(index=False))
+        frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
+        write(measurement("tiny", lens, measured_name, seed), frame.to_csv(index=False))
         losses = {"image": range(4), "label": ["cat"] * 4} | {f"field{k}": [loss] * 4 for k in range(FIELDS)}
-        write(files["frozen"], pandas.DataFrame(losses).to_csv(index=False))
+        write(measurement("tiny", lens, measured_name, seed, "-frozen"), pandas.DataFrame(losses).to_csv(index=False))
 
     for seed in study.seeds:
         for classifier in study.classifiers:
@@ -85,17 +81,13 @@ def results(tmp_path, monkeypatch, study):
             }
             margin = {"limit": "max_slope", "value": 0.01 - 0.03 * seed}
             content = yaml.safe_dump({"figures": figures, "worst_margin": margin})
-            write(jobs.design.output(study, "lens", lens=lens, seed=seed), content)
-
-
-def metrics_file(study, lens, measured_name, seed) -> Path:
-    return jobs.fine_tune.output(study, "metrics", lens=lens, measured_name=measured_name, seed=seed)
+            write(lens_file("tiny", lens, seed), content)
 
 
 def table(study, name):
     """A table from the files that its job is given, by design."""
-    contents, inputs = table_of(study, name), inputs_of(report_jobs.table, study, table=name)
-    rows = tables.collect(contents, Measurements(inputs.lenses, inputs.metrics, frozen=inputs.frozen))
+    contents = table_of(study, name)
+    rows = tables.collect(contents, measurements_of("tiny", contents))
     return tables.summarise(contents, rows, PAPER).set_index("design")
 
 
@@ -169,58 +161,20 @@ def test_one_seed_has_no_spread(study):
     assert found.loc["tasklens", "accuracy"] == pytest.approx(70)
 
 
-def test_a_missing_measurement_is_named(study):
-    path = metrics_file(study, "doublet-imaging1", "small", 1)
-    path.unlink()
-    with pytest.raises(FileError, match=f"table/table1: missing input {path}; `snakemake`"):
-        finish(report_jobs.table, study, table="table1")
-    assert not Path("results/tiny/tables").exists()
-
-
-@pytest.mark.parametrize("lost", ["metrics", "lens"])
-def test_a_partial_table_has_what_has_been_measured(study, lost):
-    """A lens without the one file or the other of a seed has the row of the other seed; it is <table>-partial."""
-    files = {
-        "metrics": [metrics_file(study, "doublet-imaging1", "small", seed) for seed in (1, 0)],
-        "lens": [jobs.design.output(study, "lens", lens="doublet-imaging1", seed=seed) for seed in (1, 0)],
-    }
-    files[lost][0].unlink()
-    found = partial(study)
-    assert {path.name for path in Path("results/tiny/tables").iterdir()} == {
-        f"table1-partial.{suffix}" for suffix in ("csv", "seeds.csv", "md", "tex", "json")
-    }
-    assert found.loc["imaging1", "accuracy"] == pytest.approx(60)
-    assert found.loc["tasklens", "accuracy"] == pytest.approx(71)
-    assert "Not measured yet" not in Path("results/tiny/tables/table1-partial.md").read_text()
-    files[lost][1].unlink()
-    assert list(partial(study).index) == ["reference", "tasklens", "image_error", "imaging2"]
-    assert "Not measured yet: doublet-imaging1." in Path("results/tiny/tables/table1-partial.md").read_text()
-
-
-def test_a_partial_table_of_sharp_images_alone(study):
-    """The first that a study measures; of two seeds."""
-    for lens in study.lenses:
-        for seed in study.seeds:
-            metrics_file(study, lens, "small", seed).unlink(missing_ok=True)
-    assert list(partial(study).index) == ["reference"]
-
-
-def partial(study) -> pandas.DataFrame:
-    Path("study.yaml").write_text(dump(study))
-    assert main(["run", "table", "study.yaml", "table1", "--partial"]) == 0
-    return pandas.read_csv("results/tiny/tables/table1-partial.csv").set_index("design")
-
-
-def test_nothing_measured_yet_is_said(study, capsys):
-    Path("study.yaml").write_text(dump(study.model_copy(update={"name": "new"})))
-    assert main(["run", "table", "study.yaml", "table1", "--partial"]) == 2
-    assert "nothing has been measured" in capsys.readouterr().err
+def make(contents) -> SimpleNamespace:
+    """The files of a table."""
+    files = measurements_of("tiny", contents)
+    suffixes = {"csv": "csv", "md": "md", "tex": "tex", "seeds_csv": "seeds.csv", "json": "json"}
+    outputs = {name: result("tiny", f"tables/{contents.name}.{suffix}") for name, suffix in suffixes.items()}
+    inputs = ([*found.values()] for found in (files.lenses, files.metrics, files.frozen))
+    tables.make(contents, *inputs, **outputs)
+    return SimpleNamespace(**outputs)
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_files_of_a_table_agree(study, name):
     """CSV, Markdown and LaTeX have the same rows; the sidecar says what made them."""
-    outputs = finish(report_jobs.table, study, table=name)
+    outputs = make(table_of(study, name))
     rows = pandas.read_csv(outputs.csv, keep_default_na=False)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == {"table1": 5, "table2": 8, "table3": 3, "table4": 4}[name]
@@ -237,9 +191,7 @@ def test_files_of_a_table_agree(study, name):
 
 
 def test_latex_escapes_underscores_everywhere(study):
-    contents = table_of(study, "table1").model_copy(update={"study": "my_study"})
-    outputs = Files(**report_jobs.table.outputs(study, table="table1"))
-    tables.make(contents, inputs_of(report_jobs.table, study, table="table1"), outputs)
+    outputs = make(table_of(study, "table1").model_copy(update={"study": "my_study"}))
     latex = outputs.tex.read_text()
     assert r"my\_study" in latex and not re.search(r"(?<!\\)_", latex)
 
@@ -253,7 +205,7 @@ def latex_body(path: Path) -> tuple[str, list[str]]:
 
 def test_latex_can_be_pasted(study):
     """Words and units as headings, mean and spread in one cell, the best value bold, the paper's columns named so."""
-    outputs = finish(report_jobs.table, study, table="table3")
+    outputs = make(table_of(study, "table3"))
     latex, (alignment, body) = outputs.tex.read_text(), latex_body(outputs.tex)
     assert latex.startswith(r"% Needs \usepackage{booktabs}.") and r"\label{tab:tiny-table3}" in latex
     assert alignment == "ll" + "r" * (len(alignment) - 2) and latex.count("{") == latex.count("}")
@@ -280,7 +232,7 @@ def test_plain_text_in_latex(text, expected):
 
 def test_the_papers_values_are_those_of_its_tables():
     """Every lens of table 1 has an accuracy; the doublet TaskLens reads 70.08 % in table 1 and 70.05 % in table 3."""
-    paper = pandas.read_csv(PAPER_FILE, keep_default_na=False)
+    paper = pandas.read_csv(tables.PAPER_VALUES, keep_default_na=False)
     assert not paper.duplicated(["table", "elements", "design", "classifier", "metric"]).any()
     assert set(paper["table"]) == set(TABLES)
     index = paper.set_index(["table", "elements", "design", "classifier", "metric"])["value"].astype(float)

@@ -3,7 +3,6 @@
 import copy
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -20,18 +19,18 @@ from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.imaging import Camera, psnr
+from tasklens.jobs import design as design_job
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf
-from tasklens.pipeline import jobs
-from tasklens.pipeline.stages import design as design_job
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.study.design_settings import DescentSettings, LearningRates
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, SensorSettings, Spec, TrainingSettings
+from tasklens.study.tables import lens_design
 
 NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
 NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9, "max_chief_ray_angle_deg": None})
@@ -317,7 +316,7 @@ def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
     joint = {"start": ["imaging1", "imaging2"], "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
     study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
     study = parse(changed(study, "designs.joint", joint))
-    wanted, seen = jobs.design.plan(study, "doublet-joint", 0).settings, []
+    wanted, seen = lens_design(study, "doublet-joint", 0), []
 
     def design(begin, candidates, *rest):
         seen.append((begin, candidates))
@@ -345,20 +344,17 @@ def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names,
         rows = [f"{field},minival_accuracy,{value}\n" for field, value in enumerate(values)]
         write(tmp_path / name, "field,metric,value\n" + "".join(rows))
     joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
-    wanted = jobs.design.plan(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0).settings
+    wanted = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
 
     def design(settings, network, train, starts, *rest):
         raise Seen(max(starts, key=lambda name: starts[name][1]))
 
     monkeypatch.setattr(methods, "design", design)
-    inputs = SimpleNamespace(
-        train=None,
-        starts=dict.fromkeys(accuracies, tmp_path / "lens.yaml"),
-        metrics={name: tmp_path / name for name in accuracies},
-        candidates=None,
-    )
+    settings = wanted.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
+    starts, metrics = 2 * [tmp_path / "lens.yaml"], [tmp_path / name for name in accuracies]
+    outputs = (tmp_path / name for name in ("out.yaml", "history.csv", "psf.safetensors"))
     with pytest.raises(Seen, match=f"^{start}$"):
-        design_job.run(wanted, inputs, None, NO_CHECKPOINT)
+        design_job.run(settings, [], None, [], [], starts, metrics, *outputs, NO_CHECKPOINT)
 
 
 def test_descending_lowers_the_loss(start):

@@ -7,8 +7,9 @@ import pandas
 import pytest
 import torch
 import yaml
-from examples import changed, finish, random_images, read_rows, tiny_study, trained_network
+from examples import changed, random_images, read_rows, tiny_study, trained_network
 from pydantic import ValidationError
+from rules import finish
 from test_design import problem
 from torch import nn
 
@@ -16,7 +17,6 @@ from tasklens.design.criteria import TaskLoss
 from tasklens.design.supervision import Supervisor
 from tasklens.imaging import Camera
 from tasklens.optics.io import prescription
-from tasklens.pipeline import jobs, report_jobs
 from tasklens.pipeline.outcome import outcome
 from tasklens.recognition import evaluation, object_scenes, object_splits, objects, task_networks, training
 from tasklens.recognition.evaluation import CapturePipeline
@@ -26,7 +26,7 @@ from tasklens.recognition.scores import Detections
 from tasklens.recognition.tasks import CLASSIFICATION
 from tasklens.report import tasks as report_tasks
 from tasklens.runtime.errors import InputError
-from tasklens.study import claims, tables
+from tasklens.study import claims, tables, task_jobs
 from tasklens.study.loading import parse
 from tasklens.study.settings import TrainingSettings
 from tasklens.study.study import StudyError
@@ -259,30 +259,29 @@ def test_a_study_of_tasks(tmp_path, monkeypatch):
     }
     wanted = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
     study = parse(tiny_study() | {"tasks": wanted})
-    finish(jobs.scenes, study)
-    finish(jobs.images, study)
-    finish(jobs.design, study, lens="singlet-imaging1", seed=0)
+    finish("scenes", study)
+    finish("images", study)
+    finish("design", study, lens="singlet-imaging1", seed=0)
     for task in networks:
-        finish(jobs.task_reference, study, task=task)
+        finish("task_reference", study, task=task)
         for lens in ("sharp", "singlet-imaging1"):
-            outputs = finish(jobs.task_fine_tune, study, lens=lens, task=task, seed=0)
-            rows = read_rows(outputs.metrics)
+            made = finish("task_fine_tune", study, lens=lens, task=task, seed=0)
+            rows = read_rows(made.metrics)
             assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(9))))
             assert {row["tuned"] for row in rows} == {"True", "False"}
-            said = outcome(study, "task_fine_tune", {"lens": lens, "task": task, "seed": "0"}, Path("no.log"))
+            said = outcome("task_fine_tune", [*map(str, vars(made).values())], Path("no.log"))
             assert said.startswith("miou" if task == "pixels" else "box_ap")
-    outputs = finish(report_jobs.tasks, study)
-    assert [(row["task"], row["design"]) for row in read_rows(outputs.csv)][:2] == [
+    made = finish("tasks_table", study)
+    assert [(row["task"], row["design"]) for row in read_rows(made.csv)][:2] == [
         ("pixels", "reference"),
         ("pixels", "imaging1"),
     ]
-    assert "Other tasks" in outputs.md.read_text()
+    assert "Other tasks" in made.md.read_text()
 
 
 def test_a_study_without_tasks_has_no_table():
     with pytest.raises(StudyError, match=r"tasks\.networks: expected a task"):
-        report_jobs.tasks.plan(parse(tiny_study()))
-    assert report_jobs.tasks.outputs(parse(tiny_study())) == {}
+        task_jobs.tasks(parse(tiny_study()))
 
 
 TASK_DRIVEN = {
@@ -306,16 +305,16 @@ def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
     """By its frozen network, on images with objects, from an imaging lens; it is in the tasks' table alone."""
     monkeypatch.chdir(tmp_path)
     study = parse(with_tasks())
-    finish(jobs.images, study)
-    finish(jobs.scenes, study)
-    finish(jobs.task_reference, study, task="boxes")
-    start = finish(jobs.design, study, lens="singlet-imaging1", seed=0)
-    found = finish(jobs.design, study, lens="singlet-for_boxes", seed=0)
+    finish("images", study)
+    finish("scenes", study)
+    finish("task_reference", study, task="boxes")
+    start = finish("design", study, lens="singlet-imaging1", seed=0)
+    found = finish("design", study, lens="singlet-for_boxes", seed=0)
     lenses = [prescription.read(each.lens)[0].lens for each in (start, found)]
     assert not torch.equal(lenses[0].curvature, lenses[1].curvature)
     assert yaml.safe_load(Path(found.lens).read_text())["origin"]["start"] == "singlet-imaging1"
     assert all("singlet-for_boxes" not in tables.table(study, name).lenses for name in study.tables)
-    assert tables.tasks(study).lenses[-1] == "singlet-for_boxes"
+    assert task_jobs.tasks(study).lenses[-1] == "singlet-for_boxes"
     assert not any("for_boxes" in lens for claim in claims.claims(study).claims for lens in claim.lenses)
 
 

@@ -7,9 +7,9 @@ import numpy
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, inputs_of, measurements_of, read_rows, tiny_study, write
+from examples import changed, lens_file, measurement, measurements_of, read_rows, tiny_study, write
+from rules import finish
 
-from tasklens.pipeline import jobs, report_jobs
 from tasklens.report import verdicts
 from tasklens.report.bootstrap import holm
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
@@ -58,17 +58,17 @@ def results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
                 fields = 1 if lens == SHARP else FIELDS
                 right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
                 chosen = (minival or accuracy)(lens, name, seed)
-                files = jobs.fine_tune.outputs(study, lens=lens, measured_name=name, seed=seed)
                 columns = {f"field{k}": right[:, k] for k in range(fields)}
-                for output in ("predictions", "frozen"):
-                    write(files[output], pandas.DataFrame(index | columns).to_csv(index=False))
+                for kind in ("-predictions", "-frozen"):
+                    path = measurement(study.name, lens, name, seed, kind)
+                    write(path, pandas.DataFrame(index | columns).to_csv(index=False))
                 rows = [("minival_accuracy", k, 100 * chosen) for k in range(fields)] + [("chance", "", 10.0)]
                 rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
-                write(files["metrics"], frame.to_csv(index=False))
+                write(measurement(study.name, lens, name, seed), frame.to_csv(index=False))
             figures = {"rms_centroid_um": [9.0], "core_radius_um": [3.0], "energy_in_window": [inside]}
             text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
-            write(jobs.design.output(study, "lens", lens=lens, seed=seed), text)
+            write(lens_file(study.name, lens, seed), text)
 
 
 def judged(study, accuracy, **others) -> pandas.DataFrame:
@@ -78,7 +78,7 @@ def judged(study, accuracy, **others) -> pandas.DataFrame:
 
 def collected(study) -> pandas.DataFrame:
     """The verdicts, by the files that their job is given."""
-    return verdicts.collect(claims.claims(study), measurements_of(inputs_of(report_jobs.verdicts, study)))
+    return verdicts.collect(claims.claims(study), measurements_of(study.name, claims.claims(study)))
 
 
 def by_design(**accuracies):
@@ -144,9 +144,9 @@ def test_claims_about_absent_lenses_are_left_out():
     study = parse(tiny_study() | {"designs": designs})
     job = claims.claims(study)
     assert job.claims == ()
-    outputs = finish(report_jobs.verdicts, study)
-    assert list(pandas.read_csv(outputs.csv)) == verdicts.COLUMNS
-    assert "Study `tiny` has no lenses that the paper's claims are about" in outputs.md.read_text()
+    made = finish("verdicts_table", study)
+    assert list(pandas.read_csv(made.csv)) == verdicts.COLUMNS
+    assert "Study `tiny` has no lenses that the paper's claims are about" in made.md.read_text()
 
 
 # ---- their verdicts
@@ -272,7 +272,7 @@ def test_interval_is_of_images_not_of_captures():
 
 
 def predictions(study, lens) -> Path:
-    return jobs.fine_tune.output(study, "predictions", lens=lens, measured_name="small", seed=0)
+    return measurement(study.name, lens, "small", kind="-predictions")
 
 
 def test_other_images_are_refused():
@@ -287,13 +287,13 @@ def test_other_images_are_refused():
 def test_files_of_the_verdicts_agree():
     study = study_of(1)
     results(study, by_design(tasklens=0.6))
-    outputs = finish(report_jobs.verdicts, study)
-    rows = pandas.read_csv(outputs.csv)
-    body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
+    made = finish("verdicts_table", study)
+    rows = pandas.read_csv(made.csv)
+    body = [line for line in made.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 7 + 7 + 4 + 7
     assert all(f"{row.difference:+.2f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
     assert all(
-        row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(outputs.csv), body, strict=True)
+        row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(made.csv), body, strict=True)
     )
 
 
@@ -319,13 +319,13 @@ def test_map_of_regimes():
     share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
     results(study, lambda lens, *_: share.get(lens, 0.3))
     for lens in study.lenses.values():
-        path = jobs.design.output(study, "lens", lens=lens.name, seed=0)
+        path = lens_file(study.name, lens.name)
         spec = study.spec_of(lens.elements).model_dump(mode="json")
         media = ["air", *(name for plastic in lens.plastics for name in (plastic.name, "air"))]
         content = {"spec": spec, "surfaces": [{"medium": medium} for medium in media]}
         path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | content))
-    outputs = finish(report_jobs.regimes, study)
-    rows = pandas.read_csv(outputs.csv).set_index("elements")
+    made = finish("regimes_table", study)
+    rows = pandas.read_csv(made.csv).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
@@ -333,7 +333,7 @@ def test_map_of_regimes():
     for elements in ("doublet", "triplet"):
         assert rows["tried_task"][elements] == tried_in_all(study, f"{elements}-tasklens")
         assert rows["tried_imaging"][elements] == tried_in_all(study, rows["baseline"][elements])
-    assert "doublet-imaging2" in outputs.md.read_text()
+    assert "doublet-imaging2" in made.md.read_text()
 
 
 @pytest.mark.parametrize(

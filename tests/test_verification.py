@@ -5,12 +5,10 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import changed, finish, inputs_of, measurements_of, tiny_study, with_imported, write
+from examples import changed, measurements_of, tiny_study, with_imported, write
+from rules import finish, outputs
 
-from tasklens.pipeline import jobs, report_jobs
-from tasklens.pipeline.run import run
 from tasklens.report import verification
-from tasklens.runtime.files import FileError
 from tasklens.study import tables
 from tasklens.study.loading import parse
 from tasklens.study.names import SHARP, restored
@@ -49,27 +47,27 @@ def results(tmp_path, monkeypatch, study):
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm)))
     for name in study.tables:
         if tables.table(study, name).lenses:
-            finish(report_jobs.table, study, table=name)
+            finish("table", study, table=name)
 
 
 def metrics(study, lens, name) -> Path:
-    return jobs.fine_tune.output(study, "metrics", lens=lens, measured_name=name, seed=0)
+    return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).metrics
 
 
 def frozen(study, lens, name) -> Path:
-    return jobs.fine_tune.output(study, "frozen", lens=lens, measured_name=name, seed=0)
+    return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).frozen
 
 
 def predictions(study, lens, name) -> Path:
-    return jobs.fine_tune.output(study, "predictions", lens=lens, measured_name=name, seed=0)
+    return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).predictions
 
 
 def reproduced(study, lens, name) -> Path:
-    return jobs.reproduce.output(study, "predictions", lens=lens, measured_name=name, seed=0)
+    return outputs("reproduce", study, lens=lens, measured_name=name, seed=0).predictions
 
 
 def lens_file(study, lens) -> Path:
-    return jobs.design.output(study, "lens", lens=lens, seed=0)
+    return outputs("design", study, lens=lens, seed=0).lens
 
 
 def lens_content(efl_mm, **margins) -> dict:
@@ -82,8 +80,14 @@ def lens_content(efl_mm, **margins) -> dict:
 def verified(study, **changes) -> verification.Findings:
     """What is found in the files that the job is given; `changes` are to its settings."""
     contents = tables.verification(study).model_copy(update=changes)
-    inputs = inputs_of(report_jobs.verify, study)
-    return verification.verify(contents, measurements_of(inputs), inputs.reproduced, inputs.tables)
+    every = tables.verification(study)
+    anew = {key: outputs("reproduce", study, **named(key)).predictions for key in every.measured_keys}
+    made = {each.name: outputs("table", study, table=each.name).csv for each in every.tables}
+    return verification.verify(contents, measurements_of(study.name, every), anew, made)
+
+
+def named(key) -> dict:
+    return dict(zip(("lens", "measured_name", "seed"), key, strict=True))
 
 
 def failures(study) -> list[str]:
@@ -217,7 +221,7 @@ def test_an_edited_table(study):
     def better(frame):
         frame["accuracy"] += 1.0
 
-    edited(report_jobs.table.output(study, "csv", table="table1"), better)
+    edited(outputs("table", study, table="table1").csv, better)
     expected = "small: table1: 76.00 % in the table, 75.00 % from the weights"
     assert failures(study) == [f"{lens} seed 0: {expected}" for lens in (SHARP, LENS, "singlet-tasklens")]
 
@@ -227,19 +231,12 @@ def test_other_images_do_not_reproduce(study):
     assert failures(study) == [f"{LENS} seed 0: small: stored predictions: 1.0000 of the captures differ"]
 
 
-def test_a_missing_reproduction_is_named(study):
-    write(report_jobs.verdicts.output(study, "md"), "")
-    path = reproduced(study, LENS, "small")
-    path.unlink()
-    with pytest.raises(FileError, match=f"verify: missing input {path}; "):
-        run(report_jobs.verify, study, {})
-
-
-def test_the_stage_says_what_it_found_and_fails_by_its_status(study, capsys):
+def test_the_job_says_what_it_found_and_fails_by_its_status(study, capsys):
     """All on standard output, below the verdicts; 0 where nothing fails."""
-    write(report_jobs.verdicts.output(study, "md"), "the verdicts\n")
-    assert run(report_jobs.verify, study, {}) == 0
+    write(outputs("verdicts_table", study).md, "the verdicts\n")
+    finish("verify", study)
     assert capsys.readouterr().out == "the verdicts\n\nChecked 2 lenses and 8 measurements: 0 failures.\n"
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(study.spec.efl_mm, max_slope=-0.1)))
-    assert run(report_jobs.verify, study, {}) == 1
+    with pytest.raises(SystemExit, match="1"):
+        finish("verify", study)
     assert "failed: singlet-imaging1 seed 0: max_slope: margin -0.1" in capsys.readouterr().out

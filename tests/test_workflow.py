@@ -6,18 +6,17 @@ import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 import yaml
 from examples import changed, make_lens, studies_we_ship, tiny_study
+from rules import workflow
 
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
-from tasklens.pipeline import report_jobs  # noqa: F401  declares the stages, with those of `jobs`
-from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.stage import STAGES
 from tasklens.study.loading import at_points, load, parse, read
 from tasklens.study.study import Study
 
@@ -52,8 +51,7 @@ def forked(folder: Path, study: dict | list[Path] | None, *others: str) -> tuple
     """
     import snakemake.cli
 
-    for stage in STAGES.values():
-        code_digest(stage.function)  # cached for every copy
+    workflow()  # its digests of code are cached for every copy
     output = folder / "output.txt"
 
     def run() -> None:
@@ -79,7 +77,7 @@ def plan(folder: Path, study: dict | list[Path] | None, *targets: str) -> dict[s
     return {name: count for name, count in counts.items() if name not in targets}
 
 
-TOLD = ("psf_tail", "effort", "captures", "report")
+TOLD = ("psf_tail_table", "effort_table", "captures", "report_page")
 
 
 def by_network(lens) -> list:
@@ -141,14 +139,15 @@ class Expected:
         by_seed = {
             "design": len(self.designed),
             "diffraction": len(self.designed) if self.study.capture.diffraction else 0,
-            "fine_tune": len({each for each in self.measured if each[1] == self.study.supervisor}),
-            "fine_tune_others": len({lens for lens, name, _ in self.measured if name != self.study.supervisor}),
+            "fine_tune": len(self.measured),
             "restore": len({lens for lens, _, restored in self.measured if restored}),
             **others,
         }
         counts = {name: count * len(self.study.seeds) for name, count in by_seed.items()}
         counts |= {"images": 1, "reference": len(needed), "table": len(self.study.tables), **dict(seedless)}
-        return {name: count for name, count in (counts | {"verdicts": 1} | dict.fromkeys(TOLD, 1)).items() if count}
+        return {
+            name: count for name, count in (counts | {"verdicts_table": 1} | dict.fromkeys(TOLD, 1)).items() if count
+        }
 
 
 def expected(study: Study) -> dict[str, int]:
@@ -192,11 +191,9 @@ def test_every_study_plans_its_jobs(beside_config, name):
     for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
         (beside_config / weights).parent.mkdir(parents=True, exist_ok=True)
         (beside_config / weights).touch()  # a user's own file
-    if study.sweep:  # the rules of each point have its number
-        jobs = {
-            f"{job}_{k}": count for k, point in enumerate(at_points(study)) for job, count in expected(point).items()
-        }
-        assert plan(beside_config, paths, "tables") == jobs | {"sweep": 1}
+    if study.sweep:
+        jobs = sum((Counter(expected(point)) for point in at_points(study)), Counter())
+        assert plan(beside_config, paths, "tables") == jobs | {"sweep_table": 1}
         return
     assert plan(beside_config, paths, "tables") == expected(study)
     if "extends" in read(STUDIES[name]):  # a study that is planned here
@@ -227,7 +224,7 @@ def test_a_flag_is_true_or_false(tmp_path):
 @pytest.mark.parametrize("target", ["tables", "verify"])
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """30 lenses of the default study, not all 36: nothing else waits for those of end-to-end design."""
-    one = {"images": 1, "reference": 1, "table": 1, "verdicts": 1, "design": 30, "fine_tune": 31}
+    one = {"images": 1, "reference": 1, "table": 1, "verdicts_table": 1, "design": 30, "fine_tune": 31}
     others = {"certificate": 30} | dict.fromkeys(TOLD, 1) if target == "tables" else {"reproduce": 31}
     assert plan(beside_config, None, target, "--config", 'tables=["table1"]') == one | others
 

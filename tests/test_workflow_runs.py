@@ -8,7 +8,7 @@ import time
 
 import pytest
 import yaml
-from examples import changed, tiny_study, write
+from examples import changed, read_rows, tiny_study, write
 from test_workflow import command, forked, plan, snakemake, with_imported
 
 from tasklens.cli.app import main
@@ -122,6 +122,27 @@ def test_a_changed_value_reruns_what_reads_it(finished, key, value, rerun):
     """And what comes after that, up to the table; everything else stays."""
     found = plan(finished, changed(one_lens(), key, value), "table1")
     assert found == rerun
+
+
+def test_a_job_computes_what_its_run_was_started_with(tmp_path):
+    """Whatever is written to the file of the study since, and whatever another run of it does."""
+    study = tiny_study()
+    target = "results/tiny/lenses/singlet-tasklens/seed0/lens.yaml"
+    log = tmp_path / "results/tiny/logs/images.log"
+    process = subprocess.Popen(command(tmp_path, study, target), cwd=tmp_path, stderr=subprocess.DEVNULL)
+    while not log.exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    other = changed(study, "designs.tasklens.descents.1.steps", 7)
+    other = changed(other, "designs.imaging1.descents.0.steps", 4)
+    lens = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml"
+    done = snakemake(tmp_path, other, lens, "--nolock")
+    assert done.returncode == 0, done.stderr
+    assert process.wait() == 0
+    assert load(tmp_path / "results/tiny/study.yaml") == parse(other)
+    steps = [row["step"] for row in read_rows(tmp_path / target.replace("lens.yaml", "history.csv"))]
+    assert len(steps) == 2 * 2 + 2 + 1 + 1
+    assert len(read_rows(tmp_path / lens.replace("lens.yaml", "history.csv"))) == 4
 
 
 def test_a_failing_job_leaves_no_output(tmp_path):

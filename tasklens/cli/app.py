@@ -1,18 +1,16 @@
 """The command `tasklens`: its groups, and how it ends.
 
-Only commands that need torch import it: each job of a study starts this program.
+Only commands that need torch import it.
 """
 
-import os
 import sys
-import warnings
 
 import typer
 from typer.main import get_command
 
-from tasklens.cli import design, lens, run, study
+from tasklens.cli import design, lens, study
 from tasklens.cli.schema import schema
-from tasklens.runtime.errors import InputError
+from tasklens.runtime.job import reporting_errors, user_error
 
 app = typer.Typer(
     invoke_without_command=True,
@@ -23,7 +21,6 @@ study.app.command()(schema)
 app.add_typer(lens.app, name="lens", help="Look at lenses: a lens.yaml, or Zemax's .zmx.")
 app.command()(design.design)
 app.add_typer(study.app, name="study", help="Compare lenses, networks and seeds: a study, which `snakemake` runs.")
-app.add_typer(run.app(), name="run", help="Run one job of a study by hand, as its rules do.")
 
 
 @app.callback()
@@ -49,39 +46,23 @@ def _sentence(command: typer.main.TyperCommand) -> str:
     return (command.help or "").split("\n\n")[0].replace("\n", " ").removesuffix(".")
 
 
-def _is_of_memory(error: Exception) -> bool:
-    """Return whether memory is lacking: Python's, torch's, or that of a GPU; without torch."""
-    kinds = [kind.__name__ for kind in type(error).__mro__]
-    return bool({"MemoryError", "OutOfMemoryError"} & set(kinds)) or "can't allocate memory" in str(error)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run one command; return exit status 2 for a user error, 1 for a failed verification, else 0.
 
     As a program, without `argv`, it does not return: the process ends without freeing every object, which takes longer
     than some jobs. All files are complete then.
     """
-    # torch causes this warning itself, at the first forward-mode derivative of a process.
-    warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
+    if argv is None:
+        with reporting_errors(None):
+            app(prog_name="tasklens")
     try:
         app(args=argv, prog_name="tasklens")
     except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except (InputError, FloatingPointError) as error:
-        print(f"tasklens: {error}", file=sys.stderr)
-        status = 2
-    except OSError as error:
-        if error.filename is None:
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    except Exception as error:
+        message = user_error(error)
+        if message is None:
             raise
-        print(f"tasklens: {error.filename}: {(error.strerror or 'cannot be used').lower()}", file=sys.stderr)
-        status = 2
-    except (MemoryError, RuntimeError) as error:
-        if not _is_of_memory(error):
-            raise
-        print(f"tasklens: not enough memory ({error}); run fewer jobs at once, or lower batch_size", file=sys.stderr)
-        status = 2
-    if argv is None:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
-    return status
+        print(f"tasklens: {message}", file=sys.stderr)
+        return 2
+    return 0

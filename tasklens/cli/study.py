@@ -11,7 +11,6 @@ import typer
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.forecast import Durations, duration, durations_of
-from tasklens.pipeline.stage import results, study_file
 from tasklens.report.differences import differences
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
@@ -119,7 +118,7 @@ def plan(
     """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""
     given = loading.load(*files)
     studies = {study.name: study for study in [given, *loading.at_points(given)]}
-    found = planning.plan(studies.values(), files, target) or {given.name: {}}
+    found = planning.plan(files, target) or {given.name: {}}
     if as_json:
         planned = [_figures(studies[name], jobs, cores) for name, jobs in found.items()]
         print(json.dumps({"study": given.name, "points": planned} if given.sweep else planned[0], indent=1))
@@ -138,7 +137,7 @@ def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> 
     return {
         "study": study.name,
         "changed": [str(change) for change in _changes(study)],
-        "jobs": {stage: {k: v for k, v in asdict(each).items() if k != "files"} for stage, each in planned.items()},
+        "jobs": {rule: {k: v for k, v in asdict(each).items() if k != "files"} for rule, each in planned.items()},
         "seconds": seconds / cores,
         "memory_mb": planning.memory_mb(planned, durations),
         "disk_mb": disk_mb,
@@ -149,18 +148,18 @@ def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> 
 
 def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str, cores: int) -> None:
     durations, figures = durations_of(study), _figures(study, planned, cores)
-    print(f"{'stage':<18} {'done':>5} {'missing':>8} {'again':>6}  {'each':>10}")
-    for stage, each in planned.items():
-        known = durations.seconds(stage)
+    print(f"{'rule':<18} {'done':>5} {'missing':>8} {'again':>6}  {'each':>10}")
+    for rule, each in planned.items():
+        known = durations.seconds(rule)
         one = "?" if known is None else duration(known)
-        print(f"{stage:<18} {len(each.done):>5} {len(each.missing):>8} {len(each.again):>6}  {one:>10}")
+        print(f"{rule:<18} {len(each.done):>5} {len(each.missing):>8} {len(each.again):>6}  {one:>10}")
     if figures["changed"]:
         print("Changed since the last run:", *figures["changed"], sep="\n  ")
     total = sum(each.remaining for each in planned.values())
     if not total:
         print(f"{study.name}: nothing is to be done for {target}.")
         return
-    print(durations.forecast((stage for stage, each in planned.items() for _ in range(each.remaining)), cores))
+    print(durations.forecast((rule for rule, each in planned.items() for _ in range(each.remaining)), cores))
     memory, disk = f"{figures['memory_mb']} MB for the largest job", f"{figures['disk_mb']:.0f} MB more"
     print(f"memory: {memory}; disk: {disk}{_but(figures['disk_unknown_of'])}")
 
@@ -171,7 +170,7 @@ def _but(unknown: list[str]) -> str:
 
 def _changes(study: Study) -> list[changes.Change]:
     """Return the values that differ from those of the last run of the study; none before the first."""
-    stored = Path(study_file(study))
+    stored = Path("results", study.name, "study.yaml")
     return changes.changes(loading.read(stored), loading.resolved(study)) if stored.exists() else []
 
 
@@ -181,7 +180,7 @@ def _folder(place: Path) -> Path:
         if not (place / "study.yaml").is_file():
             raise FileError(f"{place}: no study.yaml in it; expected the results of a study, results/<name>")
         return place
-    return Path(results(loading.load(place)))
+    return Path("results", loading.load(place).name)
 
 
 @app.command()

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,13 @@ from typing import Any
 import yaml
 
 from tasklens.pipeline.forecast import Durations, duration
-from tasklens.pipeline.jobs import fine_tune_others, others
-from tasklens.pipeline.stage import STAGES
-from tasklens.study.loading import load, resolved
-from tasklens.study.study import Study, StudyError
+from tasklens.study.loading import resolved
+from tasklens.study.study import Study
 
-COUNTED = {  # results that took long, by stage; what is made of them is overwritten without asking
+COUNTED = {  # results that took long, by rule; what is made of them is overwritten without asking
     "design": "lenses",
     "reference": "classifiers",
     "fine_tune": "classifiers",
-    "fine_tune_others": "classifiers",
     "restore": "restorations",
     "production": "toleranced lenses",
     "task_reference": "task networks",
@@ -74,19 +71,30 @@ def _by_number(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class PlannedJob:
-    """A job that is to run.
+    """A job that a run needs.
 
     Attributes:
-        exists: whether it has outputs.
+        study: name of its study.
+        label: its rule and wildcards, such as `design/doublet-tasklens-seed0`.
+        remains: whether it is to run.
+        outputs: those of its outputs that are there.
         needs: labels of the jobs that it waits for.
-        made_with: settings with which its outputs were made; None where that is not known.
+        settings: its settings as JSON.
+        made_with: settings with which its outputs were made; None if that is not known.
     """
 
-    stage: str
-    wildcards: Mapping[str, str]
-    exists: bool
+    study: str
+    label: str
+    remains: bool
+    outputs: tuple[str, ...]
     needs: tuple[str, ...]
-    made_with: Mapping[str, Any] | None = None
+    settings: str
+    made_with: str | None = None
+
+    @property
+    def rule(self) -> str:
+        """Name of its rule."""
+        return self.label.partition("/")[0]
 
 
 @dataclass(frozen=True)
@@ -95,8 +103,8 @@ class Overwritten:
 
     Attributes:
         changes: changed values of the study; empty if only code or input files differ.
-        by_values: stages of the jobs that a changed value makes again, directly or by what they read.
-        otherwise: stages of the jobs that are made again for another reason: code, input files, or by request.
+        by_values: rules of the jobs that a changed value makes again, directly or by what they read.
+        otherwise: rules of the jobs that are made again for another reason: code, input files, or by request.
     """
 
     changes: tuple[Change, ...]
@@ -104,55 +112,28 @@ class Overwritten:
     otherwise: tuple[str, ...]
 
 
-def overwritten(stored: Path, study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
-    """Find the finished results that the jobs of a run overwrite, where the study was stored before.
+def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
+    """Find the finished results that the jobs of a run overwrite.
 
     A job is made again by a changed value if its settings differ from those with which its outputs were made, or if it
-    reads what such a job makes, also where that was removed. Further seeds, lenses or classifiers change no settings of
-    other jobs.
+    reads what such a job makes. Further seeds, lenses or classifiers change no settings of other jobs.
 
     Args:
-        stored: the resolved study of the last run: its settings are taken where those of outputs are not known.
         jobs: the jobs of the run by label.
     """
-    finished = {label for label, job in jobs.items() if job.exists and job.stage in COUNTED}
-    if not finished or not stored.exists():
-        return Overwritten((), (), ())
-    try:
-        before = load(stored)
-    except StudyError:  # of another version
-        before = None
-    pairs = {label: _settings(job, before, study) for label, job in jobs.items()}
-    different = {label for label, (old, new) in pairs.items() if old != new}
+    finished = {label for label, job in jobs.items() if job.outputs and job.rule in COUNTED}
+    pairs = {k: (json.loads(job.made_with), json.loads(job.settings)) for k, job in jobs.items() if job.made_with}
+    different = {label: pair for label, pair in pairs.items() if pair[0] != pair[1]}
     affected = finished & _with_dependents(different, jobs)
-    found = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
+    stored = Path("results", study.name, "study.yaml")
+    found = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study)) if stored.exists() else []
     if not found:  # made before another study of the same name, which was changed back
-        found = [change for label in sorted(different) for change in changes(*pairs[label])]
+        found = [change for label in sorted(different) for change in changes(*different[label])]
     return Overwritten(
         tuple({str(change): change for change in found}.values()),
-        tuple(jobs[label].stage for label in sorted(affected)),
-        tuple(jobs[label].stage for label in sorted(finished - affected)),
+        tuple(jobs[label].rule for label in sorted(affected)),
+        tuple(jobs[label].rule for label in sorted(finished - affected)),
     )
-
-
-def _settings(job: PlannedJob, before: Study | None, after: Study) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the settings with which a job's outputs were made, and those with which they are to be made."""
-    stage = STAGES[job.stage]
-    new = json.loads(stage.plan_from(after, job.wildcards).settings.model_dump_json())
-    try:
-        if job.made_with is not None:
-            old = dict(job.made_with)
-        elif before is not None:
-            old = json.loads(stage.plan_from(before, job.wildcards).settings.model_dump_json())
-        else:
-            return {}, new
-    except StudyError:  # it was not in the study: new, unless there is an output of an earlier one
-        return ({}, new) if job.exists else (new, new)
-    if isinstance(old.get("classifiers"), dict):  # measured beside each other, with the numbers that each has alone
-        common = old["classifiers"].keys() & new["classifiers"].keys()
-        for each in (old, new):
-            each["classifiers"] = {name: each["classifiers"][name] for name in common}
-    return old, new
 
 
 def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) -> set[str]:
@@ -166,14 +147,11 @@ def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) ->
     return found
 
 
-def amount(stages: Iterable[str], study: Study, durations: Durations, cores: int) -> str:
-    """Say how many results the jobs of some stages make, and how long they take on some cores."""
-    stages = list(stages)
-    counts: Counter[str] = Counter()
-    for stage in stages:
-        counts[COUNTED[stage]] += len(others(study)) if stage == fine_tune_others.name else 1
+def amount(rules: Sequence[str], durations: Durations, cores: int) -> str:
+    """Say how many results the jobs of some rules make, and how long they take on some cores."""
+    counts = Counter(COUNTED[rule] for rule in rules)
     words = [f"{count} {kind if count > 1 else _one(kind)}" for kind, count in counts.items()]
-    known = [seconds for stage in stages if (seconds := durations.seconds(stage)) is not None]
+    known = [seconds for rule in rules if (seconds := durations.seconds(rule)) is not None]
     return f"{', '.join(words)} again" + (f", {duration(sum(known) / cores)}" if known else "")
 
 
@@ -181,20 +159,20 @@ def _one(kind: str) -> str:
     return kind[:-2] if kind.endswith("lenses") else kind[:-1]
 
 
-def refusal(found: Overwritten, study: Study, durations: Durations, cores: int) -> str | None:
-    """Return what to say instead of running, where changed values would overwrite finished results; else None."""
+def refusal(found: Overwritten, study: str, durations: Durations, cores: int) -> str | None:
+    """Return what to say instead of running if changed values would overwrite finished results; else None."""
     if not found.by_values:
         return None
-    total = amount(found.by_values, study, durations, cores)
+    total = amount(found.by_values, durations, cores)
     lines = [str(change) for change in found.changes[:_SHOWN]]
     if len(found.changes) > _SHOWN:
         lines.append(f"and {len(found.changes) - _SHOWN} more changed values")
     lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
     return "\n".join(
         [
-            f"These changes would overwrite finished results of the study {study.name}; nothing was changed:",
+            f"These changes would overwrite finished results of the study {study}; nothing was changed:",
             *(f"  {line}" for line in lines),
-            f"Keep them, and give the new ones a name of their own:  --config name={study.name.partition('/')[0]}_2",
+            f"Keep them, and give the new ones a name of their own:  --config name={study.partition('/')[0]}_2",
             "Or overwrite them:  --config overwrite=true",
         ]
     )

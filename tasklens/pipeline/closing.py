@@ -2,62 +2,66 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pandas
 
-from tasklens.pipeline import report_jobs, runs
+from tasklens.pipeline import runs
 from tasklens.pipeline.forecast import duration
-from tasklens.pipeline.stage import results, study_file
 from tasklens.report.page import words
 from tasklens.report.verdicts import LEAST_SEEDS
 from tasklens.study.loading import at_points
+from tasklens.study.report_jobs import ReportJob
 from tasklens.study.study import Study
+
+_SHOWN = (".md", ".html")  # results that a person reads
+_MOST = 8  # of them in the last words
 
 
 def success(study: Study, found: Mapping[str, runs.Run]) -> str:
     """Return the last words of a run that did all its jobs.
 
     Args:
-        found: the run of each study: of a sweep one for each point; empty where nothing was to be done.
+        study: the study of the configuration.
+        found: the run of each study, such as the points of a sweep; empty if nothing was to be done.
     """
-    return _sweep(study, found) if study.sweep else _study(study, found.get(study.name))
-
-
-def _sweep(study: Study, found: Mapping[str, runs.Run]) -> str:
-    table = report_jobs.sweep.output(study, "md")
-    lines = []
-    if found:
-        jobs = sum(len(run.jobs) for run in found.values())
-        took = max((run.ended or run.started) - run.started for run in found.values())
-        lines.append(f"\nStudy {study.name}: {jobs} jobs in {duration(took)}.")
-    if table.exists() and (not found or study.name in found):
-        lines.append(table.read_text(encoding="utf-8"))
-    lines.append(f"Results: {results(study)}/")
-    lines += [f"  {path}" for each in at_points(study) if (path := report_jobs.report.output(each, "report")).exists()]
-    return "\n".join(lines)
-
-
-def _study(study: Study, run: runs.Run | None) -> str:
-    verdicts = report_jobs.verdicts.output(study, "csv")
-    lines = []
-    if run is not None and run.ended is not None:
-        lines.append(f"\nStudy {study.name}: {len(run.jobs)} jobs in {duration(run.ended - run.started)}.")
-    if verdicts.exists() and (run is None or report_jobs.verdicts.name in run.jobs):
+    lines = [
+        f"\nStudy {name}: {len(run.jobs)} job{'s' * (len(run.jobs) > 1)} in {duration(run.ended - run.started)}."
+        for name, run in found.items()
+        if run.ended is not None
+    ]
+    if study.sweep:
+        return "\n".join(lines + _sweep(study, found))
+    run = found.get(study.name)
+    verdicts = _folder(study) / "tables" / "verdicts.csv"
+    if verdicts.exists() and (run is None or "verdicts_table" in run.jobs):
         lines += _answer(study, verdicts)
-    lines.append(f"Results: {results(study)}/")
-    page = report_jobs.report.output(study, "report")
-    made = [job.result for job in run.jobs.values() if job.result.endswith(".md")] if run else []
-    lines += [f"  {path}" for path in ([page] if page.exists() else made)]
+    lines.append(f"Results: {', '.join(f'results/{name}/' for name in found or [study.name])}")
+    page = str(_folder(study) / "report.html")
+    made = [job.result for each in found.values() for job in each.jobs.values() if job.result.endswith(_SHOWN)]
+    shown = [path for path in made if path.endswith(".html")] or made[:_MOST]
+    lines += [f"  {path}" for path in (shown if found else [page] if Path(page).exists() else [])]
+    if found and study.name not in found:
+        return "\n".join(lines)
     lines.append("Next:")
     lines += [f"  {command:<72} {meaning}" for command, meaning in _next(study, verdicts)]
     return "\n".join(lines)
 
 
+def _folder(study: Study) -> Path:
+    return Path("results", study.name)
+
+
+def _sweep(study: Study, found: Mapping[str, runs.Run]) -> list[str]:
+    table = _folder(study) / "sweep.md"
+    lines = [table.read_text(encoding="utf-8")] if table.exists() and (not found or study.name in found) else []
+    lines.append(f"Results: {_folder(study)}/")
+    return lines + [f"  {page}" for each in at_points(study) if (page := _folder(each) / "report.html").exists()]
+
+
 def _answer(study: Study, verdicts: Path) -> list[str]:
     """Return how many claims hold, and below it, by elements, the answers to the main questions."""
     frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
-    settings: Any = report_jobs.report.plan(study).settings
+    settings = ReportJob.of(study)
     lines = [words.summary(frame, settings.margins, len(study.seeds))[0].text]
     for name, found in words.answers(frame, study.elements, settings.questions, settings.margins).items():
         lines += [f"{name}:", *(f"  {sentence.text}" for sentence in found)]
@@ -65,7 +69,7 @@ def _answer(study: Study, verdicts: Path) -> list[str]:
 
 
 def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
-    file = f"--configfile {study_file(study)}"
+    file = f"--configfile {_folder(study)}/study.yaml"
     if not verdicts.exists():
         return [(f"snakemake -j2 tables {file}", "all tables and their verdicts")]
     found = [
@@ -78,8 +82,8 @@ def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
     return found
 
 
-def failure(study: Study, found: Mapping[str, runs.Run]) -> str:
-    """Return the last words of a run in which jobs failed, or which was ended; its arguments are those of `success`."""
+def failure(found: Mapping[str, runs.Run]) -> str:
+    """Return the last words of a run in which jobs failed, or which was ended; `found` is that of `success`."""
     lines = [""]
     for name, run in found.items():
         lines.append(f"Study {name}: {len(run.labels(runs.DONE))} of {len(run.jobs)} jobs done.")
@@ -89,8 +93,4 @@ def failure(study: Study, found: Mapping[str, runs.Run]) -> str:
     failed = any(run.labels(runs.FAILED) for run in found.values())
     others = "; with --keep-going it does all that needs no failed job" if failed else ""
     lines.append(f"The same command goes on from here{others}.")
-    for each in at_points(study):
-        if not study.sweep or (each.name in found and found[each.name].labels(runs.FAILED)):
-            partial = report_jobs.table.command(each, {"table": each.tables[0]})
-            lines.append(f"Tables of what has finished: {partial} --partial")
     return "\n".join(lines)

@@ -13,7 +13,6 @@ from functools import cached_property
 from pathlib import Path
 from statistics import mean
 
-from tasklens.pipeline.stage import results
 from tasklens.recognition import class_folders
 from tasklens.runtime.benchmarks import Benchmark, benchmarks, number
 from tasklens.runtime.files import FileError
@@ -23,40 +22,40 @@ from tasklens.study.study import Study
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
 LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
 COMPARABLE = 20_000  # training images; with more, nothing measured here says how long jobs take
-_LIMIT = 4.0  # time limit of a job over the longest job of its stage
+_LIMIT = 4.0  # time limit of a job over the longest job of its rule
 _LEAST_LIMIT_MIN = 10.0
-_UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a stage without benchmarks
+_UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a rule without benchmarks
 _LEAST_MB = 1000.0  # short jobs are measured while they still import
-_MARGIN = 1.5  # memory of a job over the largest job of its stage
+_MARGIN = 1.5  # memory of a job over the largest job of its rule
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Benchmarks of one stage: mean and longest duration [s], largest memory [MB]."""
+    """Benchmarks of one rule: mean and longest duration [s], largest memory [MB]."""
 
     seconds: float
     longest_s: float
     memory_mb: float
 
 
-def by_stage(folder: Path) -> dict[str, Measured]:
-    """Read Snakemake's benchmark files below a folder, by stage."""
+def by_rule(folder: Path) -> dict[str, Measured]:
+    """Read Snakemake's benchmark files below a folder, by rule."""
     found: dict[str, list[Benchmark]] = {}
-    for stage, job in benchmarks(folder):
-        found.setdefault(stage, []).append(job)
+    for rule, job in benchmarks(folder):
+        found.setdefault(rule, []).append(job)
     return {
-        stage: Measured(
+        rule: Measured(
             mean(job.seconds for job in jobs), max(job.seconds for job in jobs), max(job.memory_mb for job in jobs)
         )
-        for stage, jobs in found.items()
+        for rule, jobs in found.items()
     }
 
 
 def elsewhere(study: str) -> dict[str, Measured]:
-    """Read what was measured of a study in `config/`, by stage; empty for other studies. Gaps of the file are 0."""
+    """Read what was measured of a study in `config/`, by rule; empty for other studies. Gaps of the file are 0."""
     with open(MEASURED, newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["study"] == study]
-    return {row["stage"]: Measured(*(number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
+    return {row["rule"]: Measured(*(number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
 
 
 class Durations:
@@ -73,65 +72,67 @@ class Durations:
 
     @cached_property
     def here(self) -> dict[str, Measured]:
-        """Benchmarks of this study on this machine, by stage."""
-        return by_stage(self.folder)
+        """Benchmarks of this study on this machine, by rule."""
+        return by_rule(self.folder)
 
     @cached_property
     def elsewhere(self) -> dict[str, Measured]:
-        """Benchmarks of this study on another machine, by stage."""
+        """Benchmarks of this study on another machine, by rule."""
         return elsewhere(self.study.partition("/")[0])  # of a point of a sweep, its study
 
     @cached_property
     def guesses(self) -> dict[str, Measured]:
-        """Benchmarks of the similar study, by stage; limits of time and memory are not taken from them."""
+        """Benchmarks of the similar study, by rule; limits of time and memory are not taken from them."""
         return elsewhere(self.similar)
 
     @property
     def scale(self) -> float:
         """Ratio of durations on this machine to those on the other one; 1 until a job has finished here."""
-        both = [stage for stage in self.here if stage in self.elsewhere]
-        there = sum(self.elsewhere[stage].seconds for stage in both)
-        return sum(self.here[stage].seconds for stage in both) / there if there else 1.0
+        both = [rule for rule in self.here if rule in self.elsewhere]
+        there = sum(self.elsewhere[rule].seconds for rule in both)
+        return sum(self.here[rule].seconds for rule in both) / there if there else 1.0
 
-    def seconds(self, stage: str) -> float | None:
-        """Return the expected duration of a job of a stage [s]; None without benchmarks."""
-        if stage in self.here:
-            return self.here[stage].seconds
-        if stage in self.elsewhere:
-            return self.elsewhere[stage].seconds * self.scale
-        return self.guesses[stage].seconds if stage in self.guesses else None
+    def seconds(self, rule: str) -> float | None:
+        """Return the expected duration of a job of a rule [s]; None without benchmarks."""
+        if rule in self.here:
+            return self.here[rule].seconds
+        if rule in self.elsewhere:
+            return self.elsewhere[rule].seconds * self.scale
+        return self.guesses[rule].seconds if rule in self.guesses else None
 
-    def limit_minutes(self, stage: str) -> int:
-        """Return the time limit of a job of a stage [min]."""
+    def limit_minutes(self, rule: str) -> int:
+        """Return the time limit of a job of a rule [min]."""
         found = [(1.0, self.here), (max(1.0, self.scale), self.elsewhere)]
-        known = [scale * max(each[stage].seconds, each[stage].longest_s) for scale, each in found if stage in each]
+        known = [scale * max(each[rule].seconds, each[rule].longest_s) for scale, each in found if rule in each]
         return round(max(_LEAST_LIMIT_MIN, _LIMIT * max(known) / 60) if known else _UNKNOWN_MIN)
 
-    def memory_mb(self, stage: str) -> int:
-        """Return the memory requested for a job of a stage [MB]."""
-        known = [measured[stage].memory_mb for measured in (self.here, self.elsewhere) if stage in measured]
+    def memory_mb(self, rule: str) -> int:
+        """Return the memory requested for a job of a rule [MB]."""
+        known = [measured[rule].memory_mb for measured in (self.here, self.elsewhere) if rule in measured]
         return round(max(_LEAST_MB, _MARGIN * max(known)) if any(known) else _UNKNOWN_MB)
 
-    def forecast(self, stages: Iterable[str], cores: int) -> str:
-        """Describe in one line the number of jobs of these stages and their total duration on `cores` cores."""
-        counts = Counter(stages)
-        seconds = {stage: self.seconds(stage) for stage in counts}
-        total = sum(count * (seconds[stage] or 0.0) for stage, count in counts.items())
-        unknown = [stage for stage in counts if seconds[stage] is None]
+    def forecast(self, rules: Iterable[str], cores: int) -> str:
+        """Describe in one line the number of jobs of these rules and their total duration on `cores` cores."""
+        counts = Counter(rules)
+        seconds = {rule: self.seconds(rule) for rule in counts}
+        total = sum(count * (seconds[rule] or 0.0) for rule, count in counts.items())
+        unknown = [rule for rule in counts if seconds[rule] is None]
         line = f"Study {self.study}: {counts.total()} job{'s' if counts.total() != 1 else ''}"
         if len(unknown) < len(counts):
             line += f", about {duration(total / cores)} on {cores} core{'s' if cores > 1 else ''}"
-        if any(stage in self.guesses and stage not in self.here and stage not in self.elsewhere for stage in counts):
+        if any(rule in self.guesses and rule not in self.here and rule not in self.elsewhere for rule in counts):
             line += f", if jobs are as long as those of the study {self.similar}"
         return f"{line}; nothing is known yet of how long {', '.join(unknown)} takes." if unknown else f"{line}."
 
 
 def durations_of(study: Study) -> Durations:
-    """Return the durations of a study; where nothing is known of a stage, of a study with images like its own."""
+    """Return the durations of a study; where nothing is known of a rule, of a study with images like its own."""
     similar = "small"
     if study.images.size >= LARGE:
         similar = "photographs_fine_tuned" if study.fine_tuning.epochs else "photographs"
-    return Durations(study.name, results(study), similar if _training_images(study.images) <= COMPARABLE else "")
+    return Durations(
+        study.name, f"results/{study.name}", similar if _training_images(study.images) <= COMPARABLE else ""
+    )
 
 
 def _training_images(images: ImageSettings) -> float:

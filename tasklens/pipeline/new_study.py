@@ -146,17 +146,17 @@ def _network(networks: Mapping[str, Any], wish: Wish, name: str) -> dict[str, An
 def seconds(study: Study, cores: int) -> float:
     """Estimate the duration of the target `tables` on some cores of the machine of `config/durations.csv` [s].
 
-    A job takes what a job of its stage takes in the default study, or with large images in those of photographs. The
+    A job takes what a job of its rule takes in the default study, or with large images in those of photographs. The
     jobs that wait for each other take their sum, on however many cores: images, reference, designs, a fine-tuning.
     """
     guesses, default = durations_of(study), elsewhere("small")
     counts = {name: count * len(study.seeds) for name, count in _jobs_of_a_seed(study).items()}
-    counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts": 1}
-    each = {stage: guesses.seconds(stage) or 0.0 for stage in counts}
-    each |= {stage: default[stage].seconds for stage, seconds in each.items() if not seconds and stage in default}
+    counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts_table": 1}
+    each = {rule: guesses.seconds(rule) or 0.0 for rule in counts}
+    each |= {rule: default[rule].seconds for rule, seconds in each.items() if not seconds and rule in default}
     longest = max(_depth(study, lens) for lens in study.lenses)
     chain = each["images"] + each["reference"] + longest * each["design"] + each["fine_tune"]
-    return max(chain, sum(count * each[stage] for stage, count in counts.items()) / cores)
+    return max(chain, sum(count * each[rule] for rule, count in counts.items()) / cores)
 
 
 def _depth(study: Study, lens: str) -> int:
@@ -175,11 +175,9 @@ def _jobs_of_a_seed(study: Study) -> dict[str, int]:
         lenses |= dict.fromkeys(needed)
         waiting += needed
     measured = {pair for each in contents for pair in each.measured} | {(names.SHARP, study.supervisor)}
-    by_supervisor = {pair for pair in measured if names.split(pair[1])[0] == study.supervisor}
     return {
         "design": len(lenses),
-        "fine_tune": len(by_supervisor),
-        "fine_tune_others": len({lens for lens, _ in measured - by_supervisor}),
+        "fine_tune": len(measured),
         "restore": len({lens for each in contents if each.restored for lens in each.lenses}),
     }
 

@@ -2,33 +2,28 @@
 
 import csv
 import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 
-from tasklens.pipeline.stage import STAGES
 from tasklens.report.verification import ROUNDING
 from tasklens.runtime.files import read_yaml
 from tasklens.study.names import SHARP
-from tasklens.study.study import Study
 
 
-def outcome(study: Study, stage: str, wildcards: Mapping[str, str], log: Path) -> str:
-    """Say what a job has made: the spot of a lens, accuracies, where a table is; else the last line of its log."""
-    outputs = STAGES[stage].outputs(study, **wildcards)
-    if stage == "design":
-        return _lens(outputs["lens"])
-    if stage == "production":
-        return _built(outputs["lenses"])
-    if stage == "task_fine_tune":
-        return _scores(outputs["metrics"])
-    accuracies = {name: _accuracy(path) for name, path in outputs.items() if name.startswith("metrics")}
-    if accuracies:
-        named = [
-            f"{name.removeprefix('metrics').strip('_')} {value:.1f} %".strip() for name, value in accuracies.items()
-        ]
-        return f"accuracy {', '.join(named)}" + (" on the sharp images" if wildcards.get("lens") == SHARP else "")
-    shown = outputs.get("md") or outputs.get("page") or outputs.get("figure")
+def outcome(rule: str, outputs: Sequence[str], log: Path) -> str:
+    """Say what a job has made: the spot of a lens, an accuracy, where a table is; else the last line of its log."""
+    paths = {Path(path).suffix: Path(path) for path in reversed(outputs)}  # the first of each kind
+    if rule == "design":
+        return _lens(paths[".yaml"])
+    if rule == "production":
+        return _built(paths[".csv"])
+    if rule == "task_fine_tune":
+        return _scores(paths[".csv"])
+    if rule == "fine_tune":
+        sharp = f"/{SHARP}/" in str(paths[".csv"])
+        return f"accuracy {_accuracy(paths['.csv']):.1f} %" + (" on the sharp images" if sharp else "")
+    shown = paths.get(".md") or paths.get(".html") or paths.get(".png")
     return str(shown) if shown else _last_line(log)
 
 

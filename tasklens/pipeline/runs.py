@@ -8,15 +8,15 @@ import json
 import os
 import socket
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from tasklens.pipeline import progress_file
 from tasklens.pipeline.forecast import Durations, duration
+from tasklens.runtime import progress_file
 from tasklens.runtime.files import FileError, write_text
 
 WAITING, RUNNING, DONE, FAILED = "waiting", "running", "done", "failed"
@@ -25,9 +25,9 @@ _SILENT_S = 120.0  # a running job that has not written for longer is said to be
 
 @dataclass
 class Job:
-    """One job: its stage and state, when it began [s since 1970], how long it took [s], and its result in words."""
+    """One job: its rule and state, when it began [s since 1970], how long it took [s], and its result in words."""
 
-    stage: str
+    rule: str
     state: str = WAITING
     began: float | None = None
     seconds: float | None = None
@@ -88,14 +88,14 @@ class Run:
 
     def known_seconds(self, durations: Durations) -> tuple[list[float], list[float]]:
         """Return how long each waiting and each running job still takes [s], of those of which it is known."""
-        waiting = [durations.seconds(self.jobs[label].stage) for label in self.labels(WAITING)]
+        waiting = [durations.seconds(self.jobs[label].rule) for label in self.labels(WAITING)]
         running = [self._left(label, durations) for label in self.labels(RUNNING)]
         return [each for each in waiting if each is not None], [each for each in running if each is not None]
 
     def _left(self, label: str, durations: Durations) -> float | None:
-        """Return how long a running job still takes [s]: the longer of what its phase and its stage's jobs say."""
+        """Return how long a running job still takes [s]: the longer of what its phase and its rule's jobs say."""
         job, found = self.jobs[label], self.progress(label)
-        expected = durations.seconds(job.stage)
+        expected = durations.seconds(job.rule)
         by_benchmark = None if expected is None or job.began is None else max(0.0, expected - (time.time() - job.began))
         own = None
         if found and "remaining_s" in found:
@@ -126,7 +126,7 @@ class Run:
 
     def is_underestimated(self, durations: Durations) -> bool:
         """Return whether nothing is known of how long some waiting jobs take."""
-        return any(durations.seconds(self.jobs[label].stage) is None for label in self.labels(WAITING))
+        return any(durations.seconds(self.jobs[label].rule) is None for label in self.labels(WAITING))
 
 
 def seconds_left(found: Sequence[tuple[Run, Durations]]) -> float | None:
@@ -180,11 +180,6 @@ def read(folder: Path) -> Run | None:
         return None
     except (ValueError, TypeError, KeyError):
         raise FileError(f"{path}: not the state of a run; the next run writes it anew") from None
-
-
-def label_of(log: Iterable[str], folder: str) -> str | None:
-    """Return the label of a job from its log file; None for a target, which has none."""
-    return next((os.path.relpath(path, f"{folder}/logs").removesuffix(".log") for path in log), None)
 
 
 def title(label: str) -> str:

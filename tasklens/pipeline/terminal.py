@@ -7,7 +7,7 @@ there is a line a minute in place of the bar.
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,20 @@ from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
+from snakemake.logging import logger
 
 from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob
-from tasklens.pipeline.forecast import duration, durations_of
+from tasklens.pipeline.forecast import Durations, duration, durations_of
 from tasklens.pipeline.outcome import last_lines, outcome
-from tasklens.pipeline.stage import STAGES, results
+from tasklens.pipeline.snakemake_internals import take_terminal
 from tasklens.runtime import benchmarks
+from tasklens.runtime.job import place
 from tasklens.study.study import Study
 
 _MINUTE_S = 60.0
 _SHOWN = 8  # running jobs below the bar
 _LOG_LINES = 12  # of a failed job
-_DEFAULT_HANDLER = "DefaultStreamHandler"  # Snakemake's name
 _NOTHING = "Nothing to be done"
 _STOPPING = "Terminating processes"  # on Ctrl-C; its jobs then end with errors
 _TOLD = (_STOPPING, "Will exit after", "Unlock")
@@ -42,21 +43,23 @@ _KNOWN = (
 class Terminal(logging.Handler):
     """Handler of Snakemake's log records; it prints nothing where the user has chosen another logger or `--quiet`."""
 
-    def __init__(self, studies: Iterable[Study], logger: logging.Logger, quiet: bool):
+    def __init__(
+        self,
+        study: Study,
+        study_named: Callable[[str], Study],
+        quiet: bool,
+        logger: logging.Logger = logger,
+    ):
         super().__init__()
-        self.studies = {study.name: study for study in studies}
-        self.durations = {name: durations_of(study) for name, study in self.studies.items()}
+        self.study = study
+        self.study_named = study_named
+        self.durations: dict[str, Durations] = {}  # by name of the study, as `runs`
         self.runs: dict[str, runs.Run] = {}  # by name of the study; more than one of a sweep
         self.live: Live | None = None
         self.stopped = threading.Event()
         self.stopping = False  # by the user
-        self.jobs: dict[int, tuple[runs.Run, str, Mapping[str, Any]]] = {}  # label, wildcards by Snakemake's number
-        default = next((handler for handler in logger.handlers if handler.name == _DEFAULT_HANDLER), None)
-        self.console = Console(stderr=True, quiet=quiet or default is None, highlight=False)
-        if default is not None and not quiet:
-            self.setFormatter(default.formatter)
-            logger.removeHandler(default)
-        logger.addHandler(self)
+        self.jobs: dict[int, tuple[runs.Run, str, list[str]]] = {}  # label and outputs by Snakemake's number
+        self.console = Console(stderr=True, quiet=not take_terminal(self, quiet, logger), highlight=False)
 
     def begin(self, jobs: Mapping[str, Mapping[str, PlannedJob]], cores: int) -> None:
         """Begin to show a run.
@@ -66,9 +69,10 @@ class Terminal(logging.Handler):
             cores: number of jobs at a time.
         """
         for name, planned in jobs.items():
-            stages = {label: runs.Job(job.stage) for label, job in planned.items()}
-            self.runs[name] = runs.Run(name, results(self.studies[name]), cores, stages)
+            states = {label: runs.Job(job.rule) for label, job in planned.items()}
+            self.runs[name] = runs.Run(name, f"results/{name}", cores, states)
             self.runs[name].save()
+            self.durations[name] = durations_of(self.study_named(name))
         if self.console.is_terminal and not self.console.is_dumb_terminal:
             self.live = Live(
                 get_renderable=self._bar,
@@ -114,36 +118,36 @@ class Terminal(logging.Handler):
             elif str(record.msg).startswith("Trying to restart job"):
                 self._print("        it is tried again")
             elif str(record.msg).startswith(_NOTHING):
-                self._print(f"{_NOTHING}.\n{closing.success(next(iter(self.studies.values())), {})}")
+                self._print(f"{_NOTHING}.\n{closing.success(self.study, {})}")
         except Exception:  # as every handler does: what cannot be shown must not end a run
             self.handleError(record)
 
     def _find(self, record: Any) -> tuple[runs.Run, str] | None:
         """Return the run and the label of the job of a record; None for a target."""
-        for run in self.runs.values():
-            label = runs.label_of(record.log, run.folder)
-            if label in run.jobs:
-                return run, label
-        return None
+        if not record.log:
+            return None
+        folder, label = place(Path(record.log[0]))
+        run = self.runs.get(str(folder.relative_to("results")))
+        return (run, label) if run is not None and label in run.jobs else None
 
     def _begin_job(self, record: Any) -> None:
         if found := self._find(record):
             run, label = found
-            self.jobs[record.jobid] = run, label, dict(record.wildcards)
+            self.jobs[record.jobid] = run, label, list(record.output)
             run.begin(label)
-            if self.live is not None and not STAGES[run.jobs[label].stage].patterns:
+            if self.live is not None and not record.output:
                 self.live.stop()  # it prints
 
     def _finish_job(self, number: int) -> None:
         if number not in self.jobs:
             return
-        run, label, wildcards = self.jobs[number]
-        study, job = self.studies[run.study], run.jobs[label]
+        run, label, outputs = self.jobs[number]
+        job = run.jobs[label]
         measured = benchmarks.read(Path(run.folder, "benchmarks", f"{label}.tsv"))
         run.end(label, runs.DONE, None if measured is None else measured.seconds)
-        job.result = outcome(study, job.stage, wildcards, self._log(run, label))
+        job.result = outcome(job.rule, outputs, self._log(run, label))
         run.save()
-        self.durations[run.study] = durations_of(study)
+        self.durations[run.study] = durations_of(self.study_named(run.study))
         total = sum(len(each.jobs) for each in self.runs.values())
         done = sum(len(each.labels(runs.DONE)) for each in self.runs.values())
         count = f"{done:>{len(str(total))}}/{total}"
@@ -205,14 +209,3 @@ class Terminal(logging.Handler):
         lines = [f"  {line}" for line in running[:_SHOWN]]
         lines += [f"  and {len(running) - _SHOWN} more"] if len(running) > _SHOWN else []
         return Group(grid, *(Text(line, no_wrap=True, overflow="ellipsis") for line in lines))
-
-
-def after_dry_run(logger: logging.Logger, say: Callable[[], str | None]) -> None:
-    """Print what `say` returns, if anything, below Snakemake's lines of a dry run, where it is seen."""
-
-    class Last(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            if str(record.msg).startswith("This was a dry-run") and (text := say()):
-                print(f"\n{text}")
-
-    logger.addHandler(Last())

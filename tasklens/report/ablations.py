@@ -1,11 +1,13 @@
 """The table of one ablation: accuracies of a design and its variants."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import pandas
 
 from tasklens.report import verdicts
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files
 from tasklens.study.claims import AblationClaims
 
 _NOTE = """\
@@ -30,13 +32,20 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
     return pandas.DataFrame(rows).merge(compared, on="lens", how="left")
 
 
-def make(ablation: AblationClaims, inputs: Files, outputs: Files) -> None:
+def make(
+    ablation: AblationClaims,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predictions: Sequence[Path],
+    csv: Path,
+    md: Path,
+) -> None:
     """Write the table as CSV and Markdown."""
-    rows = collect(ablation, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
+    claims = ablation.claims
+    rows = collect(ablation, Measurements.of_claims(claims, lenses, metrics, predictions))
     digits = {"": ".2f", "energy": ".3f", "worst": ".3f", "seeds": ".0f"}
     shown = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
-    claims = ablation.claims
     note = _NOTE.format(
         study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
     )
-    publish(outputs, f"Ablation: {ablation.name}", rows, shown, note)
+    publish(csv, md, f"Ablation: {ablation.name}", rows, shown, note)

@@ -1,14 +1,13 @@
 """Effort of each design: lenses tried, and the duration of its job on one core, as Snakemake measured it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas
 
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime import benchmarks
-from tasklens.runtime.files import Files
+from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.study.effort import Efforts
-from tasklens.study.settings import Slice
 
 _NOTE = """\
 Study `{study}`. Lenses tried: steps of a descent, or the budget of evaluations of least squares. Minutes of the job on
@@ -22,21 +21,19 @@ def core_minutes(path: Path) -> float:
 
     Its processor time is sampled every half minute, and misses the last part of that.
     """
-    found = benchmarks.read(path)
+    found = benchmark_files.read(path)
     return float("nan") if found is None else found.seconds / 60
 
 
-def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:
+def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
     """Return a row per lens: lenses tried and least core-minutes, its own and with those it was chosen from.
 
     Args:
-        benchmark: pattern of the benchmark files, with `{lens}` and `{seed}`.
+        benchmarks: benchmark files of the designs in `efforts.lens_keys`.
     """
+    by_key = dict(zip(efforts.lens_keys, map(core_minutes, benchmarks), strict=True))
     minutes = {
-        each.lens: pandas.Series(
-            [core_minutes(Path(benchmark.format(lens=each.lens, seed=seed))) for seed in efforts.seeds]
-        ).min()
-        for each in efforts.efforts
+        each.lens: pandas.Series([by_key[each.lens, seed] for seed in efforts.seeds]).min() for each in efforts.efforts
     }
     rows = []
     for each in efforts.efforts:
@@ -55,8 +52,8 @@ def collect(efforts: Efforts, benchmark: str) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def make(settings: Slice, inputs: Files, outputs: Files) -> None:
-    """Write the efforts as CSV and Markdown."""
-    rows = collect(settings.efforts, settings.benchmark)
+def make(settings: Efforts, lenses: Sequence[Path], benchmarks: Sequence[Path], csv: Path, md: Path) -> None:
+    """Write the efforts as CSV and Markdown; `lenses` are waited for, since their designs are measured."""
+    rows = collect(settings, benchmarks)
     shown = rounded(rows, {"core_minutes": ".1f"})
-    publish(outputs, "Effort of each design", rows, shown, _NOTE.format(study=settings.efforts.study))
+    publish(csv, md, "Effort of each design", rows, shown, _NOTE.format(study=settings.study))

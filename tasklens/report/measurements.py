@@ -1,6 +1,6 @@
 """Measurements of a study, from its files of lenses, metrics and predictions; no torch here."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
 from tasklens.report.optimality import Gap, gap
 from tasklens.runtime.files import damaged, read_table, read_yaml
-from tasklens.study.claims import Claim
+from tasklens.study.claims import Claim, Claims
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
@@ -41,6 +41,17 @@ class Measurements:
     metrics: Mapping[tuple[str, str, int], Path]
     predictions: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
     frozen: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
+
+    @classmethod
+    def of_claims(
+        cls, claims: Claims, lenses: Sequence[Path], metrics: Sequence[Path], predictions: Sequence[Path]
+    ) -> "Measurements":
+        """Return the measurements that claims compare, from files in the order of their keys."""
+        return cls(
+            dict(zip(claims.lens_keys, lenses, strict=True)),
+            dict(zip(claims.measured_keys, metrics, strict=True)),
+            dict(zip(claims.measured_keys, predictions, strict=True)),
+        )
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
         """Read the content of a lens file; raises FileError where its figures are of another prescription."""

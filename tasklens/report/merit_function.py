@@ -5,9 +5,10 @@ PSF in a band of spatial frequencies, over all directions and colours. Weights w
 classifier wants: which PSF is the best for it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy
 import pandas
@@ -19,8 +20,8 @@ from scipy.optimize import nnls
 from tasklens.optics.io import psf_files
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import FileError, Files, replacing
-from tasklens.study.settings import Slice
+from tasklens.runtime.files import FileError, replacing
+from tasklens.study.report_jobs import MeritFunctionJob
 
 _LEAST_LENSES = 3
 BANDS = numpy.linspace(0, 0.5, 9)  # bounds of the bands [cycles per pixel], up to the Nyquist frequency
@@ -69,20 +70,25 @@ def left_out(modulation: numpy.ndarray, log_loss: numpy.ndarray, lenses: numpy.n
     return predicted
 
 
-def make(settings: Slice, inputs: Files, outputs: Files) -> None:
+def make(
+    settings: MeritFunctionJob, psfs: Sequence[Path], frozen: Sequence[Path], csv: Path, md: Path, figure: Path
+) -> None:
     """Write the weights of all classifiers as CSV and Markdown, and draw them.
+
+    Args:
+        psfs: PSFs of the lenses in `settings.lens_keys`.
+        frozen: losses of `settings.frozen_keys`.
 
     Raises:
         FileError: there are too few lenses.
     """
     contents, supervisor = settings.contents, settings.supervisor
-    measured = Measurements({}, {}, frozen=inputs.frozen)
-    keys = list(inputs.psfs)
+    measured = Measurements({}, {}, frozen=dict(zip(settings.frozen_keys, frozen, strict=True)))
+    keys = settings.lens_keys
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
-    psfs = (psf_files.read(path).psf for path in inputs.psfs.values())
-    seen = numpy.concatenate([modulation(psf.double().numpy()) for psf in psfs])
+    seen = numpy.concatenate([modulation(psf_files.read(path).psf.double().numpy()) for path in psfs])
     fields = len(seen) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {
@@ -95,8 +101,8 @@ def make(settings: Slice, inputs: Files, outputs: Files) -> None:
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
     shown = rounded(table, dict.fromkeys(table.columns[1:], ".2f"))
     note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)
-    publish(outputs, "Merit functions of the classifiers", table, shown, note)
-    _draw(outputs, fits, losses, predicted)
+    publish(csv, md, "Merit functions of the classifiers", table, shown, note)
+    _draw(figure, fits, losses, predicted)
 
 
 def _row(
@@ -110,7 +116,7 @@ def _row(
 
 
 def _draw(
-    outputs: Files,
+    path: Path,
     fits: Mapping[str, MeritFunction],
     losses: Mapping[str, numpy.ndarray],
     predicted: Mapping[str, numpy.ndarray],
@@ -125,7 +131,7 @@ def _draw(
     left.set_title("What a classifier wants")
     _diagonal(right)
     left.legend()
-    with replacing(outputs.figure) as temporary:
+    with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110, format="png")
 
 

@@ -1,10 +1,11 @@
 """Writing of tables: CSV with all digits, and rounded Markdown with a title and a note."""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import Files, write_text
+from tasklens.runtime.files import write_text
 
 GAP = "–"
 
@@ -32,13 +33,13 @@ def right_aligned(table: pandas.DataFrame) -> str:
     return table.to_markdown(index=False, disable_numparse=True, stralign="right")
 
 
-def publish(outputs: Files, title: str, table: pandas.DataFrame, shown: pandas.DataFrame, note: str) -> None:
-    """Write a table to `outputs.csv` and `outputs.md`.
+def publish(csv: Path, md: Path, title: str, table: pandas.DataFrame, shown: pandas.DataFrame, note: str) -> None:
+    """Write a table as CSV and as Markdown.
 
     Args:
         shown: the table as text, from `rounded`.
         note: text below the Markdown table, which is left out if it has no rows.
     """
-    write_text(outputs.csv, table.to_csv(index=False))
+    write_text(csv, table.to_csv(index=False))
     body = f"{shown.to_markdown(index=False, disable_numparse=True)}\n\n" if len(table) else ""
-    write_text(outputs.md, f"**{title}**\n\n{body}{note}\n")
+    write_text(md, f"**{title}**\n\n{body}{note}\n")

@@ -1,6 +1,7 @@
 """Gain of task-driven design over the best imaging lens, by element counts and specifications."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from statistics import mean
 
 import pandas
@@ -9,9 +10,8 @@ from tasklens.materials.material import AIR
 from tasklens.report import verdicts
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files
 from tasklens.study.claims import Claims
-from tasklens.study.settings import Slice
+from tasklens.study.report_jobs import RegimesJob
 
 _NOTE = """\
 Study `{study}`. Accuracy of the task-driven lens minus that of the best imaging lens of the seed by minival [points],
@@ -58,9 +58,16 @@ def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements
     )
 
 
-def make(settings: Slice, inputs: Files, outputs: Files) -> None:
+def make(
+    settings: RegimesJob,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predictions: Sequence[Path],
+    csv: Path,
+    md: Path,
+) -> None:
     """Write the table as CSV and Markdown."""
-    claims, measured = settings.claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
-    rows = collect(claims, settings.tried, measured)
+    claims = settings.claims
+    rows = collect(claims, settings.tried, Measurements.of_claims(claims, lenses, metrics, predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
-    publish(outputs, "Where it pays", rows, shown, _NOTE.format(study=claims.study))
+    publish(csv, md, "Where it pays", rows, shown, _NOTE.format(study=claims.study))

@@ -1,24 +1,24 @@
 """The table of a sweep: accuracies at all points beside each other."""
 
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
 
 import pandas
 
 from tasklens.report.differences import numbers_of
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files
+from tasklens.study.report_jobs import SweepJob
 
 _NOTE = """\
 Study `{study}`. Accuracy [%] at each point of the sweep; the CSV file has all numbers of all tables, and each point its
 own report, results/{study}/<point>/report.html."""
 
 
-def collect(points: dict[str, dict[str, Any]], inputs: Files) -> pandas.DataFrame:
+def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
     """Return a row per number: the values of the swept keys, table, row, column, value."""
     rows = [
-        {"point": name, **point, "table": table, "row": row, "column": column, "value": value}
-        for name, point in points.items()
-        for table, path in inputs.tables[name].items()
+        {"point": name, **settings.points[name], "table": table, "row": row, "column": column, "value": value}
+        for (name, table), path in zip(settings.tables, tables, strict=True)
         for (row, column), value in numbers_of(path).items()
     ]
     return pandas.DataFrame(rows)
@@ -31,8 +31,8 @@ def beside(numbers: pandas.DataFrame) -> pandas.DataFrame:
     return wide[list(dict.fromkeys(chosen["point"]))].reset_index()
 
 
-def make(settings: Any, inputs: Files, outputs: Files) -> None:
-    """Write the table as CSV and Markdown."""
-    numbers = collect(settings.points, inputs)
+def make(settings: SweepJob, tables: Sequence[Path], csv: Path, md: Path) -> None:
+    """Write the table as CSV and Markdown; the files are those of `settings.tables`."""
+    numbers = collect(settings, tables)
     shown = rounded(beside(numbers), {"": ".1f"})
-    publish(outputs, "Sweep", numbers.drop(columns="point"), shown, _NOTE.format(study=settings.study))
+    publish(csv, md, "Sweep", numbers.drop(columns="point"), shown, _NOTE.format(study=settings.study))

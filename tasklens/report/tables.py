@@ -4,10 +4,10 @@ Columns of the paper's values end in `_paper`: they are for another data set (Im
 """
 
 import importlib.metadata
-import json
 import subprocess
 from collections.abc import Iterable, Sequence
 from itertools import product
+from json import dumps
 from pathlib import Path
 
 import pandas
@@ -17,11 +17,12 @@ from tasklens.report.failure import failed
 from tasklens.report.headings import PAPER, STD
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import GAP, publish, rounded
-from tasklens.runtime.files import FileError, Files, write_text
+from tasklens.runtime.files import write_text
 from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents
 
+PAPER_VALUES = Path(__file__).with_name("paper.csv")
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {
     "table1": [
@@ -50,21 +51,18 @@ _TITLES = {
 
 
 def collect(contents: TableContents, measurements: Measurements) -> pandas.DataFrame:
-    """Return a row per lens (or `reference`), classifier and seed that has been measured."""
+    """Return a row per lens (or `reference`), classifier and seed."""
     rows = []
     for seed, classifier in product(contents.seeds, contents.classifiers):
-        if (SHARP, classifier, seed) not in measurements.metrics:
-            continue
         sharp = measurements.values(SHARP, classifier, seed)
         if contents.name == "table1":
             shown = {key: sharp[key] for key in ("accuracy", _ZERO_SHOT) if key in sharp}
             shown |= _frozen_values(SHARP, (), classifier, seed, measurements)
             rows.append({"elements": "", "design": "reference", "seed": seed} | shown)
         for lens in contents.lenses:
-            key = lens, names.measured(classifier, contents.restored), seed
-            if key in measurements.metrics and (lens, seed) in measurements.lenses:
-                row = _row(lens, classifier, seed, sharp, measurements.values(*key), measurements)
-                rows.append(row | _frozen_values(lens, contents.gaps.get(lens, ()), classifier, seed, measurements))
+            values = measurements.values(lens, names.measured(classifier, contents.restored), seed)
+            row = _row(lens, classifier, seed, sharp, values, measurements)
+            rows.append(row | _frozen_values(lens, contents.gaps.get(lens, ()), classifier, seed, measurements))
     return pandas.DataFrame(rows)
 
 
@@ -133,33 +131,44 @@ def printed(table: pandas.DataFrame) -> pandas.DataFrame:
     return shown
 
 
-def make(contents: TableContents, inputs: Files, outputs: Files) -> None:
+def make(
+    contents: TableContents,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    frozen: Sequence[Path],
+    csv: Path,
+    md: Path,
+    tex: Path,
+    seeds_csv: Path,
+    json: Path,
+) -> None:
     """Write a table as CSV, Markdown and LaTeX, its rows by seed as CSV, and its provenance as JSON.
 
-    Raises:
-        FileError: there are no measurements.
+    Args:
+        lenses, metrics, frozen: files of the keys of `contents`.
     """
-    published = pandas.read_csv(inputs.paper, keep_default_na=False)
+    published = pandas.read_csv(PAPER_VALUES, keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
-    rows = collect(contents, Measurements(inputs.lenses, inputs.metrics, frozen=inputs.frozen))
-    if rows.empty:
-        raise FileError(f"{contents.name}: nothing has been measured yet: no metrics of the study {contents.study}")
+    measurements = Measurements(
+        dict(zip(contents.lens_keys, lenses, strict=True)),
+        dict(zip(contents.measured_keys, metrics, strict=True)),
+        frozen=dict(zip(contents.frozen_keys, frozen, strict=True)),
+    )
+    rows = collect(contents, measurements)
     rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name], "minival_accuracy"])))
     table = summarise(contents, rows, published)
     shown = printed(table)
     title = f"Table {contents.name[-1]}: {_TITLES[contents.name]}"
-    unmeasured = [lens for lens in contents.lenses if not (rows["elements"] + "-" + rows["design"]).eq(lens).any()]
-    note = f"Not measured yet: {', '.join(unmeasured)}. " if unmeasured else ""
-    note += f"Study `{contents.study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
-    publish(outputs, title, table, shown, note)
+    note = f"Study `{contents.study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
+    publish(csv, md, title, table, shown, note)
     each = [c for c in ("elements", "design", "classifier", "seed", *_columns(contents, rows)) if c in rows]
-    write_text(outputs.seeds_csv, rows[each].to_csv(index=False))
-    caption = _caption(contents, table, unmeasured)
-    write_text(outputs.tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
-    write_text(outputs.json, json.dumps(provenance(contents), indent=1) + "\n")
+    write_text(seeds_csv, rows[each].to_csv(index=False))
+    caption = _caption(contents, table)
+    write_text(tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
+    write_text(json, dumps(provenance(contents), indent=1) + "\n")
 
 
-def _caption(contents: TableContents, table: pandas.DataFrame, unmeasured: Sequence[str]) -> str:
+def _caption(contents: TableContents, table: pandas.DataFrame) -> str:
     """Return the caption in LaTeX, which numbers tables itself."""
     parts = [f"{_TITLES[contents.name]}.", f"Study {contents.study}."]
     if any(str(name).endswith(STD) for name in table):
@@ -168,7 +177,7 @@ def _caption(contents: TableContents, table: pandas.DataFrame, unmeasured: Seque
         parts.append(f"Bold: the best of the same elements{' and classifier' if 'classifier' in table else ''}.")
     if any(str(name).endswith(PAPER) for name in table):
         parts.append("Columns (paper): Yang et al. 2024, measured on ImageNet with other networks.")
-    return " ".join(parts + ([f"Not measured yet: {', '.join(unmeasured)}."] if unmeasured else []))
+    return " ".join(parts)
 
 
 def provenance(contents: TableContents) -> dict[str, object]:

@@ -1,12 +1,12 @@
 """Table of the tails of all PSFs of a study, and of their encircled energy."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import pandas
 
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files, write_rows
 
 _NOTE = """\
 Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
@@ -39,15 +39,8 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
     return table.reset_index()
 
 
-def publish_tails(study: str, by_field: Rows, curves: Rows, outputs: Files) -> None:
-    """Write the table as CSV and Markdown; its rows by field, and the encircled energy, as CSV.
-
-    Args:
-        by_field: rows (lens, seed, field, ...) of tails.
-        curves: rows (lens, seed, field, radius_um, fraction) of the encircled energy.
-    """
+def publish_tails(study: str, by_field: Rows, csv: Path, md: Path) -> None:
+    """Write the table of rows (lens, seed, field, ...) as CSV and Markdown."""
     table = summarise(means(by_field))
     shown = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
-    publish(outputs, "Tails of the PSFs", table, shown, _NOTE.format(study=study))
-    write_rows(outputs.fields_csv, by_field)
-    write_rows(outputs.encircled_energy, curves)
+    publish(csv, md, "Tails of the PSFs", table, shown, _NOTE.format(study=study))

@@ -1,14 +1,14 @@
 """The table of tasks beside classification: scores of their networks through each lens, and the PSFs of all lenses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas
 
 from tasklens.report import figures
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files, read_table
-from tasklens.study.tables import TaskContents
+from tasklens.runtime.files import read_table
+from tasklens.study.task_jobs import TaskContents
 
 _NOTE = """\
 Study `{study}`. Scores [%] on test images with objects, means over fields and seeds: `miou`, mean intersection over
@@ -44,10 +44,23 @@ def collect(metrics: Mapping[tuple[str, str, int], Path]) -> pandas.DataFrame:
     return pandas.DataFrame(rows).sort_values("task", key=lambda names: names.map(order), kind="stable")
 
 
-def make(contents: TaskContents, inputs: Files, outputs: Files) -> None:
-    """Write the table as CSV and Markdown, and draw the PSFs of the lenses of the first seed one above the other."""
-    rows = collect(inputs.metrics)
+def make(
+    settings: TaskContents,
+    metrics: Sequence[Path],
+    lenses: Sequence[Path],
+    psfs: Sequence[Path],
+    csv: Path,
+    md: Path,
+    figure: Path,
+) -> None:
+    """Write the table as CSV and Markdown, and draw the PSFs of the lenses of the first seed one above the other.
+
+    Args:
+        metrics: scores of `settings.score_keys`.
+        lenses, psfs: files of `settings.drawn`.
+    """
+    rows = collect(dict(zip(settings.score_keys, metrics, strict=True)))
     shown = rounded(rows, {"": ".1f", "seeds": "d"})
-    publish(outputs, "Other tasks", rows, shown, _NOTE.format(study=contents.study))
-    panels = [figures.panel(name, path, inputs.psfs[name]) for name, path in inputs.lenses.items()]
-    figures.compare_psfs(outputs.psfs, panels)
+    publish(csv, md, "Other tasks", rows, shown, _NOTE.format(study=settings.study))
+    panels = [figures.panel(*drawn) for drawn in zip(settings.drawn, lenses, psfs, strict=True)]
+    figures.compare_psfs(figure, panels)

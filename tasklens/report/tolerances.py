@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy
 import pandas
@@ -11,7 +10,8 @@ from tasklens.report.bootstrap import holm, interval, p_value, resampled_means, 
 from tasklens.report.publish import publish, rounded
 from tasklens.report.tolerance_page import distribution
 from tasklens.report.verdicts import FAILS, HOLDS, verdict
-from tasklens.runtime.files import Files, read_table
+from tasklens.runtime.files import read_table
+from tasklens.study.built_lenses import BuiltContents
 
 _NOTE = """\
 Study `{study}`, {grade}, {built} built lenses of each design and seed, focused by their MTF, measured by the
@@ -88,10 +88,11 @@ def _lost(path: Path) -> numpy.ndarray:
     return accuracy[0] - accuracy[1:]
 
 
-def make(settings: Any, inputs: Files, outputs: Files) -> None:
-    """Write the table and the comparison as CSV, and both as Markdown."""
-    rows = collect(inputs.lenses)
-    compared = compare(inputs.lenses, settings.pairs, settings.seeds)
+def make(settings: BuiltContents, built_lenses: Sequence[Path], csv: Path, md: Path, compared_csv: Path) -> None:
+    """Write the table and the comparison as CSV, and both as Markdown; the files are those of `lens_keys`."""
+    lenses = dict(zip(settings.lens_keys, built_lenses, strict=True))
+    rows = collect(lenses)
+    compared = compare(lenses, settings.pairs, settings.seeds)
     over = ", and over seeds" if len(settings.seeds) > 1 else ""
     digits = {"": ".1f", "mtf": ".2f", "failed": "d", "built": "d", "seeds": "d"}
     note = _NOTE.format(
@@ -100,5 +101,5 @@ def make(settings: Any, inputs: Files, outputs: Files) -> None:
     if len(compared):
         shown = rounded(compared, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3g"})
         note += f"\n\n{_QUESTION.format(over=over)}\n\n{shown.to_markdown(index=False, disable_numparse=True)}"
-    publish(outputs, "Built lenses", rows, rounded(rows, digits), note)
-    compared.to_csv(outputs.compared_csv, index=False)
+    publish(csv, md, "Built lenses", rows, rounded(rows, digits), note)
+    compared.to_csv(compared_csv, index=False)

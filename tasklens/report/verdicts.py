@@ -14,7 +14,8 @@ points the two are.
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy
 import pandas
@@ -23,7 +24,6 @@ from tasklens.report import bootstrap, predictions
 from tasklens.report.failure import LEAST_ENERGY, least_accuracy
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish, rounded
-from tasklens.runtime.files import Files
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.names import SHARP
 
@@ -159,12 +159,19 @@ def seeds_phrase(claims: Claims) -> str:
     return " and seeds" if len(claims.seeds) > 1 else ""
 
 
-def make(claims: Claims, inputs: Files, outputs: Files) -> None:
+def make(
+    claims: Claims,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predictions: Sequence[Path],
+    csv: Path,
+    md: Path,
+) -> None:
     """Write the verdicts as CSV and Markdown."""
-    rows = collect(claims, Measurements(inputs.lenses, inputs.metrics, inputs.predictions))
+    rows = collect(claims, Measurements.of_claims(claims, lenses, metrics, predictions))
     shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3f"})
     margin = max((claim.margin for claim in claims.claims), default=0.0)
     words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
     note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
-    publish(outputs, "Verdicts on the paper's claims", rows, shown, note)
+    publish(csv, md, "Verdicts on the paper's claims", rows, shown, note)

@@ -4,7 +4,7 @@ All test images are classified again with the stored weights and the cached PSFs
 measurement). The predictions are compared with those and with the metrics of fine-tuning, and with the tables.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -15,7 +15,7 @@ import pandas
 from tasklens.report import predictions
 from tasklens.report.measurements import Measurements
 from tasklens.report.optimality import optimum
-from tasklens.runtime.files import Files, read_table
+from tasklens.runtime.files import read_table
 from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents, VerificationContents
@@ -135,13 +135,30 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
     return failures
 
 
-def run(contents: VerificationContents, inputs: Files, outputs: Files) -> int:
-    """Print the verdicts and the results; return 1 if there are failures, else 0."""
-    measurements = Measurements(inputs.lenses, inputs.metrics, inputs.predictions)
-    findings = verify(contents, measurements, inputs.reproduced, inputs.tables)
-    print(inputs.verdicts.read_text())
+def run(
+    settings: VerificationContents,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predictions: Sequence[Path],
+    reproduced: Sequence[Path],
+    tables: Sequence[Path],
+    verdicts: Path,
+) -> None:
+    """Print the verdicts and the results; exits with status 1 if there are failures.
+
+    Args:
+        lenses, metrics, predictions, reproduced: files of the keys of `settings`.
+        tables: CSV files of `settings.tables`.
+    """
+    measured = (dict(zip(settings.measured_keys, paths, strict=True)) for paths in (metrics, predictions, reproduced))
+    found_metrics, stored, anew = measured
+    measurements = Measurements(dict(zip(settings.lens_keys, lenses, strict=True)), found_metrics, stored)
+    names_of_tables = (contents.name for contents in settings.tables)
+    findings = verify(settings, measurements, anew, dict(zip(names_of_tables, tables, strict=True)))
+    print(verdicts.read_text())
     print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet
-    return 1 if findings.failures else 0
+    if findings.failures:
+        raise SystemExit(1)
 
 
 def summary(findings: Findings) -> str:

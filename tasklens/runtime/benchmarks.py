@@ -23,7 +23,7 @@ def read(path: Path) -> Benchmark | None:
 
 
 def benchmarks(folder: Path) -> Iterator[tuple[str, Benchmark]]:
-    """Yield the stage and the benchmark of each job of a study, from its folder of benchmarks."""
+    """Yield the rule and the benchmark of each job of a study, from its folder of benchmarks."""
     for path in sorted(folder.rglob("*.tsv")):
         if found := read(path):
             yield path.relative_to(folder).parts[0].removesuffix(".tsv"), found

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import psutil
@@ -27,10 +26,6 @@ if TYPE_CHECKING:
 
 class FileError(InputError):
     """A file with invalid content; the message names it and says what was expected."""
-
-
-class Files(SimpleNamespace):
-    """Input or output files of a job by name: paths, or mappings or sequences of paths."""
 
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")

@@ -8,9 +8,10 @@ from itertools import pairwise
 from tasklens.study import names
 from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import LensEntry
+from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study, pick
-from tasklens.study.tables import starts, tables
+from tasklens.study.tables import LensKey, MeasuredKey, starts, tables
 
 IMAGING1 = "imaging1"  # the paper's spot minimisation
 
@@ -59,6 +60,19 @@ class Claims(Frozen):
     study: str
     claims: tuple[Claim, ...]
     seeds: tuple[int, ...]
+
+    @property
+    def lens_keys(self) -> list[LensKey]:
+        """All lenses that the claims compare."""
+        lenses = dict.fromkeys(lens for claim in self.claims for lens in claim.lenses)
+        return [(lens, seed) for lens in lenses for seed in self.seeds]
+
+    @property
+    def measured_keys(self) -> list[MeasuredKey]:
+        """All measurements that the claims compare; without baselines also those on the sharp images."""
+        measured = dict.fromkeys((lens, claim.classifier) for claim in self.claims for lens in claim.lenses)
+        measured |= dict.fromkeys((SHARP, claim.reference) for claim in self.claims if not claim.baselines)
+        return [(*pair, seed) for pair in measured for seed in self.seeds]
 
 
 class AblationClaims(Frozen):

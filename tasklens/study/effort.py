@@ -4,7 +4,7 @@ from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
-from tasklens.study.tables import candidates, starts, table_lenses
+from tasklens.study.tables import LensKey, candidates, starts, table_lenses
 
 
 class Effort(Frozen):
@@ -32,9 +32,9 @@ class Efforts(Frozen):
     efforts: tuple[Effort, ...]
 
     @property
-    def lenses(self) -> tuple[str, ...]:
-        """Names of all lenses."""
-        return tuple(each.lens for each in self.efforts)
+    def lens_keys(self) -> list[LensKey]:
+        """All lenses."""
+        return [(each.lens, seed) for each in self.efforts for seed in self.seeds]
 
 
 def effort(study: Study) -> Efforts:

@@ -1,8 +1,9 @@
 """Entries of a study's lenses: designed, or imported from files; no torch here."""
 
 from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import Field, FilePath, field_validator
+from pydantic import BeforeValidator, Field, FilePath, field_validator
 
 from tasklens.materials.material import Material
 from tasklens.study.design_settings import (
@@ -14,13 +15,24 @@ from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Spec
 from tasklens.study.task_settings import TaskSettings
 
+_WORKFLOW = Path(__file__).parents[2]
+
+
+def _found(path: Any) -> Any:
+    """Return a path as it is, or that in the folder of the workflow if there is no file here."""
+    shipped = _WORKFLOW / path if isinstance(path, str | Path) else None
+    return shipped if shipped and shipped.is_file() and not Path(path).exists() else path
+
+
+LensFile = Annotated[FilePath, BeforeValidator(_found)]
+
 
 class ImportedLens(Frozen):
     """A lens from a file, scaled and refocused to the specification; its materials are those of the file."""
 
     elements: Name = Field(description="Name of its elements in the tables.")
-    file: FilePath = Field(description="A Zemax file (.zmx), or a lens.yaml.")
-    catalogues: tuple[FilePath, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
+    file: LensFile = Field(description="A Zemax file (.zmx), or a lens.yaml.")
+    catalogues: tuple[LensFile, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
 
     @property
     def sources(self) -> tuple[Path, ...]:
@@ -107,6 +119,8 @@ class LensDesign(Frozen):
         spec, constraints: specification and limits.
         capture, classifier: for designs supervised by a classifier.
         task, network: name and settings of another task, for designs supervised by its network.
+        starts: lenses of which the most accurate is the start.
+        candidates: lenses of which the best by the criterion is the start.
         rays: rays per field and colour for the figures.
         seed: seed of all random numbers.
     """
@@ -118,5 +132,7 @@ class LensDesign(Frozen):
     classifier: ClassifierSettings | None
     task: str | None
     network: TaskSettings | None
+    starts: tuple[str, ...]
+    candidates: tuple[str, ...]
     rays: int
     seed: int

@@ -112,6 +112,17 @@ def extended(config: Mapping, folder: Path) -> dict[str, Any]:
     return reduce(laid_over, reversed(below))
 
 
+def configfile(name: str | None) -> str:
+    """Return the file of a study by its name; without a name the default study, of the folder `config` or ours.
+
+    Raises:
+        StudyError: there is none.
+    """
+    if name is not None:
+        return str(file_of(name))
+    return next(str(path) for folder in (Path("config"), SHIPPED) if (path := folder / "config.yaml").is_file())
+
+
 def file_of(name: str, *folders: Path) -> Path:
     """Return the file of a study: NAME.yaml, or a config.yaml with this name, in some folders, `config`, or ours.
 

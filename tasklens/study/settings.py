@@ -1,8 +1,4 @@
-"""Settings of a study: frozen, typed, with units, limits and defaults; no torch here.
-
-This module is left out of code digests, since Snakemake compares the values of these settings: a constant that is used
-in a computation must not be defined here.
-"""
+"""Settings of a study: frozen, typed, with units, limits and defaults; no torch here."""
 
 import math
 from pathlib import Path
@@ -39,15 +35,6 @@ class Frozen(BaseModel):
     """Base class of all settings: immutable, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Slice(Frozen):
-    """The part of a study that a job may read, under names of its own."""
-
-    model_config = ConfigDict(frozen=True, extra="allow")
-
-    def __getattr__(self, name: str) -> Any:  # for type checkers: pydantic finds the extra fields
-        return super().__getattr__(name)  # type: ignore[misc]
 
 
 class Spec(Frozen):

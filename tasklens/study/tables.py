@@ -7,10 +7,25 @@ from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.lens_entries import LensDesign
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
-from tasklens.study.study import Study, StudyError
+from tasklens.study.study import Study
+
+LensKey = tuple[str, int]  # lens, seed
+MeasuredKey = tuple[str, str, int]  # lens or SHARP, measured name, seed
 
 
-class TableContents(Frozen):
+class SeededLenses(Frozen):
+    """Lenses of a table, each in all seeds."""
+
+    lenses: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+    @property
+    def lens_keys(self) -> list[LensKey]:
+        """Lens and seed of all."""
+        return [(lens, seed) for lens in self.lenses for seed in self.seeds]
+
+
+class TableContents(SeededLenses):
     """Contents of one table of the paper.
 
     Attributes:
@@ -23,9 +38,7 @@ class TableContents(Frozen):
 
     study: str
     name: str
-    lenses: tuple[str, ...]
     classifiers: tuple[str, ...]
-    seeds: tuple[int, ...]
     restored: bool
     gaps: dict[str, tuple[str, ...]]
 
@@ -35,6 +48,16 @@ class TableContents(Frozen):
         sharp = tuple((SHARP, classifier) for classifier in self.classifiers)
         captures = ((lens, names.measured(c, self.restored)) for lens in self.lenses for c in self.classifiers)
         return sharp + tuple(captures)
+
+    @property
+    def measured_keys(self) -> list[MeasuredKey]:
+        """All measurements in the table."""
+        return [(*pair, seed) for pair in self.measured for seed in self.seeds]
+
+    @property
+    def frozen_keys(self) -> list[MeasuredKey]:
+        """Measurements whose losses before fine-tuning are in the table."""
+        return self.measured_keys if self.name in ("table1", "table3") else []
 
 
 def table(study: Study, name: str) -> TableContents:
@@ -95,6 +118,8 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         classifier=study.network(study.supervisor) if entry.classified and not entry.other_task else None,
         task=entry.other_task,
         network=None if entry.other_task is None else study.task(entry.other_task),
+        starts=starts(study, lens),
+        candidates=candidates(study, lens),
         rays=study.evaluation_rays,
         seed=seed,
     )
@@ -123,99 +148,14 @@ def candidates(study: Study, lens: str) -> tuple[str, ...]:
     return tuple(f"{entry.elements}-{name}" for name in entry.design.starting_designs)
 
 
-class TaskContents(Frozen):
-    """Contents of the table of tasks beside classification.
-
-    Attributes:
-        study: name of the study.
-        lenses, tasks, seeds: names and seeds of its rows; the sharp images come first.
-    """
-
-    study: str
-    lenses: tuple[str, ...]
-    tasks: tuple[str, ...]
-    seeds: tuple[int, ...]
-
-
-def tasks(study: Study) -> TaskContents:
-    """Return the contents of the table of tasks; raises StudyError where there are no tasks."""
-    if not study.tasks.networks:
-        raise StudyError("tasks.networks: expected a task, such as segmentation: {kind: segmentation, model: ...}")
-    chosen = _chosen(study, study.tasks.designs)
-    own: list[str] = []
-    if study.tasks.designs is None:  # table 1 has none of them
-        own = [lens.name for lens in study.lenses.values() if lens.other_task]
-    return TaskContents(
-        study=study.name,
-        lenses=(SHARP, *chosen, *own),
-        tasks=tuple(study.tasks.networks),
-        seeds=study.seeds,
-    )
-
-
-def _chosen(study: Study, designs: tuple[str, ...] | None) -> tuple[str, ...]:
+def chosen_lenses(study: Study, designs: tuple[str, ...] | None) -> tuple[str, ...]:
     """Return the lenses of these designs, or of these names; by default those of table 1."""
     if designs is None:
         return table(study, "table1").lenses
     return tuple(lens.name for lens in study.lenses.values() if {lens.design_name, lens.name} & {*designs})
 
 
-class BuiltContents(Frozen):
-    """Contents of the table of built lenses.
-
-    Attributes:
-        study: name of the study.
-        lenses: names of the lenses.
-        pairs: task-driven lens and imaging lens of the same elements.
-        seeds: seeds of the study.
-        grade: name of the grade of manufacture.
-        built, images: numbers of built lenses of each design, and of images that measure each, at most.
-    """
-
-    study: str
-    lenses: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...]
-    seeds: tuple[int, ...]
-    grade: str
-    built: int
-    images: int
-
-
-def check_rays_alone(study: Study) -> None:
-    """Raise StudyError for built lenses of a study whose captures have diffraction."""
-    if study.capture.diffraction:
-        raise StudyError(
-            "tolerances: lenses are built by rays alone, while classifiers of this study have learned captures with "
-            "diffraction; expected `capture: {diffraction: false}`"
-        )
-
-
-def built(study: Study) -> BuiltContents:
-    """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for.
-
-    Raises:
-        StudyError: captures have diffraction.
-    """
-    check_rays_alone(study)
-    lenses = [study.lens(name) for name in _chosen(study, study.tolerances.designs)]
-    pairs = (
-        (lens.name, other.name)
-        for lens in lenses
-        for other in lenses
-        if lens.task_driven and not other.classified and lens.elements == other.elements
-    )
-    return BuiltContents(
-        study=study.name,
-        lenses=tuple(lens.name for lens in lenses),
-        pairs=tuple(pairs),
-        seeds=study.seeds,
-        grade=study.tolerances.grade.name,
-        built=study.tolerances.lenses,
-        images=study.tolerances.images,
-    )
-
-
-class VerificationContents(Frozen):
+class VerificationContents(SeededLenses):
     """Contents of the verification of a study: its tables, their lenses and their measurements.
 
     Attributes:
@@ -229,14 +169,17 @@ class VerificationContents(Frozen):
         seeds: seeds of the study.
     """
 
-    lenses: tuple[str, ...]
     constrained: tuple[str, ...]
     efl_mm: dict[str, float]
     efl_tolerance: float
     tables: tuple[TableContents, ...]
     measured: tuple[tuple[str, str], ...]
     supervised: tuple[str, ...]
-    seeds: tuple[int, ...]
+
+    @property
+    def measured_keys(self) -> list[MeasuredKey]:
+        """All measurements in the tables."""
+        return [(*pair, seed) for pair in self.measured for seed in self.seeds]
 
 
 def verification(study: Study) -> VerificationContents:

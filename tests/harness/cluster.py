@@ -46,7 +46,7 @@ def down(job: str) -> bool:
 
 FAULTS: dict[str, tuple[str, Callable[[str], object]]] = {  # by what is done, the job that must run, and how
     "cancelled": ("reference", lambda job: subprocess.run(["scancel", job], check=True)),
-    "over its time": ("design_wildcards_singlet-imaging1", lambda job: scontrol(f"JobId={job}", "TimeLimit=0:01")),
+    "over its time": ("design_wildcards_tiny_singlet-imaging1", lambda job: scontrol(f"JobId={job}", "TimeLimit=0:01")),
     "drained": ("design", lambda job: node("DRAIN", 10)),
     "down": ("fine_tune", down),
 }

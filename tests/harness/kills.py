@@ -40,10 +40,11 @@ def jobs() -> dict[int, str]:
     """The jobs that run, by process."""
     found = {}
     for process in processes():
-        with suppress(psutil.NoSuchProcess):
-            words = process.cmdline()  # python, tasklens, run, stage, study file, names, --plan, digest
-            if words[2:3] == ["run"] and words[1].endswith("/tasklens"):
-                found[process.pid] = " ".join([words[3], *words[5:-2]])
+        with suppress(psutil.NoSuchProcess, OSError):
+            words = process.cmdline()
+            if len(words) == 2 and words[1].endswith(".job.py"):  # its standard error is its log
+                log = os.readlink(f"/proc/{process.pid}/fd/2")
+                found[process.pid] = log.rpartition("/logs/")[2].removesuffix(".log") or "a job that starts"
     return found
 
 

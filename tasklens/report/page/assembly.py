@@ -1,6 +1,6 @@
 """Assembly of the page from the files of a study: the answer in words first, and what is missing."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,10 @@ from plotly.offline import get_plotlyjs
 from tasklens.report.headings import STD
 from tasklens.report.optimality import Optimum, optimum
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
+from tasklens.report.page.page_files import PageFiles
 from tasklens.runtime import yaml_files
-from tasklens.runtime.files import FileError, Files, damaged, read_table, write_text
-from tasklens.study.settings import Slice
+from tasklens.runtime.files import FileError, damaged, read_table, write_text
+from tasklens.study.report_jobs import ReportJob
 
 LARGEST_MB = 15.0
 _CAPTIONS = {
@@ -34,53 +35,102 @@ _CAPTIONS = {
 _SPREAD = " ± is the standard deviation over seeds."
 
 
-def make(settings: Slice, inputs: Files, outputs: Files) -> None:
+def make(
+    settings: ReportJob,
+    table_files: Sequence[Path],
+    provenance: Sequence[Path],
+    verdicts: Path,
+    psf_tail: Path,
+    effort: Path,
+    lenses: Sequence[Path],
+    histories: Sequence[Path],
+    pages: Sequence[Path],
+    zemax: Sequence[Path],
+    sections: Sequence[Path],
+    spots: Sequence[Path],
+    psfs: Sequence[Path],
+    curves: Sequence[Path],
+    restorations: Sequence[Path],
+    capture_file: Path,
+    answers: Path,
+    optional: Sequence[Path],
+    drawn: Sequence[Path],
+    benchmarks: Path,
+    report: Path,
+) -> None:
     """Write the page.
+
+    Args:
+        table_files, provenance: files of `settings.tables`.
+        lenses, histories, pages, zemax, sections, spots, psfs, curves: files of the lenses in `settings.elements`.
+        restorations: histories of the networks of `settings.restored`.
+        optional, drawn: tables and figures that are shown if they are there.
+        benchmarks: folder of Snakemake's benchmarks.
 
     Raises:
         FileError: it is larger than 15 MB.
     """
-    page = render(settings, inputs)
+
+    def by_lens(paths: Sequence[Path]) -> dict[str, Path]:
+        return dict(zip(settings.elements, paths, strict=True))
+
+    files = PageFiles(
+        tables=dict(zip(settings.tables, table_files, strict=True)),
+        others={"verdicts": verdicts, "psf_tail": psf_tail, "effort": effort},
+        asked=[*_named(optional)],
+        optional={name: path for name, path in _named(optional).items() if path.exists()},
+        drawn={path.stem: path for path in drawn if path.exists()},
+        provenance=provenance,
+        lenses=by_lens(lenses),
+        histories=by_lens(histories),
+        pages=by_lens(pages),
+        zemax=by_lens(zemax),
+        pictures={
+            name: by_lens(paths)
+            for name, paths in (("section", sections), ("spots", spots), ("psfs", psfs), ("curves", curves))
+        },
+        restorations=dict(zip(settings.restored, restorations, strict=True)),
+        captures=capture_file,
+        answers=answers,
+        benchmarks=benchmarks,
+    )
+    page = render(settings, files)
     size_mb = len(page.encode()) / 1e6
     if size_mb > LARGEST_MB:
-        raise FileError(f"{outputs.report}: would have {size_mb:.1f} MB, more than {LARGEST_MB:.0f}: show fewer lenses")
-    write_text(outputs.report, page)
+        raise FileError(f"{report}: would have {size_mb:.1f} MB, more than {LARGEST_MB:.0f}: show fewer lenses")
+    write_text(report, page)
 
 
-def render(settings: Slice, inputs: Files) -> str:
+def render(settings: ReportJob, files: PageFiles) -> str:
     """Return the page as HTML."""
-    frames = {name: read_table(path) for name, path in (inputs.tables | inputs.others).items()}
-    frames |= {name: read_table(path) for name, path in settings.optional.items() if path.exists()}
-    _check_tails(settings, inputs, frames)
+    frames = {name: read_table(path) for name, path in {**files.tables, **files.others, **files.optional}.items()}
+    _check_tails(settings, files, frames)
     table1 = frames.get("table1")
-    shown = captures.shown(inputs.captures, settings.supervisor)
-    time = machine.durations(settings.benchmarks)
+    elements = dict.fromkeys(settings.elements.values())
+    time = machine.durations(files.benchmarks)
     sections: dict[str, Any] = {
         "study": settings.study,
         "seeds": settings.seeds,
         "supervisor": settings.supervisor,
-        "summary": _summary(settings, frames),
-        "answers": _answers(settings, frames),
+        "summary": words.summary(frames["verdicts"], settings.margins, len(settings.seeds)),
+        "answers": words.answers(frames["verdicts"], elements, settings.questions, settings.margins),
         "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
-        "convergence": words.convergence(_optima(settings, inputs)),
-        "missing": missing(settings, inputs),
-        "optional": [name for name in settings.optional if name not in frames],
-        "tables": [_table(name, frames[name]) for name in settings.tables if name in frames],
-        "verdicts": _table("verdicts", frames["verdicts"]) if "verdicts" in frames else None,
-        "more": [_table(name, frame) for name, frame in frames.items() if name in ("psf_tail", "effort")],
+        "convergence": words.convergence(_optima(settings, files)),
+        "optional": [name for name in files.asked if name not in frames],
+        "tables": [_table(name, frames[name]) for name in settings.tables],
+        "verdicts": _table("verdicts", frames["verdicts"]),
+        "more": [_table(name, frames[name]) for name in ("psf_tail", "effort")],
         "further": [
-            _table(name, frames[name], _of_earlier_lenses(path, inputs))
-            for name, path in settings.optional.items()
-            if name in frames
+            _table(name, frames[name], _of_earlier_lenses(path, files)) for name, path in files.optional.items()
         ],
-        "drawn": {name: pictures.link(path) for name, path in settings.optional_figures.items() if path.exists()},
+        "drawn": {name: pictures.link(path) for name, path in files.drawn.items()},
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
         "comparisons": _comparisons(settings, frames),
-        "gallery": gallery.entries(settings, inputs, table1),
-        "captures": shown,
-        "histories": _histories(settings, inputs),
+        "gallery": gallery.entries(settings, files, table1),
+        "captures": captures.shown(files.captures, files.answers, settings.supervisor),
+        "histories": _histories(settings, files),
         "time": tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,
-        "machine": machine.facts(inputs.provenance),
+        "machine": machine.facts(files.provenance),
         "configuration": settings.configuration,
         "configuration_link": pictures.of_text(settings.configuration),
     }
@@ -92,54 +142,26 @@ def render(settings: Slice, inputs: Files) -> str:
     return environment.get_template("page.html").render(sections, plotly=get_plotlyjs(), **parts)
 
 
-def missing(settings: Slice, inputs: Files) -> list[str]:
-    """Say what of the study has not been made yet."""
-    found = [f"{name} has not been made" for name in settings.tables if name not in inputs.tables]
-    others = {"verdicts": "verdicts have", "psf_tail": "the table of tails has", "effort": "the table of efforts has"}
-    found += [f"{said} not been made" for name, said in others.items() if name not in inputs.others]
-    groups = {"lenses": "not designed", "page": "without certificate and drawings", "histories": "without history"}
-    for group, said in groups.items():
-        known = settings.elements if group == "lenses" else inputs.lenses  # a lens is missing once
-        absent = [lens for lens in known if lens not in getattr(inputs, group)]
-        if absent:
-            found.append(f"{len(absent)} of {len(known)} lenses are {said}: {', '.join(absent)}")
-    if "images" not in inputs.captures:
-        found.append("captures have not been rendered")
-    return found
-
-
-def _check_tails(settings: Slice, inputs: Files, frames: Mapping[str, pandas.DataFrame]) -> None:
-    """Raise FileError where the table of tails lacks a lens, unless it is one of what is there."""
-    if "psf_tail" not in frames or inputs.others["psf_tail"].stem.endswith("-partial"):
-        return
+def _check_tails(settings: ReportJob, files: PageFiles, frames: Mapping[str, pandas.DataFrame]) -> None:
+    """Raise FileError if the table of tails lacks a lens."""
     if lost := set(settings.elements) - set(frames["psf_tail"]["lens"]):
-        raise damaged(inputs.others["psf_tail"], f"without {', '.join(sorted(lost))}")
+        raise damaged(files.others["psf_tail"], f"without {', '.join(sorted(lost))}")
 
 
-def _summary(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> list[words.Sentence]:
-    if "verdicts" not in frames:
-        return [words.Sentence("There are no verdicts yet: not all lenses that they compare have been measured.")]
-    return words.summary(frames["verdicts"], settings.margins, len(settings.seeds))
-
-
-def _answers(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> dict[str, list[words.Sentence]]:
-    if "verdicts" not in frames:
-        return {}
-    elements = dict.fromkeys(settings.elements.values())
-    return words.answers(frames["verdicts"], elements, settings.questions, settings.margins)
-
-
-def _optima(settings: Slice, inputs: Files) -> dict[str, Optimum]:
+def _optima(settings: ReportJob, files: PageFiles) -> dict[str, Optimum]:
     """Return the test of the optimum of each supervised lens in the first seed."""
-    there = [lens for lens in settings.supervised if lens in inputs.lenses]  # not all, of a study that still runs
-    tests = {lens: optimum(yaml_files.read(inputs.lenses[lens])) for lens in there}
+    tests = {lens: optimum(yaml_files.read(files.lenses[lens])) for lens in settings.supervised}
     return {lens: test for lens, test in tests.items() if test is not None}
 
 
-def _of_earlier_lenses(path: Path, inputs: Files) -> str:
+def _of_earlier_lenses(path: Path, files: PageFiles) -> str:
     """Say so if a lens has been designed after an optional table was made, which no target makes again by itself."""
-    later = [lens for lens, file in inputs.lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
+    later = [lens for lens, file in files.lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
     return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
+
+
+def _named(paths: Sequence[Path]) -> dict[str, Path]:
+    return {path.stem.replace("-", "_"): path for path in paths}
 
 
 def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
@@ -148,14 +170,12 @@ def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
     return tables.build(name, caption, frame, spread + note)
 
 
-def _comparisons(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
+def _comparisons(settings: ReportJob, frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
     """Return the charts of differences: main questions, regimes, tolerances, ablations."""
-    found = []
-    if "verdicts" in frames:
-        verdicts = frames["verdicts"]
-        main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == "table1")]
-        labels = [f"{row['lens']} − {row['baseline']}" for row in main.to_dict("records")]
-        found.append(charts.differences("questions", "Task-driven lenses against others", main, labels))
+    verdicts = frames["verdicts"]
+    main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == "table1")]
+    labels = [f"{row['lens']} − {row['baseline']}" for row in main.to_dict("records")]
+    found = [charts.differences("questions", "Task-driven lenses against others", main, labels)]
     if "regimes" in frames:
         regimes = frames["regimes"]
         labels = [
@@ -175,12 +195,12 @@ def _comparisons(settings: Slice, frames: Mapping[str, pandas.DataFrame]) -> lis
     return [chart for chart in found if chart is not None]
 
 
-def _histories(settings: Slice, inputs: Files) -> list[charts.Chart]:
+def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
     """Return the charts of designs, by elements, and of trainings of the restoration."""
     found = []
     for elements in dict.fromkeys(settings.elements.values()):
-        lenses = [lens for lens, own in settings.elements.items() if own == elements and lens in inputs.histories]
-        runs = {lens: _last_part(_read(inputs.histories[lens])) for lens in lenses}
+        lenses = [lens for lens, own in settings.elements.items() if own == elements]
+        runs = {lens: _last_part(_read(files.histories[lens])) for lens in lenses}
         said = f"RMS spot radius in the last part of the design of each {elements}. {_ends(runs, 'rms_um')}"
         title = f"Design of each {elements}: RMS spot"
         found.append(charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, said, True))
@@ -191,7 +211,7 @@ def _histories(settings: Slice, inputs: Files) -> list[charts.Chart]:
         )
         title = f"Design of each {elements}: loss of the classifier"
         found.append(charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, said, False))
-    runs = {lens: _read(path) for lens, path in inputs.restorations.items()}
+    runs = {lens: _read(path) for lens, path in files.restorations.items()}
     said = f"PSNR on minival while the restoration networks are trained. {_ends(runs, 'psnr_db')}"
     found.append(charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, said, False))
     return [chart for chart in found if chart is not None]

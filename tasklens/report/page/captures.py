@@ -1,6 +1,5 @@
 """The same test images through every lens, with the answers of the networks."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,16 +42,14 @@ class Shown:
     captures: dict[tuple[str, bool], list[Tile]]
 
 
-def shown(files: Mapping[str, Path], supervisor: str) -> list[Shown]:
-    """Read captures and answers; none where they have not been made. The answers of the supervisor come first."""
-    if not {"images", "answers"} <= files.keys():
-        return []
-    arrays = load_file(files["images"])
+def shown(captures_file: Path, answers_file: Path, supervisor: str) -> list[Shown]:
+    """Read captures and answers; the answers of the supervisor come first."""
+    arrays = load_file(captures_file)
     texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
-    answers = read_table(files["answers"], keep_default_na=False, dtype=texts)
+    answers = read_table(answers_file, keep_default_na=False, dtype=texts)
     answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
     images = answers[["image", "label"]].drop_duplicates()
-    images = images.set_index("image").loc[list(dict.fromkeys(_in_order(files["answers"])))]
+    images = images.set_index("image").loc[list(dict.fromkeys(_in_order(answers_file)))]
     found = []
     for position, (image, label) in enumerate(images["label"].items()):
         own = answers[answers["image"] == image]

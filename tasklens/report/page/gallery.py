@@ -9,8 +9,9 @@ import pandas
 
 from tasklens.report.measurements import lens_values
 from tasklens.report.page import pictures
-from tasklens.runtime.files import Files, read_yaml
-from tasklens.study.settings import Slice
+from tasklens.report.page.page_files import PageFiles
+from tasklens.runtime.files import read_yaml
+from tasklens.study.report_jobs import ReportJob
 
 _HEADING = "## Manufacturability\n\n"
 _PICTURES = {
@@ -23,7 +24,7 @@ _PICTURES = {
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of the gallery; pictures and files are data links by name, absent where they have not been made.
+    """An entry of the gallery; pictures and files are data links by name.
 
     Attributes:
         lens: name of the lens.
@@ -33,7 +34,7 @@ class Entry:
         pictures: (data link, text alternative) by name.
         files: (file name, data link) of downloads.
         margins: (limit, margin, whether it is violated).
-        manufacturability: paragraphs of the certificate; empty without one.
+        manufacturability: paragraphs of the certificate.
         certificate: text of the whole certificate.
     """
 
@@ -48,16 +49,15 @@ class Entry:
     certificate: str
 
 
-def entries(settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> list[Entry]:
-    """Return an entry for each lens that has a file."""
-    return [_entry(lens, settings, inputs, table1) for lens in settings.elements if lens in inputs.lenses]
+def entries(settings: ReportJob, files: PageFiles, table1: pandas.DataFrame | None) -> list[Entry]:
+    """Return an entry for each lens."""
+    return [_entry(lens, settings, files, table1) for lens in settings.elements]
 
 
-def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame | None) -> Entry:
-    content = read_yaml(inputs.lenses[lens])
+def _entry(lens: str, settings: ReportJob, files: PageFiles, table1: pandas.DataFrame | None) -> Entry:
+    content = read_yaml(files.lenses[lens])
     figures, margins = content["figures"], content["margins"]
-    groups = vars(inputs)
-    page = groups["page"][lens].read_text(encoding="utf-8") if lens in groups["page"] else ""
+    page = files.pages[lens].read_text(encoding="utf-8")
     words = _words(figures) | {"name": lens}
     return Entry(
         lens=lens,
@@ -65,23 +65,20 @@ def _entry(lens: str, settings: Slice, inputs: Files, table1: pandas.DataFrame |
         by_task=lens in settings.by_task,
         facts=_facts(lens, content, table1),
         pictures={
-            name: (pictures.link(groups[name][lens]), alternative.format(**words))
+            name: (pictures.link(files.pictures[name][lens]), alternative.format(**words))
             for name, alternative in _PICTURES.items()
-            if lens in groups[name]
         },
-        files=[(f"{lens}{path.suffix}", pictures.link(path)) for path in _files(inputs, lens)],
+        files=[(f"{lens}{path.suffix}", pictures.link(path)) for path in _files(files, lens)],
         margins=[(name.replace("_", " "), f"{value:+.4f}", not value >= 0) for name, value in margins.items()],
         manufacturability=page.partition(_HEADING)[2].split("\n\n")[:2] if _HEADING in page else [],
         certificate=page,
     )
 
 
-def _files(inputs: Files, lens: str) -> list[Path]:
-    """Return the files of a lens: YAML, and where they are made Zemax and the catalogue beside it."""
-    found = [inputs.lenses[lens]]
-    if lens in inputs.zemax:
-        found += [inputs.zemax[lens], inputs.zemax[lens].with_suffix(".agf")]
-    return [path for path in found if path.exists()]
+def _files(files: PageFiles, lens: str) -> list[Path]:
+    """Return the files of a lens: YAML, Zemax, and the catalogue beside it, if it has one."""
+    catalogue = files.zemax[lens].with_suffix(".agf")
+    return [files.lenses[lens], files.zemax[lens], *([catalogue] if catalogue.exists() else [])]
 
 
 def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | None) -> list[tuple[str, str]]:

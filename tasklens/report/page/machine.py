@@ -3,7 +3,7 @@
 import math
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas
@@ -15,8 +15,8 @@ from tasklens.runtime.files import read_json
 def durations(folder: Path) -> pandas.DataFrame:
     """Return a row per kind of job from Snakemake's benchmark files: jobs, time [min], longest job, memory [MB]."""
     rows = [
-        {"job": stage.replace("_", " "), "minutes": job.seconds / 60, "memory_mb": job.memory_mb or math.nan}
-        for stage, job in benchmarks(folder)
+        {"job": rule.replace("_", " "), "minutes": job.seconds / 60, "memory_mb": job.memory_mb or math.nan}
+        for rule, job in benchmarks(folder)
     ]
     if not rows:
         return pandas.DataFrame()
@@ -33,16 +33,16 @@ def durations(folder: Path) -> pandas.DataFrame:
     return found.sort_values("total_min", ascending=False).reset_index()
 
 
-def facts(provenance: Mapping[str, Path]) -> list[tuple[str, str]]:
+def facts(provenance: Sequence[Path]) -> list[tuple[str, str]]:
     """Return the machine that makes the page, and the commits and versions that made the tables."""
     found = [
         ("machine", f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"),
         ("Python", platform.python_version()),
     ]
-    contents = {name: read_json(path) for name, path in provenance.items()}
-    commits = dict.fromkeys(content["commit"] for content in contents.values())
+    contents = [read_json(path) for path in provenance]
+    commits = dict.fromkeys(content["commit"] for content in contents)
     versions: dict[str, dict[str, None]] = {}
-    for content in contents.values():
+    for content in contents:
         for package, version in content["versions"].items():
             versions.setdefault(package, {})[version] = None
     found += [("commit of the tables", ", ".join(commits))] if commits else []

@@ -1,0 +1,103 @@
+"""The same test images through every lens, and what each network answers."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from safetensors.numpy import save_file
+from timm.data import ImageNetInfo
+from torch import Tensor
+
+from restoration import nafnet
+from tasklens.imaging import Camera, psnr
+from tasklens.optics.io import psf_files
+from tasklens.recognition import classifiers, dataset
+from tasklens.recognition.classifiers import Classifier
+from tasklens.report.chosen_images import choose
+from tasklens.runtime.devices import claim
+from tasklens.runtime.files import replacing, write_rows
+from tasklens.study import names
+from tasklens.study.names import SHARP
+from tasklens.study.report_jobs import CapturesJob
+
+FIELDS = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
+
+
+def run(
+    settings: CapturesJob,
+    test: Sequence[Path],
+    psfs: Sequence[Path],
+    restorations: Sequence[Path],
+    weights: Sequence[Path],
+    correct: Sequence[Path],
+    images: Path,
+    answers: Path,
+) -> None:
+    """Write the captures (image, field, 3, H, W) of each lens as uint8, and the answers as CSV.
+
+    Args:
+        psfs: PSFs of the lenses in `settings.captures`.
+        restorations: restoration networks of the lenses in `settings.restored`.
+        weights: networks of `settings.measured`.
+        correct: predictions of `settings.supervised`.
+    """
+    device = claim()
+    dataset_of_test = dataset.read(*test, device=device)
+    classes = dataset_of_test.classes
+    chosen = choose(dict(zip(settings.supervised, correct, strict=True)))
+    sharp, labels = dataset_of_test.batch(torch.tensor(chosen))
+    class_names = _class_names()
+    captures: dict[tuple[str, bool], Tensor] = {(SHARP, False): sharp[:, None]}  # (image, field, 3, H, W)
+    for lens, psf in zip(settings.captures, psfs, strict=True):
+        of_fields = (tensor[list(FIELDS)].to(device) for tensor in psf_files.read(psf))
+        captures[lens, False] = Camera.of(settings.captures[lens], *of_fields).grid(sharp).transpose(0, 1)
+    for lens, path in zip(settings.restored, restorations, strict=True):
+        assert settings.restoration is not None  # of the networks
+        network = nafnet.load(settings.restoration, path).to(device)
+        captures[lens, True] = network(captures[lens, False].flatten(0, 1)).unflatten(0, (len(chosen), -1))
+    rows = []
+    for (lens, measured_name), path in zip(settings.measured, weights, strict=True):
+        name, restored = names.split(measured_name)
+        classifier = classifiers.build(settings.classifiers[name], classes, path).eval().to(device)
+        by_image = _answers(classifier, captures[lens, restored], classes, class_names)
+        quality = psnr(captures[lens, restored], sharp[:, None]).tolist()
+        for k, image in enumerate(chosen):
+            own = classes[int(labels[k])]
+            for f, (answer, probability) in enumerate(by_image[k]):
+                field = "" if lens == SHARP else list(FIELDS.values())[f]
+                keys = {"image": image, "label": class_names.get(own, own), "lens": lens, "field": field}
+                keys |= {"restored": restored, "classifier": name, "answer": answer, "probability": probability}
+                rows.append(keys | {"psnr_db": None if lens == SHARP else quality[k][f]})
+    write_rows(answers, rows)
+    tensors = {names.measured(*key): _bytes(found) for key, found in captures.items()}
+    with replacing(images) as temporary:
+        save_file({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, temporary)
+
+
+def _bytes(images: Tensor) -> Tensor:
+    return (255 * images).round().clamp(0, 255).byte().contiguous()
+
+
+@torch.no_grad()
+def _answers(
+    classifier: Classifier, captures: Tensor, classes: tuple[str, ...], known: Mapping[str, str]
+) -> list[list[tuple[str, float]]]:
+    """Return the answer and its probability [%] by image and field, of captures (image, field, 3, H, W)."""
+    shares, best = classifier(captures.flatten(0, 1)).softmax(-1).max(-1)
+    info = ImageNetInfo()
+
+    def name(answer: int) -> str:
+        if answer < len(classes):
+            return known.get(classes[answer], classes[answer])
+        assert classifier.outputs is not None  # only a network of ImageNet has more outputs than classes
+        return str(info.index_to_description(int(classifier.outputs[answer])).split(",")[0])
+
+    found = [(name(answer), 100 * share) for answer, share in zip(best.tolist(), shares.tolist(), strict=True)]
+    width = captures.shape[1]
+    return [found[start : start + width] for start in range(0, len(found), width)]
+
+
+def _class_names() -> dict[str, str]:
+    """Return the English names of ImageNet's classes by WordNet id."""
+    info = ImageNetInfo()
+    return {name: info.label_name_to_description(name).split(",")[0] for name in info.label_names()}

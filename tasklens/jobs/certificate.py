@@ -1,0 +1,49 @@
+"""The certificate of a lens: figures, aberrations, limits and manufacturability; its drawings, and its Zemax file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
+from tasklens.optics.analysis.shapes import shapes
+from tasklens.optics.io import prescription
+from tasklens.optics.io import zemax as zemax_files
+from tasklens.optics.tolerancing.errors import errors
+from tasklens.optics.tolerancing.sensitivity import displacements
+from tasklens.report import certificate, figures, manufacturability
+from tasklens.runtime.files import write_text
+from tasklens.study.report_jobs import CertificateJob
+
+_RAYS = 256  # per field and colour, of sensitivities
+
+
+def run(
+    settings: CertificateJob,
+    lens: Path,
+    psf: Path,
+    page: Path,
+    zemax: Path,
+    section: Path,
+    spots: Path,
+    psfs: Path,
+    curves: Path,
+    figure: Path,
+    figure_svg: Path,
+    figure_pdf: Path,
+) -> None:
+    """Write the page and the Zemax file, and draw the lens: as one figure, and in parts."""
+    prescribed, content = prescription.read(lens)
+    designed = prescribed.lens
+    view = view_of(designed, content, str(lens))
+    title = f"{settings.lens}, seed {settings.seed}"
+    text = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(designed, view))
+    allowed = errors(designed, settings.grade)
+    moved_um = displacements(designed, view, allowed, _RAYS).tolist()
+    errors_um = {error.name: um for error, um in zip(allowed, moved_um, strict=True)}
+    limits = manufacturability.markdown(
+        content["margins"], shapes(designed), errors_um, settings.grade.name, view.pixel_pitch
+    )
+    write_text(page, f"{text}\n{limits}")
+    zemax_files.write(zemax, replace(prescription.with_use(prescribed, view), title=settings.lens, aperture=None))
+    panel = figures.panel(settings.lens, lens, psf)
+    figures.draw([figure, figure_svg, figure_pdf], [panel])
+    figures.draw_parts(panel, section, spots, psfs, curves)

@@ -1,0 +1,107 @@
+"""Fine-tuning and measurement of a classifier on the captures of a lens, and reproduction with its stored weights."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from restoration import nafnet
+from tasklens.imaging import Camera
+from tasklens.optics.io import psf_files
+from tasklens.recognition import classifiers, dataset, evaluation, training
+from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.devices import claim
+from tasklens.runtime.distributed import process_group
+from tasklens.runtime.files import write_rows, write_tensors
+from tasklens.study.job_settings import CapturePipelineSettings, FineTuningJob, ReproductionJob
+
+
+def fine_tune(
+    settings: FineTuningJob,
+    train: Sequence[Path],
+    minival: Sequence[Path],
+    test: Sequence[Path],
+    psf: Path | None,
+    restoration: Path | None,
+    reference: Path,
+    weights: Path,
+    metrics: Path,
+    predictions: Path,
+    frozen: Path,
+    checkpoint: Checkpoint,
+) -> None:
+    """Write weights, metrics by field, predictions by test image, and losses before the training by minival image.
+
+    Args:
+        psf: PSFs of the lens; None for sharp images.
+        restoration: weights of the restoration network; None for captures as they are.
+        reference: weights of the classifier that was trained on the sharp images.
+    """
+    name = settings.columns["classifier"]
+    with process_group() as group:
+        training_images, selection, images = (
+            dataset.read(*split, device=group.device) for split in (train, minival, test)
+        )
+        network = classifiers.build(settings.classifier, training_images.classes, reference).to(group.device)
+        pipeline = _capture_pipeline(settings, psf, restoration, group.device)
+        if group.is_first:
+            untrained = classifiers.frozen(network, images.images)
+            label = f"zero-shot evaluation of {name}"
+            zero_shot = evaluation.zero_shot(network, images, pipeline, label, checkpoint)
+            before = evaluation.evaluate([untrained], selection, pipeline, "minival, before training", checkpoint)
+        training.fit(
+            {name: network},
+            training_images,
+            settings.training,
+            settings.seed,
+            "fine-tune",
+            pipeline.one_field,
+            checkpoint,
+            group,
+        )
+    if not group.is_first:
+        return
+    trained, after = classifiers.frozen(network, images.images), before
+    on_test = evaluation.evaluate([trained], images, pipeline, "test", checkpoint)
+    if settings.training.epochs:
+        after = evaluation.evaluate([trained], selection, pipeline, "minival", checkpoint)
+    measured = evaluation.measure([network], images, on_test, after, pipeline.camera is not None)
+    ((rows, answers),) = measured
+    write_tensors(weights, network.network.state_dict(), {"model": settings.classifier.model})
+    write_rows(frozen, evaluation.by_image(before.losses[0], selection))
+    write_rows(metrics, [settings.columns | row for row in zero_shot + rows])
+    write_rows(predictions, answers)
+
+
+def reproduce(
+    settings: ReproductionJob,
+    test: Sequence[Path],
+    psf: Path | None,
+    restoration: Path | None,
+    weights: Path,
+    predictions: Path,
+    checkpoint: Checkpoint,
+) -> None:
+    """Write the predictions of the stored weights through the stored PSFs."""
+    device = claim()
+    images = dataset.read(*test, device=device)
+    trained = classifiers.build(settings.classifier, images.classes, weights).to(device)
+    classifier = classifiers.frozen(trained, images.images)
+    pipeline = _capture_pipeline(settings, psf, restoration, device)
+    correct = evaluation.evaluate([classifier], images, pipeline, "test", checkpoint).correct[0]
+    write_rows(predictions, evaluation.by_image(correct.int(), images))
+
+
+def _capture_pipeline(
+    settings: CapturePipelineSettings, psf: Path | None, restoration: Path | None, device: torch.device
+) -> CapturePipeline:
+    """Build the capture pipeline from cached PSFs, if any, and the trained restoration, if any."""
+    camera = network = None
+    if settings.capture is not None:
+        assert psf is not None  # captures are of a lens
+        camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+    if settings.restoration is not None:
+        assert restoration is not None  # of the network
+        network = nafnet.load(settings.restoration, restoration).to(device)
+    return CapturePipeline(camera, network)

@@ -1,0 +1,107 @@
+"""Figure of whole frames through the task-driven lenses and the best imaging lens (the paper's figure 4)."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from tasklens.imaging import Camera
+from tasklens.jobs.comparison import compared
+from tasklens.optics.analysis.datasheet import view_of
+from tasklens.optics.io import prescription, psf_files
+from tasklens.recognition import dataset
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.report import frames, predictions
+from tasklens.simulation.charts import resolution_chart
+from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
+from tasklens.simulation.sensor import capture
+from tasklens.study.report_jobs import FramesJob
+from tasklens.study.settings import CaptureSettings
+
+_SHAPE = 1080, 1920  # of the frames [pixels]
+_FIELD = 4  # the middle one of nine
+_RULE = (
+    "Last rows: the first test image in file order that the network of {one} recognises at the middle field\n"
+    "and that of {other} does not, and the first of which the opposite is true; where there are such"
+)
+
+
+def run(
+    settings: FramesJob,
+    lenses: Sequence[Path],
+    psfs: Sequence[Path],
+    metrics: Sequence[Path],
+    test: Sequence[Path],
+    correct: Sequence[Path],
+    figure: Path,
+) -> None:
+    """Draw a chart and test images side by side as frames, and single captures on which two networks disagree.
+
+    The frames have neither noise nor levels, the single captures what the study gives them.
+
+    Args:
+        lenses, psfs, correct: files of the lenses in `settings.captures`, and predictions of the supervisor.
+        metrics: measurements of `settings.comparison.baseline_keys`.
+    """
+    lens_of = dict(zip(settings.captures, lenses, strict=True))
+    names = compared(settings.comparison, metrics)
+    images = dataset.read(*test)
+    sources = {"chart": resolution_chart(*_SHAPE), "test images": _tiled(images)}
+    shown = {name: {"sharp": image} for name, image in sources.items()}
+    for lens in names:
+        prescribed, content = prescription.read(lens_of[lens])
+        view = view_of(prescribed.lens, content, str(lens_of[lens]))
+        pitch = pitch_on_sensor(view, _SHAPE)
+        field_psfs = trace_field_psfs(prescribed.lens, view, _SHAPE, pitch)
+        for name, image in sources.items():
+            shown[name][lens] = capture(image, field_psfs, settings.captures[lens].colour)
+    network = settings.comparison.claims[0].classifier
+    title = f"{_SHAPE[0]} x {_SHAPE[1]} pixels of {pitch:.2f} um fill the sensor; networks: {network}"
+    psf_of, correct_of = (dict(zip(settings.captures, paths, strict=True)) for paths in (psfs, correct))
+    by_lens = {lens: (psf_of[lens], correct_of[lens]) for lens in names}
+    answered = _disagreements(settings, by_lens, images)
+    frames.draw(figure, title, shown, answered, _RULE.format(one=names[0], other=names[-1]))
+
+
+def _tiled(test: ImageDataset) -> Tensor:
+    """Return the first test images row by row as one frame (3, H, W); from the beginning again if they are too few."""
+    side = test.images.shape[-1]
+    rows, columns = (-(-n // side) for n in _SHAPE)
+    images, _ = test.batch(torch.arange(rows * columns) % len(test))
+    whole = images.unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4).flatten(1, 2).flatten(2, 3)
+    return whole[:, : _SHAPE[0], : _SHAPE[1]]
+
+
+def _disagreements(
+    settings: FramesJob, files: Mapping[str, tuple[Path, Path]], test: ImageDataset
+) -> list[frames.Answered]:
+    """Return the first image that the first lens' network recognises and the last one's does not; and the opposite.
+
+    There are fewer if the networks do not disagree so.
+
+    Args:
+        files: PSFs and predictions by lens.
+    """
+    lenses = list(files)
+    correct = {lens: predictions.read(path).iloc[:, _FIELD] == 1 for lens, (_, path) in files.items()}
+    for lens in lenses[1:]:
+        predictions.same_images(correct[lenses[0]], correct[lens], f"{lenses[0]} and {lens}")
+    answered = []
+    for one, other in ((lenses[0], lenses[-1]), (lenses[-1], lenses[0])):
+        only = correct[one] & ~correct[other]
+        if not only.any():
+            continue
+        row = int(only.argmax())
+        image, label = only.index[row]
+        images, _ = test.batch(torch.tensor([int(image)]))
+        captures = {lens: _single(settings.captures[lens], psf, images) for lens, (psf, _) in files.items()}
+        answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
+        answered.append(frames.Answered(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
+    return answered
+
+
+def _single(settings: CaptureSettings, psf: Path, images: Tensor) -> Tensor:
+    """Return the capture (3, H, W) of one image at the middle field."""
+    of_field = (tensor[[_FIELD]] for tensor in psf_files.read(psf))
+    return Camera.of(settings, *of_field).grid(images)[0, 0]

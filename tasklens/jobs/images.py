@@ -1,0 +1,26 @@
+"""Rendering or reading of the images, split into train, minival and test."""
+
+import sys
+from pathlib import Path
+
+from tasklens.recognition import dataset
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.study.job_settings import ImagesJob
+
+
+def run(
+    settings: ImagesJob,
+    train: Path,
+    train_labels: Path,
+    minival: Path,
+    minival_labels: Path,
+    test: Path,
+    test_labels: Path,
+    checkpoint: Checkpoint,
+) -> None:
+    """Write images and labels of the three splits."""
+    paths = {"train": (train, train_labels), "minival": (minival, minival_labels), "test": (test, test_labels)}
+    dataset.make(settings.images, paths, checkpoint)
+    for name, files in paths.items():
+        split = dataset.read(*files)
+        print(f"{name}: {len(split)} images of {len(split.classes)} classes", file=sys.stderr)

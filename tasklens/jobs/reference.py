@@ -1,0 +1,36 @@
+"""Training of a classifier on the sharp images, or its published weights."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from tasklens.recognition import classifiers, dataset, training
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.devices import claim
+from tasklens.runtime.files import write_tensors
+from tasklens.study.settings import ClassifierSettings
+
+
+def run(
+    settings: ClassifierSettings,
+    images: Sequence[Path],
+    published: Path | None,
+    weights: Path,
+    checkpoint: Checkpoint,
+) -> None:
+    """Write the weights.
+
+    Args:
+        images: training images and their labels.
+        published: file of the published weights; `settings` has its path, and the rule waits for it.
+    """
+    device = claim()
+    train = dataset.read(*images, device=device)
+    torch.manual_seed(settings.seed)
+    classifier = classifiers.build(settings, train.classes).to(device)
+    if settings.training is not None:
+        training.fit(
+            {settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint
+        )
+    write_tensors(weights, classifier.network.state_dict(), {"model": settings.model})

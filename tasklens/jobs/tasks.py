@@ -1,0 +1,69 @@
+"""Training of a task's network on sharp images with objects; its fine-tuning and scores on captures of a lens."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from tasklens.imaging import Camera
+from tasklens.optics.io import psf_files
+from tasklens.recognition import object_tasks, objects, task_networks, training
+from tasklens.recognition.evaluation import CapturePipeline, scores
+from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.devices import claim
+from tasklens.runtime.files import write_rows, write_tensors
+from tasklens.study.task_jobs import TaskFineTuningJob, TaskTrainingJob
+
+
+def train(settings: TaskTrainingJob, images: Sequence[Path], weights: Path, checkpoint: Checkpoint) -> None:
+    """Write the weights of a network that was trained on the sharp images."""
+    device = claim()
+    dataset = objects.read(*images, device=device)
+    torch.manual_seed(0)
+    network = task_networks.build(settings.name, settings.network, len(dataset.classes), dataset.images.shape[-1]).to(
+        device
+    )
+    task = object_tasks.make(settings.name, settings.network, dataset)
+    sharp, label = dataset.as_images(), f"training of {settings.name}"
+    training.fit({settings.name: network}, sharp, settings.network.training, 0, label, checkpoint=checkpoint, task=task)
+    write_tensors(weights, network.state_dict(), {"task": settings.name})
+
+
+def fine_tune(
+    settings: TaskFineTuningJob,
+    training_scenes: Sequence[Path],
+    test_scenes: Sequence[Path],
+    reference: Path,
+    psf: Path | None,
+    weights: Path,
+    metrics: Path,
+    checkpoint: Checkpoint,
+) -> None:
+    """Write weights and scores by field of a network that was fine-tuned on the captures of a lens (None: sharp)."""
+    device = claim()
+    training_images, test_images = (objects.read(*split, device=device) for split in (training_scenes, test_scenes))
+    size, classes = training_images.images.shape[-1], training_images.classes
+    network = task_networks.load(settings.name, settings.network, classes, size, reference).to(device)
+    camera = None
+    if settings.capture is not None:
+        assert psf is not None  # captures are of a lens
+        camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+    pipeline = CapturePipeline(camera)
+    training_task, test_task = (
+        object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)
+    )
+    test = test_images.as_images()
+    rows = [row | {"tuned": False} for row in scores(network, test_task, test, pipeline)]
+    training.fit(
+        {settings.name: network},
+        training_images.as_images(),
+        settings.network.fine_tuning,
+        settings.seed,
+        f"fine-tuning of {settings.name}",
+        pipeline.one_field,
+        checkpoint,
+        task=training_task,
+    )
+    rows += [row | {"tuned": True} for row in scores(network, test_task, test, pipeline)]
+    write_tensors(weights, network.state_dict(), {"task": settings.name})
+    write_rows(metrics, [settings.columns | row for row in rows])

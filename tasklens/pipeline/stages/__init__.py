@@ -1,1 +1,0 @@
-"""Functions of the stages, with settings, inputs and outputs as arguments."""

@@ -1,0 +1,31 @@
+"""Files that the page of a study is made of."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class PageFiles:
+    """Files of a page, by name of a table or figure, or by lens.
+
+    Attributes:
+        asked: names of the optional tables; `optional` has those that are there, `drawn` the figures.
+        pictures: drawings by name (section, spots, psfs, curves) and lens.
+    """
+
+    tables: Mapping[str, Path]
+    others: Mapping[str, Path]
+    asked: Sequence[str]
+    optional: Mapping[str, Path]
+    drawn: Mapping[str, Path]
+    provenance: Sequence[Path]
+    lenses: Mapping[str, Path]
+    histories: Mapping[str, Path]
+    pages: Mapping[str, Path]
+    zemax: Mapping[str, Path]
+    pictures: Mapping[str, Mapping[str, Path]]
+    restorations: Mapping[str, Path]
+    captures: Path
+    answers: Path
+    benchmarks: Path

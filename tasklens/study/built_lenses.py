@@ -1,0 +1,83 @@
+"""Settings of lenses built in simulation, and contents of their table; no torch here."""
+
+from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
+from tasklens.study.study import Study, StudyError
+from tasklens.study.tables import SeededLenses, chosen_lenses
+from tasklens.study.tolerance_settings import ToleranceSettings
+
+
+class ProductionJob(Frozen):
+    """Lenses of a design, built in simulation with errors of manufacture."""
+
+    lens: str
+    seed: int
+    spec: Spec
+    capture: CaptureSettings
+    classifier: ClassifierSettings
+    tolerances: ToleranceSettings
+
+    @classmethod
+    def of(cls, study: Study, lens: str, seed: int) -> "ProductionJob":
+        """Return the settings of the job; raises StudyError if captures have diffraction."""
+        check_rays_alone(study)
+        return cls(
+            lens=lens,
+            seed=seed,
+            spec=study.spec_of(study.lens(lens).elements),
+            capture=study.capture_of(lens),
+            classifier=study.network(study.supervisor),
+            tolerances=study.tolerances.model_copy(update={"designs": None}),
+        )
+
+
+class BuiltContents(SeededLenses):
+    """Contents of the table of built lenses.
+
+    Attributes:
+        study: name of the study.
+        lenses: names of the lenses.
+        pairs: task-driven lens and imaging lens of the same elements.
+        seeds: seeds of the study.
+        grade: name of the grade of manufacture.
+        built, images: numbers of built lenses of each design, and of images that measure each, at most.
+    """
+
+    study: str
+    pairs: tuple[tuple[str, str], ...]
+    grade: str
+    built: int
+    images: int
+
+
+def check_rays_alone(study: Study) -> None:
+    """Raise StudyError for built lenses of a study whose captures have diffraction."""
+    if study.capture.diffraction:
+        raise StudyError(
+            "tolerances: lenses are built by rays alone, while classifiers of this study have learned captures with "
+            "diffraction; expected `capture: {diffraction: false}`"
+        )
+
+
+def built(study: Study) -> BuiltContents:
+    """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for.
+
+    Raises:
+        StudyError: captures have diffraction.
+    """
+    check_rays_alone(study)
+    lenses = [study.lens(name) for name in chosen_lenses(study, study.tolerances.designs)]
+    pairs = (
+        (lens.name, other.name)
+        for lens in lenses
+        for other in lenses
+        if lens.task_driven and not other.classified and lens.elements == other.elements
+    )
+    return BuiltContents(
+        study=study.name,
+        lenses=tuple(lens.name for lens in lenses),
+        pairs=tuple(pairs),
+        seeds=study.seeds,
+        grade=study.tolerances.grade.name,
+        built=study.tolerances.lenses,
+        images=study.tolerances.images,
+    )

@@ -1,0 +1,140 @@
+"""Settings of each kind of job: the part of a study that it reads; no torch here.
+
+`of` takes the study and the wildcards of the rule. Snakemake compares the result, so that a changed value reruns the
+jobs that read it, and no others.
+"""
+
+import os
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from tasklens.study import names
+from tasklens.study.names import SHARP
+from tasklens.study.settings import (
+    CaptureSettings,
+    ClassifierSettings,
+    Frozen,
+    ImageSettings,
+    RestorationSettings,
+    Spec,
+    TrainingSettings,
+)
+from tasklens.study.study import Study, StudyError
+
+
+def folder_digest(folder: Path) -> str:
+    """Compute the digest of names, sizes and modification times of all files below a folder, which may be absent."""
+    entries, seen = [], set()
+    for root, folders, files in os.walk(folder, followlinks=True):
+        status = os.stat(root)
+        if (status.st_dev, status.st_ino) in seen:  # a link to a folder around it would not end
+            folders.clear()
+            continue
+        seen.add((status.st_dev, status.st_ino))
+        folders.sort()
+        for name in sorted(files):
+            path = os.path.join(root, name)
+            status = os.stat(path) if os.path.exists(path) else os.lstat(path)  # a broken link
+            entries.append(f"{os.path.relpath(path, folder)} {status.st_size} {status.st_mtime_ns}")
+    return sha256("\n".join(entries).encode()).hexdigest()[:16]
+
+
+@cache  # a million photographs are listed once
+def source(folder: Path | None) -> str | None:
+    """Return the digest of a folder of images; None without a folder."""
+    return None if folder is None else folder_digest(folder)
+
+
+class ImagesJob(Frozen):
+    """Rendering or reading of the images; `source` is the digest of their folder."""
+
+    images: ImageSettings
+    source: str | None
+
+    @classmethod
+    def of(cls, study: Study) -> "ImagesJob":
+        """Return the settings of the job."""
+        return cls(images=study.images, source=source(study.images.folder))
+
+
+class DiffractionJob(Frozen):
+    """PSFs of a lens with diffraction."""
+
+    spec: Spec
+    rays: int
+
+    @classmethod
+    def of(cls, study: Study, lens: str, seed: int) -> "DiffractionJob":
+        """Return the settings of the job."""
+        return cls(spec=study.spec_of(study.lens(lens).elements), rays=study.evaluation_rays)
+
+
+class RestorationJob(Frozen):
+    """Training of a restoration network on the captures of a lens."""
+
+    restoration: RestorationSettings
+    capture: CaptureSettings
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study, lens: str, seed: int) -> "RestorationJob":
+        """Return the settings of the job."""
+        return cls(restoration=study.restoration, capture=study.capture_of(lens), seed=seed)
+
+
+class CapturePipelineSettings(Frozen):
+    """Settings of what a classifier sees: captures of a lens (None: sharp images), restored or not (None)."""
+
+    capture: CaptureSettings | None
+    restoration: RestorationSettings | None
+
+
+def _pipeline(study: Study, lens: str, restored: bool) -> dict[str, Any]:
+    if restored and lens == SHARP:
+        raise StudyError(f"{SHARP} images are not restored; expected a classifier without -restored")
+    capture = None if lens == SHARP else study.capture_of(lens)
+    return {"capture": capture, "restoration": study.restoration if restored else None}
+
+
+def lens_columns(study: Study, lens: str) -> dict[str, Any]:
+    """Return the columns by which tables know a lens, or the sharp images."""
+    if lens == SHARP:
+        return {"elements": "", "design": "reference"}
+    entry = study.lens(lens)
+    return {"elements": entry.elements, "design": entry.design_name}
+
+
+class FineTuningJob(CapturePipelineSettings):
+    """Fine-tuning of a classifier on captures, and its measurement; `columns` identify its rows in tables."""
+
+    classifier: ClassifierSettings
+    training: TrainingSettings
+    columns: dict[str, Any]
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study, lens: str, measured_name: str, seed: int) -> "FineTuningJob":
+        """Return the settings of the job."""
+        name, restored = names.split(measured_name)
+        keys = {"classifier": name, "restored": restored, "seed": seed}
+        return cls(
+            **_pipeline(study, lens, restored),
+            classifier=study.classifier(name),
+            training=study.fine_tuning,
+            columns=lens_columns(study, lens) | keys,
+            seed=seed,
+        )
+
+
+class ReproductionJob(CapturePipelineSettings):
+    """Classification of the test images with the stored weights of a classifier."""
+
+    classifier: ClassifierSettings
+
+    @classmethod
+    def of(cls, study: Study, lens: str, measured_name: str, seed: int) -> "ReproductionJob":
+        """Return the settings of the job."""
+        name, restored = names.split(measured_name)
+        return cls(**_pipeline(study, lens, restored), classifier=study.network(name))

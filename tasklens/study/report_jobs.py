@@ -1,0 +1,219 @@
+"""Settings of the jobs that show lenses and results; no torch here."""
+
+from typing import Any
+
+from tasklens.study import claims as paper_claims
+from tasklens.study import effort as paper_effort
+from tasklens.study import names
+from tasklens.study import tables as paper_tables
+from tasklens.study.claims import Claim, Claims
+from tasklens.study.loading import dump
+from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, RestorationSettings, Spec
+from tasklens.study.study import Study, StudyError, pick
+from tasklens.study.sweep import points
+from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, TableContents
+from tasklens.study.tolerance_settings import Grade
+
+
+class CertificateJob(Frozen):
+    """The page and the drawings of a lens."""
+
+    lens: str
+    seed: int
+    grade: Grade
+
+    @classmethod
+    def of(cls, study: Study, lens: str, seed: int) -> "CertificateJob":
+        """Return the settings of the job."""
+        return cls(lens=lens, seed=seed, grade=study.tolerances.grade)
+
+
+class ComparisonJob(Frozen):
+    """A figure of the task-driven lenses of some elements and the best imaging lens; one claim for each."""
+
+    claims: tuple[Claim, ...]
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study, elements: str, seed: int) -> "ComparisonJob":
+        """Return the settings of the job."""
+        kind = "name of elements with a task-driven and an imaging design:"
+        return cls(claims=tuple(pick(paper_claims.claims_by_elements(study), elements, kind)), seed=seed)
+
+    @property
+    def lenses(self) -> list[str]:
+        """All lenses that the claims compare."""
+        return list(dict.fromkeys(lens for claim in self.claims for lens in claim.lenses))
+
+    @property
+    def baseline_keys(self) -> list[MeasuredKey]:
+        """Measurements that say which imaging lens is the best."""
+        keys = [(lens, claim.classifier, self.seed) for claim in self.claims for lens in claim.baselines]
+        return list(dict.fromkeys(keys))
+
+
+class FramesJob(Frozen):
+    """A figure of whole frames through these lenses."""
+
+    comparison: ComparisonJob
+    captures: dict[str, CaptureSettings]
+
+    @classmethod
+    def of(cls, study: Study, elements: str, seed: int) -> "FramesJob":
+        """Return the settings of the job."""
+        comparison = ComparisonJob.of(study, elements, seed)
+        return cls(comparison=comparison, captures={lens: study.capture_of(lens) for lens in comparison.lenses})
+
+
+class CapturesJob(Frozen):
+    """Test images through every lens of the tables, and the answers of each network.
+
+    Attributes:
+        captures: settings of captures by lens.
+        measured: (lens, measured name) of the networks.
+        supervised: lenses (or SHARP) with predictions of the supervisor, by which the images are chosen.
+    """
+
+    captures: dict[str, CaptureSettings]
+    restoration: RestorationSettings | None
+    classifiers: dict[str, ClassifierSettings]
+    measured: tuple[tuple[str, str], ...]
+    supervised: tuple[str, ...]
+
+    @classmethod
+    def of(cls, study: Study) -> "CapturesJob":
+        """Return the settings of the job."""
+        contents = paper_tables.verification(study)
+        used = dict.fromkeys(names.split(name)[0] for _, name in contents.measured)
+        restored = any(names.split(name)[1] for _, name in contents.measured)
+        return cls(
+            captures={lens: study.capture_of(lens) for lens in contents.lenses},
+            restoration=study.restoration if restored else None,
+            classifiers={name: study.network(name) for name in used},
+            measured=contents.measured,
+            supervised=tuple(lens for lens, name in contents.measured if name == study.supervisor),
+        )
+
+    @property
+    def restored(self) -> list[str]:
+        """Lenses with a restoration network."""
+        return sorted({lens for lens, name in self.measured if names.split(name)[1]})
+
+
+class TailsJob(SeededLenses):
+    """The tables of core, tail and encircled energy of all PSFs."""
+
+    study: str
+    specs: dict[str, Spec]
+    rays: int
+
+    @classmethod
+    def of(cls, study: Study) -> "TailsJob":
+        """Return the settings of the job."""
+        lenses = paper_tables.table_lenses(study)
+        specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
+        return cls(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
+
+
+class RegimesJob(Frozen):
+    """The table of the gain of task-driven design; `tried` is the number of lenses tried, by lens."""
+
+    claims: Claims
+    tried: dict[str, int]
+
+    @classmethod
+    def of(cls, study: Study) -> "RegimesJob":
+        """Return the settings of the job."""
+        claims = paper_claims.regime_claims(study)
+        lenses = sorted({lens for claim in claims.claims for lens in claim.lenses})
+        return cls(claims=claims, tried={lens: paper_effort.tried_in_all(study, lens) for lens in lenses})
+
+
+class MeritFunctionJob(Frozen):
+    """The table and figure of the merit function of each classifier."""
+
+    contents: TableContents
+    supervisor: str
+
+    @classmethod
+    def of(cls, study: Study) -> "MeritFunctionJob":
+        """Return the settings of the job."""
+        contents = paper_tables.table(study, "table2" if "table2" in study.tables else "table1")
+        return cls(contents=contents, supervisor=study.supervisor)
+
+    @property
+    def lens_keys(self) -> list[LensKey]:
+        """All lenses."""
+        return [(lens, seed) for lens in self.contents.lenses for seed in self.contents.seeds]
+
+    @property
+    def frozen_keys(self) -> list[MeasuredKey]:
+        """Measurements of each lens by each classifier."""
+        return [(lens, name, seed) for lens, seed in self.lens_keys for name in self.contents.classifiers]
+
+
+class ReportJob(Frozen):
+    """The page of a study, of its first seed.
+
+    Attributes:
+        elements: name of the elements by lens.
+        by_task: names of the task-driven lenses.
+        by_classifier: names of the lenses whose design a network supervises.
+        margins: margins of claims by their text.
+        questions: texts of the main claims, in order.
+        supervised: names of the lenses that have an optimum.
+        restored: names of the lenses with a restoration network.
+        ablations: names of the ablations.
+        configuration: the resolved study as YAML.
+    """
+
+    study: str
+    seeds: tuple[int, ...]
+    supervisor: str
+    tables: tuple[str, ...]
+    elements: dict[str, str]
+    by_task: tuple[str, ...]
+    by_classifier: tuple[str, ...]
+    margins: dict[str, float]
+    questions: tuple[str, ...]
+    supervised: tuple[str, ...]
+    restored: tuple[str, ...]
+    ablations: tuple[str, ...]
+    configuration: str
+
+    @classmethod
+    def of(cls, study: Study) -> "ReportJob":
+        """Return the settings of the job."""
+        contents = paper_tables.verification(study)
+        entries = {lens: study.lens(lens) for lens in contents.lenses}
+        return cls(
+            study=study.name,
+            seeds=study.seeds,
+            supervisor=study.supervisor,
+            tables=tuple(table.name for table in contents.tables),
+            elements={lens: entry.elements for lens, entry in entries.items()},
+            by_task=tuple(lens for lens, entry in entries.items() if entry.task_driven),
+            by_classifier=tuple(lens for lens, entry in entries.items() if entry.classified),
+            margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
+            questions=(paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS),
+            supervised=contents.supervised,
+            restored=tuple(lens for lens, name in contents.measured if names.split(name)[1]),
+            ablations=tuple(study.ablations),
+            configuration=dump(study),
+        )
+
+
+class SweepJob(Frozen):
+    """The table of all points of a sweep: the values of the swept keys by point, and its tables."""
+
+    study: str
+    points: dict[str, dict[str, Any]]
+    tables: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, study: Study) -> "SweepJob":
+        """Return the settings of the job; raises StudyError for a study without a sweep."""
+        if not study.sweep:
+            raise StudyError(f"{study.name}: has no sweep, of which this would be the table")
+        grid = points(study.sweep)
+        return cls(study=study.name, points=grid, tables=tuple((p, name) for p in grid for name in study.tables))

@@ -1,0 +1,92 @@
+"""Settings of the jobs of tasks beside classification, and contents of their table; no torch here."""
+
+from typing import Any
+
+from tasklens.study.job_settings import lens_columns, source
+from tasklens.study.names import SHARP
+from tasklens.study.settings import CaptureSettings, Frozen
+from tasklens.study.study import Study, StudyError
+from tasklens.study.tables import MeasuredKey, chosen_lenses
+from tasklens.study.task_settings import SceneSettings, TaskSettings
+
+
+class ScenesJob(Frozen):
+    """Rendering or reading of the images with objects; `source` is the digest of their folder."""
+
+    scenes: SceneSettings
+    source: str | None
+
+    @classmethod
+    def of(cls, study: Study) -> "ScenesJob":
+        """Return the settings of the job."""
+        return cls(scenes=study.tasks.scenes, source=source(study.tasks.scenes.folder))
+
+
+class TaskTrainingJob(Frozen):
+    """Training of the network of a task on the sharp images with objects."""
+
+    name: str
+    network: TaskSettings
+
+    @classmethod
+    def of(cls, study: Study, task: str) -> "TaskTrainingJob":
+        """Return the settings of the job; how the network is fine-tuned later is not among them."""
+        network = study.task(task)
+        return cls(name=task, network=network.model_copy(update={"fine_tuning": network.training}))
+
+
+class TaskFineTuningJob(Frozen):
+    """Fine-tuning of the network of a task on the captures of a lens (None: sharp images), and its scores."""
+
+    name: str
+    network: TaskSettings
+    capture: CaptureSettings | None
+    columns: dict[str, Any]
+    seed: int
+
+    @classmethod
+    def of(cls, study: Study, lens: str, task: str, seed: int) -> "TaskFineTuningJob":
+        """Return the settings of the job."""
+        capture = None if lens == SHARP else study.capture_of(lens)
+        columns = lens_columns(study, lens) | {"task": task, "seed": seed}
+        return cls(name=task, network=study.task(task), capture=capture, columns=columns, seed=seed)
+
+
+class TaskContents(Frozen):
+    """Contents of the table of tasks beside classification.
+
+    Attributes:
+        study: name of the study.
+        lenses, tasks, seeds: names and seeds of its rows; the sharp images come first.
+    """
+
+    study: str
+    lenses: tuple[str, ...]
+    tasks: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+    @property
+    def score_keys(self) -> list[MeasuredKey]:
+        """Lens (or SHARP), task and seed of all scores."""
+        return [(lens, task, seed) for lens in self.lenses for task in self.tasks for seed in self.seeds]
+
+    @property
+    def drawn(self) -> list[str]:
+        """Lenses whose PSFs are drawn."""
+        return [lens for lens in self.lenses if lens != SHARP]
+
+
+def tasks(study: Study) -> TaskContents:
+    """Return the contents of the table of tasks; raises StudyError where there are no tasks."""
+    if not study.tasks.networks:
+        raise StudyError("tasks.networks: expected a task, such as segmentation: {kind: segmentation, model: ...}")
+    chosen = chosen_lenses(study, study.tasks.designs)
+    own: list[str] = []
+    if study.tasks.designs is None:  # table 1 has none of them
+        own = [lens.name for lens in study.lenses.values() if lens.other_task]
+    return TaskContents(
+        study=study.name,
+        lenses=(SHARP, *chosen, *own),
+        tasks=tuple(study.tasks.networks),
+        seeds=study.seeds,
+    )

@@ -1,0 +1,82 @@
+"""The workflow in other workflows, from other folders, and several studies in one run."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from examples import tiny_study
+from test_workflow import ROOT, expected, forked, plan, snakemake
+
+from tasklens.study.loading import load, parse
+
+
+def one_lens() -> dict:
+    study = tiny_study()
+    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}, "tables": ["table1"]}
+
+
+@pytest.fixture
+def other(tmp_path):
+    """A folder with a workflow of somebody else, which uses ours as a module."""
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(one_lens()))
+
+    def write(prefix: str) -> list[str]:
+        words = [
+            "import yaml",
+            "module tasklens:",
+            f"    snakefile: '{ROOT}/Snakefile'",
+            "    config: yaml.safe_load(open('study.yaml'))",
+            f"use rule * from tasklens{prefix and f' as {prefix}*'}",
+            "rule copy:",
+            f"    input: rules.{prefix}table1.input",
+            "    output: 'copy.csv'",
+            "    shell: 'cp {input} {output}'",
+        ]
+        (tmp_path / "Snakefile").write_text("\n".join(words) + "\n")
+        return ["--snakefile", "Snakefile", "--directory", "."]
+
+    return write
+
+
+@pytest.mark.parametrize("prefix", ["", "lens_"])
+def test_another_workflow_uses_ours_as_a_module(tmp_path, other, prefix):
+    """With and without a prefix; it runs to the table, in Snakemake's own words."""
+    done = snakemake(tmp_path, None, *other(prefix), "copy")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (tmp_path / "copy.csv").read_bytes() == (tmp_path / "results/tiny/tables/table1.csv").read_bytes()
+    assert f"rule {prefix}design:" in done.stderr and "Study tiny" not in done.stdout
+    assert "Nothing to be done" in snakemake(tmp_path, None, *other(prefix), "copy").stderr
+
+
+def test_studies_by_their_names_in_one_run(tmp_path):
+    """Of `config` here, and those that come with the program; the configuration changes its own study alone."""
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config/tiny.yaml").write_text(yaml.safe_dump(one_lens()))
+    (tmp_path / "config/tiny2.yaml").write_text("{name: tiny2, extends: tiny, seeds: [0, 1]}")
+    here, smoke = parse(one_lens()), load(ROOT / "config" / "smoke.yaml")
+    targets = ["results/tiny/report.html", "results/tiny2/tables/table1.csv", "results/smoke/images/train.npy"]
+    found = plan(tmp_path, None, *targets, "--config", "seeds=[4]")
+    both = expected(here)
+    assert found["design"] == 3 and found["images"] == 3 and found["fine_tune"] == 2 * 3
+    assert {rule: found[rule] for rule in ("report_page", "captures", "verdicts_table")} == {
+        rule: both[rule] for rule in ("report_page", "captures", "verdicts_table")
+    }
+    assert smoke.name == "smoke"
+    assert plan(tmp_path, None, "table1", "--config", "study=tiny2", "seeds=[4, 5, 6]")["design"] == 3
+    status, said = forked(tmp_path, None, "--dry-run", "--config", "study=absent")
+    assert status != 0 and "absent.yaml: no such study" in said and "Traceback" not in said
+    status, said = forked(tmp_path, None, "--dry-run", "results/absent/report.html")
+    assert status != 0 and "absent.yaml: no such study" in said
+    status, said = forked(tmp_path, None, "--dry-run", "results/tiny/lenses/singlet-nobody/seed0/lens.yaml")
+    assert status != 0 and "unknown lens 'singlet-nobody'; expected one of singlet-imaging1" in said
+
+
+@pytest.mark.parametrize("name", ["headline", "photographs"])
+def test_a_study_that_we_ship_is_planned_elsewhere(tmp_path, name):
+    """Its imported lenses are those beside our Snakefile."""
+    weights = tmp_path / "data/mobilenetv2_100_same_in1k.safetensors"
+    weights.parent.mkdir()
+    weights.touch()
+    lens = f"results/{name}/lenses/triplet-phone_3p/seed0/lens.yaml"
+    assert plan(tmp_path, [ROOT / "config" / f"{name}.yaml"], lens) == {"design": 1}
+    assert not Path(tmp_path, "results").exists()

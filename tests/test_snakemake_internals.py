@@ -1,0 +1,52 @@
+"""What the workflow reads of Snakemake beyond its documented interface is still there, and means what it did."""
+
+import logging
+from types import SimpleNamespace
+
+from examples import tiny_study
+from rules import ROOT, workflow
+from snakemake.settings.types import ExecMode
+from test_workflow import forked, snakemake
+
+from tasklens.pipeline import planning, snakemake_internals
+
+
+def test_the_settings_of_a_run():
+    """Files, cores and kind of the process of a workflow that Snakemake has made."""
+    found = workflow()
+    assert snakemake_internals.configfiles(found) == [ROOT / "config" / "smoke.yaml"]
+    assert snakemake_internals.cores(found) == 1 and snakemake_internals.is_quiet(found)
+    assert snakemake_internals.is_main(found) and found.modifier.is_main_snakefile()
+    job = SimpleNamespace(exec_mode=ExecMode.SUBPROCESS, modifier=found.modifier)
+    assert not snakemake_internals.is_main(job)
+
+
+def test_the_jobs_of_a_run(tmp_path, monkeypatch):
+    """Labels, needs and settings before a run; outputs and the settings that made them after it."""
+    monkeypatch.chdir(tmp_path)
+    study = tiny_study() | {"designs": {"imaging1": tiny_study()["designs"]["imaging1"]}}
+    lens = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml"
+
+    def jobs(target: str) -> dict:
+        assert forked(tmp_path, study, "--dry-run", target, "--config", f"plan={tmp_path}/jobs.json")[0] == 0
+        return {job["label"]: job for job in planning.json.loads((tmp_path / "jobs.json").read_text())}
+
+    before = jobs("table1")
+    assert all(job["remains"] and not job["outputs"] and job["made_with"] is None for job in before.values())
+    needs = before["fine_tune/singlet-imaging1-small-seed0"]["needs"]
+    assert sorted(needs) == ["design/singlet-imaging1-seed0", "images", "reference/small"]
+    assert snakemake(tmp_path, study, lens).returncode == 0
+    design = jobs("table1")["design/singlet-imaging1-seed0"]
+    assert not design["remains"] and lens in design["outputs"]
+    assert design["made_with"] == design["settings"] == before["design/singlet-imaging1-seed0"]["settings"]
+
+
+def test_the_terminal_is_taken_from_snakemake(tmp_path):
+    """From the handler that a run of Snakemake has by default; a chosen one, or --quiet, keeps it."""
+    done = snakemake(tmp_path, tiny_study(), "results/tiny/images/train.npy")
+    assert done.returncode == 0 and "1/1  images" in done.stderr and "Building DAG" not in done.stderr
+    done = snakemake(tmp_path, tiny_study(), "results/tiny/images/train.npy", "--forcerun", "images", "--quiet", "all")
+    assert done.returncode == 0 and "1/1  images" not in done.stderr
+    logger = logging.Logger("snakemake.test")
+    handler = logging.NullHandler()
+    assert not snakemake_internals.take_terminal(handler, False, logger) and logger.handlers == [handler]

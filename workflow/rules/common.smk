@@ -1,0 +1,109 @@
+"""What the rules share: studies, settings, functions and resources of jobs."""
+
+from functools import cache
+from inspect import signature
+
+from snakemake.exceptions import WorkflowError
+
+from tasklens.pipeline.digest import code_digest
+from tasklens.pipeline.forecast import durations_of
+from tasklens.study import built_lenses, job_settings, names, report_jobs, task_jobs
+from tasklens.study import claims as paper_claims
+from tasklens.study import effort as paper_effort
+from tasklens.study import tables as paper_tables
+from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.study import StudyError
+
+
+def flag(name, default):
+    """Take a key that is of a run, no part of the study, out of the configuration; `--config` gives texts."""
+    value = str(config.pop(name, default)).lower()
+    if value not in ("true", "false"):
+        raise WorkflowError(f"--config {name}={value}: expected true or false")
+    return value == "true"
+
+
+OVERWRITE = flag("overwrite", False)  # consent
+GPUS = flag("gpus", True)  # whether a cluster has some to ask for
+config.pop("study", None)  # by which the Snakefile has chosen the study
+PLAN = config.pop("plan", None)  # file to which a dry run writes its jobs
+
+try:
+    for path in snakemake_internals.configfiles(workflow):
+        loading.read(path)  # Snakemake takes the last of two equal keys
+    STUDY = loading.parse(config, snakemake_internals.configfiles(workflow))
+    POINTS = loading.at_points(STUDY)  # more than one of a sweep
+except StudyError as error:
+    raise WorkflowError(str(error)) from None
+
+
+@cache
+def study_named(name):
+    """Return the study of this name: that of the configuration, one in a folder of studies, or a point of these."""
+    studies = [STUDY, *POINTS]
+    if name not in (study.name for study in studies):
+        study = loading.load(loading.file_of(name.partition("/")[0]))
+        studies = [study, *loading.at_points(study)]
+    try:
+        return next(study for study in studies if study.name == name)
+    except StopIteration:
+        known = ", ".join(study.name for study in studies)
+        raise StudyError(f"{name}: the sweep has no such point; expected one of {known}") from None
+
+
+def study_of(wildcards):
+    """Return the study of a job."""
+    return study_named(wildcards.get("study", STUDY.name))
+
+
+@cache
+def durations_in(study):
+    """Return the measured durations of a study by its name."""
+    return durations_of(study_named(study))
+
+
+def settings(of):
+    """Return the settings of a job as JSON, a function of its wildcards: `of` takes the study, and wildcards by name."""
+    parameters = list(signature(of).parameters)[1:]
+
+    def as_json(wildcards):
+        values = {name: int(wildcards[name]) if name == "seed" else wildcards[name] for name in parameters}
+        return of(study_of(wildcards), **values).model_dump_json(round_trip=True)
+
+    return as_json
+
+
+def call(function):
+    """Return the parameters that name a function of the library, and its code, which reruns its jobs if it changes."""
+    return {"function": function, "code": code_digest(function)}
+
+
+def needs(rule, gpu=0):
+    """Return memory, time limit and GPUs of the jobs of a rule; twice as much of memory and time after a failure."""
+    return {
+        "mem_mb": lambda w, attempt: attempt * durations_in(w.get("study", STUDY.name)).memory_mb(rule),
+        "runtime": lambda w, attempt: attempt * durations_in(w.get("study", STUDY.name)).limit_minutes(rule),
+        "gpu": gpu if GPUS else 0,
+    }
+
+
+def paths(pattern, study, keys=((),), **fixed):
+    """Return paths of a pattern such as `rules.design.output.lens`: one for each of the keys, tuples of wildcards.
+
+    The wildcards of a key are those of lens, measured_name, task and seed that the pattern has and `fixed` has not.
+    """
+    order = [name for name in ("lens", "measured_name", "task", "seed") if f"{{{name}}}" in pattern]
+    wildcards = [name for name in order if name not in fixed]
+    return [pattern.format(study=study.name, **fixed, **dict(zip(wildcards, key, strict=True))) for key in keys]
+
+
+wildcard_constraints:
+    study=r"[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?",
+    lens=rf"[a-z0-9_]+-[a-z0-9_]+|{names.SHARP}",
+    classifier="[a-z0-9_]+",
+    measured_name="[a-z0-9_]+(-restored)?",
+    task="[a-z0-9_]+",
+    seed=r"\d+",
+    table="table[1-4]",
+    elements="[a-z0-9_]+",
+    ablation="[a-z0-9_]+",

@@ -1,0 +1,129 @@
+"""Pages and drawings of lenses; captures."""
+
+
+rule certificate:
+    """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
+    input:
+        lens=rules.design.output.lens,
+        psf=psf,
+    output:
+        page="results/{study}/lenses/{lens}/seed{seed}/certificate.md",
+        zemax="results/{study}/lenses/{lens}/seed{seed}/{lens}.zmx",  # the catalogue beside it has its name
+        section="results/{study}/lenses/{lens}/seed{seed}/section.svg",
+        spots="results/{study}/lenses/{lens}/seed{seed}/spots.webp",
+        psfs="results/{study}/lenses/{lens}/seed{seed}/psfs.webp",
+        curves="results/{study}/lenses/{lens}/seed{seed}/curves.webp",
+        figure=report(
+            "results/{study}/figures/{lens}-seed{seed}.png",
+            caption="../report/certificate.rst",
+            category="Lenses",
+            labels={"study": "{study}", "lens": "{lens}", "seed": "{seed}"},
+        ),
+        figure_svg="results/{study}/figures/{lens}-seed{seed}.svg",
+        figure_pdf="results/{study}/figures/{lens}-seed{seed}.pdf",
+    log:
+        "results/{study}/logs/certificate/{lens}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/certificate/{lens}-seed{seed}.tsv"
+    wildcard_constraints:
+        lens=r"(?!figure\d-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
+    resources:
+        **needs("certificate"),
+    params:
+        **call("tasklens.jobs.certificate.run"),
+        settings=settings(report_jobs.CertificateJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule comparison:
+    """Draw the task-driven lenses of some elements and the best imaging lens (figure 3)."""
+    input:
+        lenses=lambda w: paths(rules.design.output.lens, study_of(w), compared_lenses(w)),
+        psfs=lambda w: psf_files(study_of(w), compared_lenses(w)),
+        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
+    output:
+        figure=report(
+            "results/{study}/figures/figure3-{elements}-seed{seed}.png",
+            caption="../report/comparison.rst",
+            category="Comparisons",
+            labels={"study": "{study}", "figure": "lenses", "elements": "{elements}", "seed": "{seed}"},
+        ),
+        figure_svg="results/{study}/figures/figure3-{elements}-seed{seed}.svg",
+        figure_pdf="results/{study}/figures/figure3-{elements}-seed{seed}.pdf",
+    log:
+        "results/{study}/logs/comparison/{elements}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/comparison/{elements}-seed{seed}.tsv"
+    resources:
+        **needs("comparison"),
+    params:
+        **call("tasklens.jobs.comparison.run"),
+        settings=settings(report_jobs.ComparisonJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule frames:
+    """Draw a chart and test images as frames through the task-driven lenses and the best imaging lens (figure 4)."""
+    input:
+        lenses=lambda w: paths(rules.design.output.lens, study_of(w), compared_lenses(w)),
+        psfs=lambda w: psf_files(study_of(w), compared_lenses(w)),
+        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
+        test=TEST,
+        correct=lambda w: paths(
+            rules.fine_tune.output.predictions,
+            study_of(w),
+            compared_lenses(w),
+            measured_name=study_of(w).supervisor,
+        ),
+    output:
+        figure=report(
+            "results/{study}/figures/figure4-{elements}-seed{seed}.png",
+            caption="../report/frames.rst",
+            category="Comparisons",
+            labels={"study": "{study}", "figure": "frames", "elements": "{elements}", "seed": "{seed}"},
+        ),
+    log:
+        "results/{study}/logs/frames/{elements}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/frames/{elements}-seed{seed}.tsv"
+    resources:
+        **needs("frames"),
+    params:
+        **call("tasklens.jobs.frames.run"),
+        settings=settings(report_jobs.FramesJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule captures:
+    """Take some test images through every lens, of the first seed, and let each network classify them."""
+    input:
+        test=TEST,
+        psfs=lambda w: psf_files(
+            study_of(w), [(lens, study_of(w).seeds[0]) for lens in report_jobs.CapturesJob.of(study_of(w)).captures]
+        ),
+        restorations=of_first_seed(
+            rules.restore.output.weights,
+            lambda study: [(lens,) for lens in report_jobs.CapturesJob.of(study).restored],
+        ),
+        weights=of_first_seed(rules.fine_tune.output.weights, lambda study: report_jobs.CapturesJob.of(study).measured),
+        correct=of_first_seed(
+            rules.fine_tune.output.predictions,
+            lambda study: [(lens, study.supervisor) for lens in report_jobs.CapturesJob.of(study).supervised],
+        ),
+    output:
+        images="results/{study}/figures/captures.safetensors",
+        answers="results/{study}/tables/answers.csv",
+    log:
+        "results/{study}/logs/captures.log",
+    benchmark:
+        "results/{study}/benchmarks/captures.tsv"
+    resources:
+        **needs("captures"),
+    params:
+        **call("tasklens.jobs.captures.run"),
+        settings=settings(report_jobs.CapturesJob.of),
+    script:
+        "../scripts/job.py"

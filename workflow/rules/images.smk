@@ -1,0 +1,51 @@
+"""Images, and classifiers that are trained on them as they are."""
+
+
+rule images:
+    """Render or read the images, and cut them into train, minival and test."""
+    output:
+        train="results/{study}/images/train.npy",
+        train_labels="results/{study}/images/train.json",
+        minival="results/{study}/images/minival.npy",
+        minival_labels="results/{study}/images/minival.json",
+        test="results/{study}/images/test.npy",
+        test_labels="results/{study}/images/test.json",
+    log:
+        "results/{study}/logs/images.log",
+    benchmark:
+        "results/{study}/benchmarks/images.tsv"
+    retries: 1
+    threads: 8
+    resources:
+        **needs("images"),
+    params:
+        **call("tasklens.jobs.images.run"),
+        settings=settings(job_settings.ImagesJob.of),
+    script:
+        "../scripts/job.py"
+
+
+TRAIN = [rules.images.output.train, rules.images.output.train_labels]
+MINIVAL = [rules.images.output.minival, rules.images.output.minival_labels]
+TEST = [rules.images.output.test, rules.images.output.test_labels]
+
+
+rule reference:
+    """Train a classifier on the sharp images, or take its published weights."""
+    input:
+        images=TRAIN,
+        published=lambda w: study_of(w).classifier(w.classifier).weights or [],
+    output:
+        weights="results/{study}/classifiers/reference/{classifier}.safetensors",
+    log:
+        "results/{study}/logs/reference/{classifier}.log",
+    benchmark:
+        "results/{study}/benchmarks/reference/{classifier}.tsv"
+    retries: 1
+    resources:
+        **needs("reference", gpu=1),
+    params:
+        **call("tasklens.jobs.reference.run"),
+        settings=settings(lambda study, classifier: study.network(classifier)),
+    script:
+        "../scripts/job.py"

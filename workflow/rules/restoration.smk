@@ -1,0 +1,25 @@
+"""Restoration of captures."""
+
+
+rule restore:
+    """Train the restoration network on the captures of a lens."""
+    input:
+        train=TRAIN,
+        minival=MINIVAL,
+        psf=psf,
+    output:
+        weights="results/{study}/restoration/{lens}/seed{seed}/nafnet.safetensors",
+        history="results/{study}/restoration/{lens}/seed{seed}/history.csv",
+    log:
+        "results/{study}/logs/restore/{lens}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/restore/{lens}-seed{seed}.tsv"
+    priority: 1  # fine-tuning on restored captures, as long a job, waits for it
+    retries: 1
+    resources:
+        **needs("restore", gpu=1),
+    params:
+        **call("tasklens.jobs.restore.run"),
+        settings=settings(job_settings.RestorationJob.of),
+    script:
+        "../scripts/job.py"

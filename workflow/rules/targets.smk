@@ -1,0 +1,164 @@
+"""Targets of the command line, for the study of the configuration; the first is the default."""
+
+
+rule tables:
+    """All tables of the study, their verdicts, and the page."""
+    default_target: True
+    input:
+        [path for study in POINTS for name in study.tables for path in paths(rules.table.output.csv, study, table=name)],
+        at_points(rules.verdicts_table.output.csv),
+        at_points(rules.psf_tail_table.output.csv),
+        at_points(rules.effort_table.output.csv),
+        at_points(rules.report_page.output.report),
+        paths(rules.sweep_table.output.csv, STUDY) if STUDY.sweep else [],
+    localrule: True
+
+
+rule table1:
+    """Task-driven lenses compared with lenses for image quality (table 1)."""
+    input:
+        at_points(rules.table.output.csv, table="table1"),
+    localrule: True
+
+
+rule table2:
+    """The same lenses with other classifiers (table 2)."""
+    input:
+        at_points(rules.table.output.csv, table="table2"),
+    localrule: True
+
+
+rule table3:
+    """Task-driven design compared with end-to-end design (table 3)."""
+    input:
+        at_points(rules.table.output.csv, table="table3"),
+    localrule: True
+
+
+rule table4:
+    """The same lenses after image restoration (table 4)."""
+    input:
+        at_points(rules.table.output.csv, table="table4"),
+    localrule: True
+
+
+rule backbones:
+    """Other classifiers (table 2), the ablation of the paper's section 5.1."""
+    input:
+        rules.table2.input,
+    localrule: True
+
+
+rule end_to_end:
+    """End-to-end design (table 3), the ablation of the paper's section 5.2."""
+    input:
+        rules.table3.input,
+    localrule: True
+
+
+rule restoration:
+    """Image restoration (table 4), the ablation of the paper's section 5.3."""
+    input:
+        rules.table4.input,
+    localrule: True
+
+
+rule verdicts:
+    """Each claim of the paper: difference, interval, and whether it holds."""
+    input:
+        at_points(rules.verdicts_table.output.csv),
+    localrule: True
+
+
+rule psf_tail:
+    """Core, tail and encircled energy of the PSFs of the lenses in the tables."""
+    input:
+        at_points(rules.psf_tail_table.output.csv),
+    localrule: True
+
+
+rule effort:
+    """Lenses tried and core-minutes of each design."""
+    input:
+        at_points(rules.effort_table.output.csv),
+    localrule: True
+
+
+rule report:
+    """The page."""
+    input:
+        at_points(rules.report_page.output.report),
+    localrule: True
+
+
+rule regimes:
+    """What task-driven design gains over the best imaging lens, by element count and specification."""
+    input:
+        at_points(rules.regimes_table.output.csv),
+    localrule: True
+
+
+rule merit_function:
+    """What each classifier wants of a PSF."""
+    input:
+        at_points(rules.merit_function_table.output.csv),
+    localrule: True
+
+
+rule tolerances:
+    """What each design loses in manufacture."""
+    input:
+        at_points(rules.tolerances_table.output.csv),
+    localrule: True
+
+
+rule tasks:
+    """Segmentation and detection of objects through each lens."""
+    input:
+        at_points(rules.tasks_table.output.csv),
+    localrule: True
+
+
+rule figures:
+    """Drawings of every lens."""
+    input:
+        at_points(rules.certificate.output.figure, lens_keys),
+    localrule: True
+
+
+rule certificates:
+    """A page for every lens."""
+    input:
+        at_points(rules.certificate.output.page, lens_keys),
+    localrule: True
+
+
+rule figure3:
+    """The task-driven lenses of each element count beside the best imaging lens."""
+    input:
+        compared_figures(rules.comparison.output.figure),
+    localrule: True
+
+
+rule figure4:
+    """Whole frames through these lenses."""
+    input:
+        compared_figures(rules.frames.output.figure),
+    localrule: True
+
+
+rule ablations:
+    """All ablations of the study."""
+    input:
+        [path for name in STUDY.ablations for path in at_points(rules.ablation.output.csv, ablation=name)],
+    localrule: True
+
+
+for name in STUDY.ablations:
+
+    rule:
+        name:
+            f"ablation_{name}"
+        input:
+            at_points(rules.ablation.output.csv, ablation=name),
+        localrule: True

@@ -1,0 +1,99 @@
+"""Tasks beside classification: segmentation and detection of objects through lenses."""
+
+
+rule scenes:
+    """Render or read the images with objects, train and test."""
+    output:
+        train="results/{study}/images/scenes-train.npy",
+        train_objects="results/{study}/images/scenes-train.safetensors",
+        test="results/{study}/images/scenes-test.npy",
+        test_objects="results/{study}/images/scenes-test.safetensors",
+    log:
+        "results/{study}/logs/scenes.log",
+    benchmark:
+        "results/{study}/benchmarks/scenes.tsv"
+    resources:
+        **needs("scenes"),
+    params:
+        **call("tasklens.jobs.scenes.run"),
+        settings=settings(task_jobs.ScenesJob.of),
+    script:
+        "../scripts/job.py"
+
+
+TRAINING_SCENES = [rules.scenes.output.train, rules.scenes.output.train_objects]
+TEST_SCENES = [rules.scenes.output.test, rules.scenes.output.test_objects]
+
+
+rule task_reference:
+    """Train the network of a task on the sharp images with objects."""
+    input:
+        images=TRAINING_SCENES,
+    output:
+        weights="results/{study}/tasks/reference/{task}.safetensors",
+    log:
+        "results/{study}/logs/task_reference/{task}.log",
+    benchmark:
+        "results/{study}/benchmarks/task_reference/{task}.tsv"
+    retries: 1
+    resources:
+        **needs("task_reference", gpu=1),
+    params:
+        **call("tasklens.jobs.tasks.train"),
+        settings=settings(task_jobs.TaskTrainingJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule task_fine_tune:
+    """Fine-tune the network of a task on the captures of a lens, and score it at every field, also before that."""
+    input:
+        training_scenes=TRAINING_SCENES,
+        test_scenes=TEST_SCENES,
+        reference=rules.task_reference.output.weights,
+        psf=psf,
+    output:
+        weights="results/{study}/tasks/{lens}/seed{seed}/{task}.safetensors",
+        metrics="results/{study}/metrics/{lens}/seed{seed}/task-{task}.csv",
+    log:
+        "results/{study}/logs/task_fine_tune/{lens}-{task}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/task_fine_tune/{lens}-{task}-seed{seed}.tsv"
+    retries: 1
+    resources:
+        **needs("task_fine_tune", gpu=1),
+    params:
+        **call("tasklens.jobs.tasks.fine_tune"),
+        settings=settings(task_jobs.TaskFineTuningJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule tasks_table:
+    """Make the table of tasks beside classification, scores of their networks through each lens, and draw its PSFs."""
+    input:
+        metrics=lambda w: paths(
+            rules.task_fine_tune.output.metrics, study_of(w), task_jobs.tasks(study_of(w)).score_keys
+        ),
+        lenses=lambda w: paths(rules.design.output.lens, study_of(w), drawn_lenses(w)),
+        psfs=lambda w: psf_files(study_of(w), drawn_lenses(w)),
+    output:
+        csv=report(
+            "results/{study}/tables/tasks.csv",
+            caption="../report/tasks.rst",
+            category="Tables",
+            labels={"study": "{study}", "table": "other tasks"},
+        ),
+        md="results/{study}/tables/tasks.md",
+        figure="results/{study}/figures/tasks-psfs.png",
+    log:
+        "results/{study}/logs/tasks_table.log",
+    benchmark:
+        "results/{study}/benchmarks/tasks_table.tsv"
+    resources:
+        **needs("tasks_table"),
+    params:
+        **call("tasklens.report.tasks.make"),
+        settings=settings(task_jobs.tasks),
+    script:
+        "../scripts/job.py"

@@ -1,0 +1,55 @@
+"""Lenses built in simulation, with errors of manufacture."""
+
+
+rule production:
+    """Build lenses of a design in simulation, with errors of manufacture, and measure them."""
+    input:
+        lens=rules.design.output.lens,
+        psf=rules.design.output.psf,
+        weights=supervisor_weights,
+        minival=MINIVAL,
+        test=TEST,
+    output:
+        lenses="results/{study}/lenses/{lens}/seed{seed}/built-lenses.csv",
+        error_table="results/{study}/lenses/{lens}/seed{seed}/errors.csv",
+        page="results/{study}/lenses/{lens}/seed{seed}/tolerances.md",
+    log:
+        "results/{study}/logs/production/{lens}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/production/{lens}-seed{seed}.tsv"
+    retries: 1
+    resources:
+        **needs("production", gpu=1),
+    params:
+        **call("tasklens.jobs.production.run"),
+        settings=settings(built_lenses.ProductionJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule tolerances_table:
+    """Make the table of built lenses: what each design loses in manufacture, compared with imaging lenses."""
+    input:
+        built_lenses=lambda w: paths(
+            rules.production.output.lenses, study_of(w), built_lenses.built(study_of(w)).lens_keys
+        ),
+    output:
+        csv=report(
+            "results/{study}/tables/tolerances.csv",
+            caption="../report/tolerances.rst",
+            category="Tables",
+            labels={"study": "{study}", "table": "built lenses"},
+        ),
+        md="results/{study}/tables/tolerances.md",
+        compared_csv="results/{study}/tables/tolerances-compared.csv",
+    log:
+        "results/{study}/logs/tolerances_table.log",
+    benchmark:
+        "results/{study}/benchmarks/tolerances_table.tsv"
+    resources:
+        **needs("tolerances_table"),
+    params:
+        **call("tasklens.report.tolerances.make"),
+        settings=settings(built_lenses.built),
+    script:
+        "../scripts/job.py"
