@@ -10,6 +10,7 @@ import pytest
 import yaml
 from examples import tiny_study, write
 from rules import finish
+from snakemake.target_jobs import parse_target_jobs_cli_args
 from test_workflow import forked, plan, snakemake
 
 from tasklens.cli.app import main
@@ -23,10 +24,10 @@ from tasklens.study.study import StudyError
 
 GRID = {"spec.f_number": [2.0, 2.8], "capture.diffraction": [False, True]}
 POINTS = [
-    "spec.f_number=2.0,capture.diffraction=false",
-    "spec.f_number=2.0,capture.diffraction=true",
-    "spec.f_number=2.8,capture.diffraction=false",
-    "spec.f_number=2.8,capture.diffraction=true",
+    "spec.f_number=2.0--capture.diffraction=false",
+    "spec.f_number=2.0--capture.diffraction=true",
+    "spec.f_number=2.8--capture.diffraction=false",
+    "spec.f_number=2.8--capture.diffraction=true",
 ]
 
 
@@ -145,6 +146,13 @@ def test_points_side_by_side_share_the_cores(swept):
 def test_the_table_of_points_is_of_a_sweep():
     with pytest.raises(StudyError, match="tiny: has no sweep"):
         SweepJob.of(parse(one_lens()))
+
+
+def test_a_job_of_a_point_can_be_handed_to_a_cluster():
+    """Snakemake names it there by rule and wildcards in one word."""
+    words = f"design:study=tiny/{POINTS[1]},lens=singlet-imaging1,seed=0"
+    (job,) = parse_target_jobs_cli_args([words])
+    assert job.wildcards_dict == {"study": f"tiny/{POINTS[1]}", "lens": "singlet-imaging1", "seed": "0"}
 
 
 @pytest.mark.parametrize("name", ["tiny/tables", "tiny/..", "tiny/a=../b", "tiny/a=b/c=d"])

@@ -42,5 +42,5 @@ Angle = Annotated[float, Field(gt=0, lt=90)]  # [degrees]
 # A lens has up to four names in that of its files, and file systems take 255 bytes.
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$", max_length=40)]
 StudyName = Annotated[  # study/key=value at a point of a sweep
-    str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?$", max_length=200)
+    str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.=+-]+)?$", max_length=200)
 ]

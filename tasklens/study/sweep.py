@@ -34,10 +34,10 @@ Sweep = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_checked)]  # value
 def points(sweep: Sweep) -> dict[str, dict[str, Any]]:
     """Return the values of the keys at every point, by its name; the last key varies fastest.
 
-    Names are `{key}={value}`, joined by commas.
+    Names are `{key}={value}`, joined by two hyphens: commas separate wildcards where Snakemake hands a job to a cluster.
     """
     found = (dict(zip(sweep, values, strict=True)) for values in product(*sweep.values()))
-    return {",".join(f"{key}={_word(value)}" for key, value in point.items()): point for point in found}
+    return {"--".join(f"{key}={_word(value)}" for key, value in point.items()): point for point in found}
 
 
 def _word(value: Any) -> str:

@@ -98,7 +98,7 @@ def paths(pattern, study, keys=((),), **fixed):
 
 
 wildcard_constraints:
-    study=r"[a-z0-9_]+(/[\w.]+=[\w.,=+-]+)?",
+    study=r"[a-z0-9_]+(/[\w.]+=[\w.=+-]+)?",
     lens=rf"[a-z0-9_]+-[a-z0-9_]+|{names.SHARP}",
     classifier="[a-z0-9_]+",
     measured_name="[a-z0-9_]+(-restored)?",
