@@ -133,7 +133,7 @@ def test_the_studies_we_ship_can_be_read(name):
     study = load(STUDIES[name])
     assert study.name == {"config.yaml": "small"}.get(name, STUDIES[name].stem)
     assert study.lenses and study.supervisor in study.classifiers
-    file = "" if name == "config.yaml" else f" --configfile config/{name}"
+    file = "" if name == "config.yaml" else f" --config study={study.name}"
     commands = [line for line in STUDIES[name].read_text().splitlines() if line.startswith("#   snakemake")]
     assert commands and all(re.split(" {3,}", line)[1].endswith(file) for line in commands)
 
