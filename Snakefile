@@ -7,9 +7,11 @@ from tasklens.study import loading
 
 min_version("9.10")
 
-if not snakemake_internals.configfiles(workflow):
+FILES = snakemake_internals.configfiles(workflow)
+if not FILES:
+    FILES = [loading.configfile(config.get("study"))]
 
-    configfile: loading.configfile(config.get("study"))
+    configfile: str(FILES[0])
 
 
 include: "workflow/rules/common.smk"

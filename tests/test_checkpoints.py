@@ -250,7 +250,10 @@ def test_keys_follow_what_is_computed(workplace, monkeypatch):
     """A checkpoint of other settings, other code or other inputs is not taken."""
     rule, wildcards = JOBS["fine_tuning"]
     job, keys = job_of(rule, parse(STUDY), **wildcards), []
-    monkeypatch.setattr(runtime_job, "_checkpoint", lambda key, name: keys.append(key) or Checkpoint())
+    checkpoint_path = runtime_job._checkpoint_path
+    monkeypatch.setattr(
+        runtime_job, "_checkpoint_path", lambda key, name: keys.append(key) or checkpoint_path(key, name)
+    )
     for each in (job, job, replace(job, code="other"), replace(job, settings=job.settings.replace("0.05", "0.06"))):
         each.run()
     os.utime(job.inputs["reference"][0])

@@ -65,6 +65,11 @@ def test_studies_by_their_names_in_one_run(tmp_path):
     assert plan(tmp_path, None, "table1", "--config", "study=tiny2", "seeds=[4, 5, 6]")["design"] == 3
     status, said = forked(tmp_path, None, "--dry-run", "--config", "study=absent")
     assert status != 0 and "absent.yaml: no such study" in said and "Traceback" not in said
+    (tmp_path / "config/other.yaml").write_text("{name: another, extends: tiny}")
+    status, said = forked(tmp_path, None, "--dry-run", "results/other/report.html")
+    assert status != 0 and "name = another: expected other" in said
+    status, said = forked(tmp_path, one_lens(), "--dry-run", "--config", "study=tiny")
+    assert status != 0 and "expected one of them" in said
     status, said = forked(tmp_path, None, "--dry-run", "results/absent/report.html")
     assert status != 0 and "absent.yaml: no such study" in said
     status, said = forked(tmp_path, None, "--dry-run", "results/tiny/lenses/singlet-nobody/seed0/lens.yaml")

@@ -96,6 +96,10 @@ def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
     status, said = forked(tmp_path, changed, "--dry-run", "table1")
     assert status == 0 and "results of the study tiny/spec.f_number=2.0; nothing was changed" in said
     assert "--config name=tiny_2" in said and said.count("nothing was changed") == 1
+    point = [tmp_path / "results/tiny/spec.f_number=2.0/study.yaml"]  # a study like others
+    assert snakemake(tmp_path, point, "results/tiny/spec.f_number=2.0/images/train.npy").returncode == 0
+    status, said = forked(tmp_path, one_lens(**{"spec.f_number": [2.0]}), "--dry-run", "verify")
+    assert status != 0 and "verify: of one point" in said
 
 
 def tables(study, accuracies: list[float]) -> None:

@@ -172,7 +172,7 @@ def refusal(found: Overwritten, study: str, durations: Durations, cores: int) ->
         [
             f"These changes would overwrite finished results of the study {study}; nothing was changed:",
             *(f"  {line}" for line in lines),
-            f"Keep them, and give the new ones a name of their own:  --config name={study.partition('/')[0]}_2",
+            f"Keep them, and give the study another name in its file, or:  --config name={study.partition('/')[0]}_2",
             "Or overwrite them:  --config overwrite=true",
         ]
     )

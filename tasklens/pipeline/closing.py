@@ -33,7 +33,7 @@ def success(study: Study, found: Mapping[str, runs.Run]) -> str:
         return "\n".join(lines + _sweep(study, found))
     run = found.get(study.name)
     verdicts = _folder(study) / "tables" / "verdicts.csv"
-    if verdicts.exists() and (run is None or "verdicts_table" in run.jobs):
+    if verdicts.exists() and (not found or (run is not None and "verdicts_table" in run.jobs)):
         lines += _answer(study, verdicts)
     lines.append(f"Results: {', '.join(f'results/{name}/' for name in found or [study.name])}")
     page = str(_folder(study) / "report.html")

@@ -34,9 +34,14 @@ def is_dry_run(workflow: Any) -> bool:
     return workflow.output_settings.dryrun
 
 
+def is_module(workflow: Any) -> bool:
+    """Return whether the workflow is a module of another one."""
+    return not workflow.modifier.is_main_snakefile()
+
+
 def is_main(workflow: Any) -> bool:
     """Return whether this process plans this workflow: it is no job itself, and the workflow no module of another."""
-    return workflow.exec_mode == ExecMode.DEFAULT and workflow.modifier.is_main_snakefile()
+    return workflow.exec_mode == ExecMode.DEFAULT and not is_module(workflow)
 
 
 def is_quiet(workflow: Any) -> bool:

@@ -76,7 +76,7 @@ def make(
     """Write the weights of all classifiers as CSV and Markdown, and draw them.
 
     Args:
-        psfs: PSFs of the lenses in `settings.lens_keys`.
+        psfs: PSFs of the lenses in `settings.contents.lens_keys`.
         frozen: losses of `settings.frozen_keys`.
 
     Raises:
@@ -84,7 +84,7 @@ def make(
     """
     contents, supervisor = settings.contents, settings.supervisor
     measured = Measurements({}, {}, frozen=dict(zip(settings.frozen_keys, frozen, strict=True)))
-    keys = settings.lens_keys
+    keys = contents.lens_keys
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")

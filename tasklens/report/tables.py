@@ -22,7 +22,6 @@ from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.tables import TableContents
 
-PAPER_VALUES = Path(__file__).with_name("paper.csv")
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {
     "table1": [
@@ -136,6 +135,7 @@ def make(
     lenses: Sequence[Path],
     metrics: Sequence[Path],
     frozen: Sequence[Path],
+    paper: Path,
     csv: Path,
     md: Path,
     tex: Path,
@@ -146,8 +146,9 @@ def make(
 
     Args:
         lenses, metrics, frozen: files of the keys of `contents`.
+        paper: the values of the paper.
     """
-    published = pandas.read_csv(PAPER_VALUES, keep_default_na=False)
+    published = pandas.read_csv(paper, keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
     measurements = Measurements(
         dict(zip(contents.lens_keys, lenses, strict=True)),

@@ -4,6 +4,7 @@ import ctypes
 import gc
 import hashlib
 import os
+import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,14 +16,22 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from tasklens.runtime import job_lock
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import remove_abandoned
 from tasklens.runtime.progress_file import progress_file
 
 Paths = str | Sequence[str]
+JOB = "settings of a job"  # context of their validation
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt(3)
 
 
 def run(
-    function: str, settings: str, code: str, inputs: Mapping[str, Paths], outputs: Mapping[str, str], log: Path
+    function: str,
+    settings: str,
+    code: str,
+    inputs: Mapping[str, Paths],
+    outputs: Mapping[str, str],
+    log: Path,
+    group: Sequence[str] = (),
 ) -> None:
     """Call the function of a job; a checkpoint that it takes is removed when the outputs are complete.
 
@@ -34,28 +43,41 @@ def run(
         inputs: input files by name; one, several, or none if the parameter may be None.
         outputs: output files by name.
         log: results/<study>/logs/<label>.log.
+        group: command that starts a process group, whose processes call this function without it.
     """
     _keep_memory()
     folder, label = place(log)
-    first = os.environ.get("RANK", "0") == "0"  # of a process group, the first process writes
-    with progress_file(str(folder), label) if first else nullcontext(), _imported(function) as call:
+    name = label.replace("/", "-", 1)
+    key = _digest(function, settings, code, *_states(inputs))
+    checkpoint = _checkpoint_path(key, folder / "checkpoints" / name)
+    if "RANK" in os.environ:  # a process of a group: the one that started it has the lock, the first one reports
+        with progress_file(str(folder), label) if os.environ["RANK"] == "0" else nullcontext():
+            _call(function, settings, inputs, outputs, checkpoint)
+        return
+    lock = job_lock.alone(folder / "locks" / f"{name}.lock", key, [Path(path) for path in outputs.values()])
+    with lock if outputs else nullcontext(True) as work:
+        if work and group:
+            if status := subprocess.run(group, env=os.environ | {"OMP_NUM_THREADS": "1"}).returncode:
+                raise SystemExit(status)
+        elif work:
+            with progress_file(str(folder), label):
+                _call(function, settings, inputs, outputs, checkpoint)
+        checkpoint.unlink(missing_ok=True)
+        remove_abandoned(checkpoint)
+
+
+def _call(
+    function: str, settings: str, inputs: Mapping[str, Paths], outputs: Mapping[str, str], checkpoint: Path
+) -> None:
+    with _imported(function) as call:
         kinds = get_type_hints(call)
         parameters = list(signature(call).parameters)
-        typed = kinds[parameters[0]].model_validate_json(settings)
+        typed = kinds[parameters[0]].model_validate_json(settings, context=JOB)
         arguments: dict[str, Any] = {name: _paths(paths, kinds[name]) for name, paths in inputs.items()}
         arguments |= {name: Path(path) for name, path in outputs.items()}
-        if "checkpoint" not in parameters:
-            call(typed, **arguments)
-            return
-        key = _digest(function, settings, code, *_states(inputs))
-        name = label.replace("/", "-", 1)
-        lock = job_lock.alone(folder / "locks" / f"{name}.lock", key, [Path(path) for path in outputs.values()])
-        with lock if first else nullcontext(True) as work:
-            if work:
-                checkpoint = _checkpoint(key, folder / "checkpoints" / name)
-                call(typed, **arguments, checkpoint=checkpoint)
-                if first:
-                    checkpoint.remove()
+        if "checkpoint" in parameters:
+            arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
+        call(typed, **arguments)
 
 
 @contextmanager
@@ -101,7 +123,7 @@ def user_error(error: Exception) -> str | None:
 def place(log: Path) -> tuple[Path, str]:
     """Return the folder of the results of a study, and the label of a job, from its log."""
     parts = log.with_suffix("").parts
-    logs = len(parts) - 1 - parts[::-1].index("logs")
+    logs = parts.index("logs", 2)  # behind results/<study>
     return Path(*parts[:logs]), "/".join(parts[logs + 1 :])
 
 
@@ -159,12 +181,10 @@ def _keep_memory() -> None:
         libc.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
-def _checkpoint(digest: str, name: Path) -> Any:
-    """Return the checkpoint of a job; outdated checkpoints of the same job are removed."""
-    from tasklens.runtime.checkpoints import Checkpoint
-
+def _checkpoint_path(digest: str, name: Path) -> Path:
+    """Return the path of the checkpoint of a job; outdated checkpoints of the same job are removed."""
     path = name.with_name(f"{name.name}-{digest}.pt")
     for other in name.parent.glob(f"{name.name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:
             other.unlink(missing_ok=True)  # other processes of the group may remove it first
-    return Checkpoint(path)
+    return path

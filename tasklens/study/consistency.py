@@ -35,9 +35,6 @@ def _check_names(study: Study) -> None:
         for name, by in taken.items():
             if name in getattr(study, section):
                 raise ValueError(f"{section}.{name}: {by} are called {name}; rename these {section}")
-    for name in study.ablations:
-        if name.isdecimal() and study.sweep:
-            raise ValueError(f"ablations.{name}: the points of the sweep have such numbers; expected a name")
     if study.supervisor not in study.classifiers:
         raise ValueError(f"supervisor: {study.supervisor!r} is not one of {', '.join(study.classifiers)}")
     for name in study.imported:

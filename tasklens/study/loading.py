@@ -112,15 +112,15 @@ def extended(config: Mapping, folder: Path) -> dict[str, Any]:
     return reduce(laid_over, reversed(below))
 
 
-def configfile(name: str | None) -> str:
+def configfile(name: str | None) -> Path:
     """Return the file of a study by its name; without a name the default study, of the folder `config` or ours.
 
     Raises:
         StudyError: there is none.
     """
     if name is not None:
-        return str(file_of(name))
-    return next(str(path) for folder in (Path("config"), SHIPPED) if (path := folder / "config.yaml").is_file())
+        return file_of(name)
+    return next(path for folder in (Path("config"), SHIPPED) if (path := folder / "config.yaml").is_file())
 
 
 def file_of(name: str, *folders: Path) -> Path:

@@ -11,7 +11,7 @@ from tasklens.study.loading import dump
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, RestorationSettings, Spec
 from tasklens.study.study import Study, StudyError, pick
 from tasklens.study.sweep import points
-from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, TableContents
+from tasklens.study.tables import MeasuredKey, SeededLenses, TableContents
 from tasklens.study.tolerance_settings import Grade
 
 
@@ -142,14 +142,9 @@ class MeritFunctionJob(Frozen):
         return cls(contents=contents, supervisor=study.supervisor)
 
     @property
-    def lens_keys(self) -> list[LensKey]:
-        """All lenses."""
-        return [(lens, seed) for lens in self.contents.lenses for seed in self.contents.seeds]
-
-    @property
     def frozen_keys(self) -> list[MeasuredKey]:
         """Measurements of each lens by each classifier."""
-        return [(lens, name, seed) for lens, seed in self.lens_keys for name in self.contents.classifiers]
+        return [(lens, name, seed) for lens, seed in self.contents.lens_keys for name in self.contents.classifiers]
 
 
 class ReportJob(Frozen):

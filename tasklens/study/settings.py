@@ -8,11 +8,13 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    ValidationInfo,
     computed_field,
     field_validator,
     model_validator,
 )
 
+from tasklens.runtime.job import JOB
 from tasklens.study.quantities import (
     Angle,
     Batch,
@@ -35,6 +37,14 @@ class Frozen(BaseModel):
     """Base class of all settings: immutable, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_recorded(cls, given: Any, info: ValidationInfo) -> Any:
+        """Leave out computed fields of a job's settings: they are there for Snakemake, which compares them."""
+        if info.context != JOB or not isinstance(given, dict):
+            return given
+        return {key: value for key, value in given.items() if key not in cls.model_computed_fields}
 
 
 class Spec(Frozen):

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator
 
-_MOST = 1000  # points, each with a folder and rules of its own
+_MOST = 1000  # points, each with a folder of its own
 _FIXED = ("format", "name", "sweep")  # the same at all points
 _VALUE = re.compile(r"[\w.+-]+")  # as part of a folder's name
 
@@ -34,7 +34,7 @@ Sweep = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_checked)]  # value
 def points(sweep: Sweep) -> dict[str, dict[str, Any]]:
     """Return the values of the keys at every point, by its name; the last key varies fastest.
 
-    Names are `{key}={value}`, joined by two hyphens: commas separate wildcards where Snakemake hands a job to a cluster.
+    Names are `{key}={value}`, joined by two hyphens, since commas separate the wildcards of a job on a cluster.
     """
     found = (dict(zip(sweep, values, strict=True)) for values in product(*sweep.values()))
     return {"--".join(f"{key}={_word(value)}" for key, value in point.items()): point for point in found}

@@ -5,7 +5,7 @@ from inspect import signature
 
 from snakemake.exceptions import WorkflowError
 
-from tasklens.pipeline.digest import code_digest
+from tasklens.pipeline.digest import ROOT, code_digest
 from tasklens.pipeline.forecast import durations_of
 from tasklens.study import built_lenses, job_settings, names, report_jobs, task_jobs
 from tasklens.study import claims as paper_claims
@@ -25,16 +25,21 @@ def flag(name, default):
 
 OVERWRITE = flag("overwrite", False)  # consent
 GPUS = flag("gpus", True)  # whether a cluster has some to ask for
-config.pop("study", None)  # by which the Snakefile has chosen the study
+if config.pop("study", None) and snakemake_internals.configfiles(workflow):
+    raise WorkflowError("--config study=... and --configfile: expected one of them")
 PLAN = config.pop("plan", None)  # file to which a dry run writes its jobs
 
 try:
-    for path in snakemake_internals.configfiles(workflow):
+    own = [] if snakemake_internals.is_module(workflow) else FILES  # a module has the configuration that it is given
+    for path in own:
         loading.read(path)  # Snakemake takes the last of two equal keys
-    STUDY = loading.parse(config, snakemake_internals.configfiles(workflow))
+    STUDY = loading.parse(config, own)
     POINTS = loading.at_points(STUDY)  # more than one of a sweep
 except StudyError as error:
     raise WorkflowError(str(error)) from None
+
+
+PAPER_VALUES = ROOT / "tasklens" / "report" / "paper.csv"
 
 
 @cache
@@ -42,8 +47,11 @@ def study_named(name):
     """Return the study of this name: that of the configuration, one in a folder of studies, or a point of these."""
     studies = [STUDY, *POINTS]
     if name not in (study.name for study in studies):
-        study = loading.load(loading.file_of(name.partition("/")[0]))
+        path = loading.file_of(name.partition("/")[0])
+        study = loading.load(path)
         studies = [study, *loading.at_points(study)]
+        if study.name != name.partition("/")[0]:
+            raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, by which results/{name} asks for it")
     try:
         return next(study for study in studies if study.name == name)
     except StopIteration:
@@ -68,7 +76,7 @@ def settings(of):
 
     def as_json(wildcards):
         values = {name: int(wildcards[name]) if name == "seed" else wildcards[name] for name in parameters}
-        return of(study_of(wildcards), **values).model_dump_json(round_trip=True)
+        return of(study_of(wildcards), **values).model_dump_json()
 
     return as_json
 

@@ -26,7 +26,7 @@ rule certificate:
     benchmark:
         "results/{study}/benchmarks/certificate/{lens}-seed{seed}.tsv"
     wildcard_constraints:
-        lens=r"(?!figure\d-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
+        lens=r"(?!figure[34]-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
     resources:
         **needs("certificate"),
     params:

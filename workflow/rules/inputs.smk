@@ -157,7 +157,13 @@ def tables_of_points(wildcards):
 
 def verified(pattern, keys):
     """Return the files that a verification of the study of the configuration reads; `keys` takes its contents."""
-    return lambda w: paths(pattern, STUDY, keys(paper_tables.verification(STUDY)))
+
+    def files(wildcards):
+        if STUDY.sweep:
+            raise StudyError("verify: of one point, by --configfile results/<study>/<point>/study.yaml")
+        return paths(pattern, STUDY, keys(paper_tables.verification(STUDY)))
+
+    return files
 
 
 def at_points(pattern, keys=lambda study: ((),), **fixed):

@@ -42,13 +42,16 @@ def refusals(overwritten):
 
 def check_studies(planned):
     """Check what the planned jobs read, and compile the tracer before jobs do; ends the run if something is wrong."""
-    kinds = {job.rule for jobs in planned.values() for job in jobs.values()}
-    networks = bool(kinds & {"reference", "task_reference"})
+    needed = {}  # rules by study, of which the points of a sweep are one
+    for name, jobs in planned.items():
+        study = STUDY if name in (point.name for point in POINTS) else study_named(name.partition("/")[0])
+        needed.setdefault(study.name, set()).update(job.rule for job in jobs.values())
     try:
-        for name in planned if "images" in kinds else ():
-            class_folders.check(study_named(name).images)
-        for study in map(study_named, dict.fromkeys(name.partition("/")[0] for name in planned)):  # sweeps as one
-            if networks or study.imported or "design" in kinds:
+        for name, names_of_rules in needed.items():
+            study, networks = study_named(name), bool(names_of_rules & {"reference", "task_reference"})
+            if "images" in names_of_rules:
+                class_folders.check(study.images)
+            if networks or study.imported or "design" in names_of_rules:
                 check_in_own_process(study, ["--networks"] if networks else [])
     except InputError as error:
         sys.exit(f"{error}")
@@ -80,7 +83,7 @@ onstart:
     for name, jobs in planned.items():
         if found[name].otherwise:
             amount = changes.amount(found[name].otherwise, durations_in(name), cores)
-            print(f"Changed code or input files, or added classifiers: {amount}")
+            print(f"Changed code or input files: {amount}")
         print(durations_in(name).forecast([job.rule for job in jobs.values()], cores))
         files.write_if_changed(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for people
     terminal.begin(planned, cores)

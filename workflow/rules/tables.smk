@@ -7,6 +7,7 @@ rule table:
         lenses=lambda w: paths(rules.design.output.lens, study_of(w), table_of(w).lens_keys),
         metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), table_of(w).measured_keys),
         frozen=lambda w: paths(rules.fine_tune.output.frozen, study_of(w), table_of(w).frozen_keys),
+        paper=str(PAPER_VALUES),
     output:
         csv=report(
             "results/{study}/tables/{table}.csv",
@@ -162,7 +163,7 @@ rule effort_table:
 rule merit_function_table:
     """Make the table and figure of what each classifier wants of a lens: its loss as a function of the MTF."""
     input:
-        psfs=lambda w: psf_files(study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).lens_keys),
+        psfs=lambda w: psf_files(study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).contents.lens_keys),
         frozen=lambda w: paths(
             rules.fine_tune.output.frozen, study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).frozen_keys
         ),
