@@ -165,10 +165,16 @@ class Terminal(logging.Handler):
             return self._print(f"stopped  {self._title(run, label)}")
         log = self._log(run, label)
         lines = last_lines(log, _LOG_LINES)
-        run.end(label, runs.FAILED, result=lines[-1] if lines else "")
+        own = [line for line in lines if line.startswith("tasklens: ")]  # torchrun's report may follow it
+        run.end(label, runs.FAILED, result=(own or lines or [""])[-1])
         after = duration(run.jobs[label].seconds or 0.0)
         self._print(f"FAILED  {self._title(run, label)}  after {after}; its log {log}:")
-        for line in lines or ["(empty: the job was killed, or did not start)"]:
+        empty = (
+            "what failed is printed above"
+            if run.jobs[label].rule == "verify"
+            else "the job was killed, or did not start"
+        )
+        for line in lines or [f"(empty: {empty})"]:
             self._print(f"    {line}")
 
     def _log(self, run: runs.Run, label: str) -> Path:
