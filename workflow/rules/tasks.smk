@@ -85,7 +85,12 @@ rule tasks_table:
             labels={"study": "{study}", "table": "other tasks"},
         ),
         md="results/{study}/tables/tasks.md",
-        figure="results/{study}/figures/tasks-psfs.png",
+        figure=report(
+            "results/{study}/figures/tasks-psfs.png",
+            caption="../report/tasks.rst",
+            category="Tables",
+            labels={"study": "{study}", "table": "PSFs of other tasks"},
+        ),
     log:
         "results/{study}/logs/tasks_table.log",
     benchmark:

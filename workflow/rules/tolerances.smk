@@ -41,7 +41,12 @@ rule tolerances_table:
             labels={"study": "{study}", "table": "built lenses"},
         ),
         md="results/{study}/tables/tolerances.md",
-        compared_csv="results/{study}/tables/tolerances-compared.csv",
+        compared_csv=report(
+            "results/{study}/tables/tolerances-compared.csv",
+            caption="../report/tolerances.rst",
+            category="Tables",
+            labels={"study": "{study}", "table": "built lenses, compared"},
+        ),
     log:
         "results/{study}/logs/tolerances_table.log",
     benchmark:
