@@ -44,7 +44,7 @@ def jobs() -> dict[int, str]:
             words = process.cmdline()
             if len(words) == 2 and words[1].endswith(".job.py"):  # its standard error is its log
                 log = os.readlink(f"/proc/{process.pid}/fd/2")
-                found[process.pid] = log.rpartition("/logs/")[2].removesuffix(".log") or "a job that starts"
+                found[process.pid] = log.partition("/logs/")[2].removesuffix(".log") or "a job that starts"
     return found
 
 
