@@ -341,3 +341,17 @@ def test_a_folder_that_cannot_serve(tmp_path, folder, key):
     with pytest.raises(FileError) as error:
         made(tmp_path, ImageSettings(size=16, minival=8, folder=path))
     assert key in str(error.value)
+
+
+def test_rendered_images_are_the_same_on_any_number_of_cores(tmp_path):
+    """Two threads sum in another order than one: a pixel of a few hundred images was another level."""
+    settings, found = ImageSettings(size=64, train=300, minival=30, test=60), []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        try:
+            paths = {name: (tmp_path / f"{name}{threads}.npy", tmp_path / f"{name}{threads}.json") for name in SPLITS}
+            data.make(settings, paths)
+        finally:
+            torch.set_num_threads(1)
+        found.append([path.read_bytes() for path, _ in paths.values()])
+    assert found[0] == found[1]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tasklens.recognition import class_folders, folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.runtime.devices import CPU, send
+from tasklens.runtime.devices import CPU, send, single_thread
 from tasklens.runtime.files import FileError, damaged, map_array, read_json, write_text, writing_array
 from tasklens.study.names import SPLITS
 from tasklens.study.settings import ImageSettings
@@ -111,7 +111,8 @@ def training_images(images: ImageSettings, path: Path, *, device: torch.device =
 def _rendered(count: int, seed: int, images: ImageSettings) -> ImageDataset:
     from tasklens.recognition import scenes
 
-    return ImageDataset(*scenes.render(count, images.size, seed, images.periods), scenes.CLASSES)
+    with single_thread():  # the same images on any number of cores
+        return ImageDataset(*scenes.render(count, images.size, seed, images.periods), scenes.CLASSES)
 
 
 def write(dataset: ImageDataset, images: Path, labels: Path) -> None:

@@ -1,6 +1,7 @@
 """Devices of jobs: a GPU that no other job of ours on this machine uses, or the CPU."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
@@ -56,6 +57,17 @@ def claim_several(wanted: int) -> list[torch.device]:
 def send(tensor: Tensor, device: torch.device) -> Tensor:
     """Copy a CPU tensor to `device`, asynchronously to a GPU."""
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """Let torch compute with one thread: sums of several differ in the last digit, and images then in a level."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def random_state() -> dict[str, Tensor]:
