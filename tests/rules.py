@@ -134,7 +134,7 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
 
 
 def slices(mapping: dict) -> dict[tuple, list[str]]:
-    """What Snakemake compares, for every job of a study; of each seed."""
+    """Settings that Snakemake compares, for every job of a study and each seed."""
     found: dict[tuple, list[str]] = {}
     for key, each in every_job(parse(mapping)):
         found.setdefault(key, []).append(each.settings)

@@ -53,7 +53,7 @@ def jobs_of(study: Study) -> dict[str, PlannedJob]:
 
 @pytest.fixture
 def found():
-    """What a changed study would overwrite, if every job of the first one is finished but `missing`."""
+    """Finished results that a changed study overwrites, if every job of the first one is finished but `missing`."""
     before = parse(base())
     write("results/tiny/study.yaml", dump(before))
     made = jobs_of(before)

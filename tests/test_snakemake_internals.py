@@ -1,4 +1,4 @@
-"""What the workflow reads of Snakemake beyond its documented interface is still there, and means what it did."""
+"""Tests that the parts of Snakemake used beyond its documented interface exist and mean what they did."""
 
 import logging
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""What the workflow reads of Snakemake beyond its documented interface: all of it, and nothing of it elsewhere.
+"""Uses of Snakemake beyond its documented interface; no other module has any.
 
 The argument `workflow` is the variable of that name in a Snakefile.
 """
