@@ -40,7 +40,8 @@ def run(
             `checkpoint` if a killed job is resumed.
         settings: JSON of the settings; their class is the annotation of the first parameter.
         code: digest of the code of the function.
-        inputs: input files by name; one, several, or none if the parameter may be None.
+        inputs: input files by name; one, several, or none if the parameter may be None. A file that no rule waits for
+            may be missing.
         outputs: output files by name.
         log: results/<study>/logs/<label>.log.
         group: command that starts a process group, whose processes call this function without it.
@@ -141,8 +142,11 @@ def _states(inputs: Mapping[str, Paths]) -> Iterator[str]:
     """Identify input files by size and modification time, since images can be hundreds of gigabytes."""
     for paths in inputs.values():
         for path in [paths] if isinstance(paths, str) else paths:
-            status = os.stat(path)
-            yield f"{path} {status.st_size} {status.st_mtime_ns}"
+            try:
+                status = os.stat(path)
+                yield f"{path} {status.st_size} {status.st_mtime_ns}"
+            except FileNotFoundError:
+                yield f"{path} missing"
 
 
 def _digest(*parts: str) -> str:
