@@ -20,6 +20,7 @@ import numpy
 import torch
 from torch import Tensor
 
+from tasklens.materials.library import users_files
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -45,12 +46,13 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
     Args:
         path: the file.
         catalogues: glass catalogues of a Zemax file (.agf, or plastics in YAML).
-        specification: what is to differ from the file: field_of_view_deg (full angle), f_number, pixel_pitch_um,
-            kernel_size (width of PSFs in pixels, odd), wavelengths_um (red, green, blue); object_distance_mm (from
-            the object to the first vertex; without it the object is at infinity).
+        specification: what differs from the file: field_of_view_deg (full angle), f_number, pixel_pitch_um, kernel_size
+            (width of PSFs in pixels, odd), wavelengths_um (the middle one is the reference), object_distance_mm (from
+            the object to the first vertex, or infinity); configuration (of a Zemax file with several).
 
     Returns:
-        The lens, and the view: nine fields from the axis to the corner, three wavelengths, pixels.
+        The lens, and the view: nine fields from the axis to the corner, wavelengths, pixels, object distance. What was
+        assumed about them, since the file does not say it, is a warning.
 
     Raises:
         InputError: the message names the file, what is wrong, and what to do.
@@ -58,8 +60,11 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
     Example:
         >>> lens, view = tasklens.load_lens("triplet.zmx", ["SCHOTT.AGF"], pixel_pitch_um=3.0)
     """
-    found = lens_files.read(Path(path), [Path(each) for each in catalogues], **specification)
-    return found.lens, found.view
+    files = [*(Path(catalogue) for catalogue in catalogues), *users_files()]
+    file = lens_files.read(Path(path), files, **specification)
+    for remark in file.remarks:
+        warnings.warn(f"{path}: {remark}", stacklevel=2)
+    return file.lens, file.view
 
 
 def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
@@ -168,6 +173,7 @@ def simulate(
             f"an image of {width} x {height} pixels is too small for PSFs of {view.kernel_size} pixels: take a larger "
             "one, or a smaller kernel_size (--kernel-size)"
         )
+    view = view.in_colours()
     grid = psf(lens, view, rays, diffraction)
     camera = Camera(grid, outside_window, colour, sensor, relative_illumination(lens.detached(), view))
     return camera.grid(source[None])[:, 0]
@@ -206,7 +212,9 @@ def simulate_sensor(
     from tasklens.simulation import sensor
 
     _one_of(colour, "srgb", "linear")
-    return sensor.simulate(lens, view, _image(image), pixel_pitch_um, rays, colour, distortion, illumination)
+    return sensor.simulate(
+        lens, view.in_colours(), _image(image), pixel_pitch_um, rays, colour, distortion, illumination
+    )
 
 
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:

@@ -81,7 +81,10 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
 
 TASK = ("--method", "task", "--classifier", "test_resnet")
 MISTAKES = [
-    (("--elements", "COC,GLASS"), "elements.lens: unknown plastic 'GLASS'; known ones nearest to it: PS, PMMA"),
+    (
+        ("--elements", "COC,GLASS"),
+        "elements.lens: unknown glass 'GLASS' in the built-in plastics",
+    ),
     (
         ("--method", "magic"),
         "method 'magic': expected one of least_squares, spot, image_quality, task, joint, end_to_end",

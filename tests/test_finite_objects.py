@@ -257,17 +257,21 @@ def test_spots_are_those_of_the_benchmark(path, monkeypatch):
 # ---- files, commands, and what is refused
 
 
-def test_a_near_object_of_a_file_stays_in_focus(tmp_path):
-    """Without a distance the lens is refocused, as before; what Python saves says where its object was."""
+def test_the_object_is_where_the_file_has_it(tmp_path):
+    """Unless another distance is asked for; then a lens without a specification is refocused, which is a remark."""
     lens, view = tasklens.load_lens(ZEMAX_DOUBLET, object_distance_mm=80.0)
     tasklens.save_lens(tmp_path / "near.zmx", lens, view)
-    near = lens_files.read(tmp_path / "near.zmx", object_distance_mm=80.0)
-    assert near.prescription.object_distance_mm == pytest.approx(80, rel=1e-12)
-    assert torch.equal(near.lens.thickness, near.prescription.lens.thickness) and near.view.object_vergence == 1 / 80
-    far = lens_files.read(tmp_path / "near.zmx")
-    assert any("refocused for infinity" in remark for remark in far.remarks) and far.view.object_vergence == 0
     tasklens.save_lens(tmp_path / "near.yaml", lens, view)
-    assert "--object" in lens_files.read(tmp_path / "near.yaml").remarks[0]
+    for name in ("near.zmx", "near.yaml"):
+        near = lens_files.read(tmp_path / name)
+        assert near.prescription.object_distance_mm == pytest.approx(80, rel=1e-12)
+        assert torch.equal(near.lens.thickness, near.prescription.lens.thickness)
+        assert near.view.object_vergence == pytest.approx(1 / 80, rel=1e-12)
+        assert not any("object" in remark for remark in near.remarks)
+        far = lens_files.read(tmp_path / name, object_distance_mm=math.inf)
+        assert far.view.object_vergence == 0 and any("object at 80 mm" in remark for remark in far.remarks)
+    with pytest.warns(UserWarning, match="refocused for infinity"):
+        tasklens.load_lens(tmp_path / "near.zmx", object_distance_mm=math.inf)
 
 
 def test_commands_say_where_the_object_is(tmp_path, capsys):
@@ -288,7 +292,7 @@ def test_commands_say_where_the_object_is(tmp_path, capsys):
     "distance, words",
     [
         *((value, f"object distance {value} (--object, in Python object_distance_mm): expected millimetres in front")
-          for value in ("-5", "0", "nan", "inf")),
+          for value in ("-5", "0", "nan")),
         ("0.5", "the lens forms no real image of it; move it away"),
     ],
 )  # fmt: skip

@@ -141,7 +141,10 @@ def test_a_forecast_is_that_of_the_machine_of_the_file(place):
         ("--f-number 0", "spec.f_number = 0.0"),
         ("--field-of-view 200", "spec.field_of_view_deg = 200.0"),
         ("--elements foo", "--elements: unknown 'foo'; expected one of singlet, doublet"),
-        ("--elements mine=COC+WOOD", "elements.mine: unknown plastic 'WOOD'"),
+        (
+            "--elements mine=COC+WOOD",
+            "elements.mine: unknown glass 'WOOD' in the built-in plastics",
+        ),
         ("--networks ,", "--networks: expected names"),
         ("--networks resnet19", "classifiers.resnet19"),
         ("--networks resnet18 --weights nowhere.pth", "--weights nowhere.pth: no such file"),

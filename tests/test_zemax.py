@@ -133,7 +133,7 @@ def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
 
 
 @pytest.mark.parametrize("aperture", ["ENPD 1.2", "FLOA"])
-@pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1"])
+@pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1\n  CLAP 0 0.4 0"])
 def test_a_stop_that_vignettes_at_less_than_the_aperture_asks_for(tmp_path, aperture, line):
     """As in Edmund Optics' 47728: a pupil of 15 mm, and 13.5 mm clear at the stop."""
     found = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))
@@ -162,6 +162,19 @@ def test_a_stop_that_vignettes_nothing_keeps_the_aperture(tmp_path, line):
 )
 def test_which_radii_clip(tmp_path, line, radius):
     assert float(read(tmp_path, edited(("DIAM 0.8 1 0 0 1", line))).lens.semi_diameter[1]) == radius
+
+
+@pytest.mark.parametrize("flag", [1, 2])
+def test_a_fixed_semi_diameter_clips_where_the_surface_refracts(tmp_path, flag):
+    """OpticStudio has no floating aperture on a surface without power: neither a dummy plane nor a stop in air."""
+    expected = read(tmp_path)
+    last = ("  CURV 0\n  DISZ 2.5", f"  CURV 0\n  DISZ 2.5\n  DIAM 0.1 {flag}")
+    found = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0.4 {flag}"), last))
+    assert found.aperture == expected.aperture
+    semi = found.lens.semi_diameter.tolist()
+    assert semi[2] == float(expected.lens.semi_diameter[2]) and semi[4] == 0.1  # surface 5 ends the glass of surface 4
+    dummy = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0 {flag}"))).lens
+    assert torch.equal(dummy.semi_diameter, expected.lens.semi_diameter)
 
 
 @pytest.mark.parametrize("unit, factor", [("CM", 10.0), ("IN", 25.4), ("METER", 1000.0)])
@@ -225,6 +238,86 @@ def test_glasses_are_picked_up_and_labelled(tmp_path):
     assert found.media[0].refractive_index(0.5875618) == 1.5 and found.media[0].name.startswith("COC ")
 
 
+@pytest.mark.parametrize("kind, keyword, first", [("XOSPHERE", "XDAT", 3), ("ODDASPHE", "PARM", 1)])
+def test_an_odd_asphere_without_odd_terms_is_an_even_one(tmp_path, kind, keyword, first):
+    """Term j of both kinds multiplies r^j."""
+    head = "  XDAT 1 6\n  XDAT 2 1\n" if kind == "XOSPHERE" else ""
+    terms = [0.0, 0.01, 0.0, -0.002, 0.0, 1e-6]
+    lines = head + "\n".join(f"  {keyword} {first + j} {value}" for j, value in enumerate(terms))
+    changes = ("EVENASPH", kind), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", lines)
+    assert read(tmp_path, edited(*changes)).lens.alpha[0].tolist() == [0.01, -0.002, 1e-6]
+    odd = edited(changes[0], (changes[1][0], lines.replace(f"{keyword} {first + 2} 0.0", f"{keyword} {first + 2} 0.1")))
+    with pytest.raises(FileError, match=f"{keyword}: an odd term"):
+        read(tmp_path, odd)
+
+
+@pytest.mark.parametrize("line", ["ENVD 20 1 1", "GFAC 1 0", "GFAC 0 3", "STUD 1", "FSVY 2 3", "CHZH 0 0"])
+def test_what_changes_no_ray_is_read(tmp_path, line):
+    expected, found = read(tmp_path), read(tmp_path, edited(("MODE SEQ", f"MODE SEQ\n{line}")))
+    assert all(torch.equal(a, b) for a, b in zip(tensors(found.lens), tensors(expected.lens), strict=True))
+
+
+def test_fields_of_old_files_and_more_than_twelve(tmp_path):
+    expected = read(tmp_path).fields
+    assert read(tmp_path, edited(("XFLN", "XFLD"), ("YFLN", "YFLD"))).fields == expected
+    assert read(tmp_path, edited(("XFLN 0 1.5", "XFLN 0 1.5\nXFLD 0 1.5"))).fields == expected
+    heights = [float(i) for i in range(14)]
+    twelve = " ".join(map(str, heights[:12]))
+    further = "".join(f"FEFD {i + 1} 0 {height} 1 0 0 0 0 0\n" for i, height in enumerate(heights))
+    changes = [("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 14 3 0 0 0 2"), ("XFLN 0 1.5", f"XFLN{12 * ' 0'}")]
+    found = read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further}"))).fields
+    assert found == ("angle_deg", tuple((0.0, height) for height in heights))
+    with pytest.raises(FileError, match="FEFD: differs from field 3"):
+        read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further.replace('3 0 2.0', '3 0 2.5')}")))
+
+
+def test_a_glass_that_no_catalogue_has_is_that_of_its_line(tmp_path):
+    """Of nd and Vd, with a remark; nd = Vd = 0 is refused (`MISTAKES`)."""
+    found = read(tmp_path, edited(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
+    assert found.lens.media[0] == model_glass(1.5, 40.0, 0.0, "MINE")
+    assert found.remarks == (
+        "glass MINE is in no catalogue: taken as one of nd = 1.5 and Vd = 40, as its line says, whose index is right "
+        "to 1e-4 in the visible (--catalogue)",
+    )
+    assert read(tmp_path).remarks == ()
+
+
+CONFIGURATIONS = """THIC 2 1 0.3 0 0 0 1 1 1 0 0
+THIC 2 2 0.45 0 0 0 1 1 1 0 0
+CRVT 4 1 0.1 0
+CRVT 4 2 0.12 0
+CONN 1 2 -0.7 0
+GLSS 1 2 PMMA 0
+YFIE 2 1 20
+YFIE 2 2 20
+MOFF 0 1 0
+"""
+
+
+def test_configurations(tmp_path):
+    """The one in which the file was saved, or another, whose surfaces are set; a field that differs is refused."""
+    text = edited(("MNUM 1 1\n", "MNUM 2 1\n" + CONFIGURATIONS))
+    saved = read(tmp_path, text)
+    assert all(torch.equal(a, b) for a, b in zip(tensors(saved.lens), tensors(read(tmp_path).lens), strict=True))
+    (tmp_path / "lens.zmx").write_text(text)
+    assert saved.remarks == ("configuration 1 of 2 (--configuration)",)
+    lens = zemax.read(tmp_path / "lens.zmx", configuration=2).lens
+    assert lens.thickness.tolist() == [0.8, 0.45, 0.2, 0.6, 2.5] and lens.curvature.tolist()[3] == 0.12
+    assert lens.conic.tolist()[0] == -0.7 and lens.media[0] == builtin("PMMA")
+    (tmp_path / "lens.zmx").write_text(text.replace("YFIE 2 2 20", "YFIE 2 2 25"))
+    with pytest.raises(FileError, match=r"line \d+: YFIE: differs from configuration 1"):
+        zemax.read(tmp_path / "lens.zmx", configuration=2)
+    with pytest.raises(FileError, match=r"THIC: the file was saved in this configuration, but its surface has 0\.3"):
+        read(tmp_path, text.replace("THIC 2 1 0.3", "THIC 2 1 0.31"))
+
+
+@pytest.mark.parametrize("end", ["SURF 4", "SURF 5", "SURF 6", "  DISZ 2.5"])
+def test_a_file_that_is_cut_off_is_refused(tmp_path, end):
+    """Its last surface is no image surface."""
+    with pytest.raises(FileError, match=r"lens\.zmx"):
+        read(tmp_path, TEXT[: TEXT.index(end)])
+
+
 MISTAKES = [
     ("CURV 0.25", "CURV 0.2.5", ["line 22", "CURV", "0.2.5"]),
     ("CURV 0.25", "CURV nan", ["line 22", "nan"]),
@@ -243,14 +336,14 @@ MISTAKES = [
     ("TYPE EVENASPH", "TYPE GRINSUR3", ["line 21", "GRINSUR3"]),
     ("TYPE EVENASPH", "TYPE XASPHERE\n  XDAT 1 3", ["line 21", "XDAT 2"]),
     ("COC 0 0 1.5 40", "MIRROR 0 0 1.5 40", ["line 27", "mirror"]),
-    ("COC 0 0 1.5 40", "UNOBTAINIUM", ["line 27", "UNOBTAINIUM", "built-in plastics", "YAML"]),
+    ("COC 0 0 1.5 40", "UNOBTAINIUM", ["line 27", "UNOBTAINIUM", "built-in plastics", "--catalogue"]),
     ("COC 0 0 1.5 40", "COC 4 0 1.5 40", ["line 27", "offset"]),
     ("COC 0 0 1.5 40", "COC 2 3 1.5 40", ["line 27", "surface 3"]),
     ("1.64 23.3", "0.64 23.3", ["GLAS", "0.64"]),
     ("FLAP 0 1.1", "FLAP 0.2 1.1", ["FLAP", "hole"]),
     ("FLAP 0 1.1 0", "SQAP 1 1", ["SQAP", "round"]),
     ("MODE SEQ", "MODE NSC", ["line 2", "NSC"]),
-    ("MNUM 1 1", "MNUM 3 1", ["MNUM", "3 configurations"]),
+    ("MNUM 1 1", "MNUM 3 4", ["line 55", "1 .. 3", "4"]),
     ("UNIT MM", "UNIT PARSEC", ["line 4", "PARSEC", "MM"]),
     ("ENPD 1.2", "OBNA 0.1", ["aperture", "ENPD"]),
     ("ENPD 1.2", "ENPD 0", ["line 5", "positive"]),

@@ -35,7 +35,7 @@ SYSTEM = [  # a line of OpticStudio, in place of another, and words of the messa
     ("FTYP 0 0 2 3 0 0 1 2", "afocal"),
     ("ENVD 60 1 0", "20 deg C"),
     ("ENVD 20 0 0", "1 atm"),
-    ("ENVD 20 1 1", "adjustment"),
+    ("ENVD 60 1 1", "20 deg C"),
     ("GFAC 1 2", "apodis"),
     ("OBNA 0.1 0", "object space"),
     ("FNUM 2.8 0", "ENPD as well"),

@@ -1,20 +1,17 @@
 """`tasklens lens ...`: lenses in a lens.yaml of ours, or in Zemax's .zmx."""
 
-import inspect
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, lens_command, reader
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json, say
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
-    from tasklens.optics.io.lens_files import LensFile
     from tasklens.optics.view import View
 
 app = typer.Typer(no_args_is_help=True)
@@ -22,85 +19,9 @@ app = typer.Typer(no_args_is_help=True)
 File = Annotated[Path, typer.Argument(help="Lens: .yaml or .zmx.", show_default=False)]
 Files = Annotated[list[Path], typer.Argument(help="Lenses: .yaml or .zmx.", show_default=False)]
 Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
-_PANEL = "What differs from the file, or is not in it"
 
 
-FieldOfView = Annotated[float | None, typer.Option(help="Full angle, degrees.", rich_help_panel=_PANEL)]
-FNumber = Annotated[float | None, typer.Option(help="Focal length / pupil.", rich_help_panel=_PANEL)]
-PixelPitch = Annotated[float | None, typer.Option(help="Micrometres.", rich_help_panel=_PANEL)]
-KernelSize = Annotated[int | None, typer.Option(help="Width of PSFs, pixels, odd.", rich_help_panel=_PANEL)]
-Wavelengths = Annotated[
-    str | None, typer.Option(help="Red, green, blue in micrometres: 0.65,0.55,0.47.", rich_help_panel=_PANEL)
-]
-Focus = Annotated[
-    float | None,
-    typer.Option(help="Shift of the image plane away from the lens, micrometres.", rich_help_panel=_PANEL),
-]
-ObjectDistance = Annotated[
-    float | None,
-    typer.Option("--object", help="Distance of the object, millimetres; else at infinity.", rich_help_panel=_PANEL),
-]
-Catalogues = Annotated[
-    list[Path] | None, typer.Option(help="Glass catalogue of a .zmx (.agf or YAML).", rich_help_panel=_PANEL)
-]
-
-
-def _reader(
-    field_of_view: FieldOfView = None,
-    f_number: FNumber = None,
-    pixel_pitch: PixelPitch = None,
-    kernel_size: KernelSize = None,
-    wavelengths: Wavelengths = None,
-    focus: Focus = None,
-    object_distance: ObjectDistance = None,
-    catalogue: Catalogues = None,
-) -> Callable[[Path], "LensFile"]:
-    """Return a function that reads lenses with these options."""
-    from tasklens.optics.io import lens_files
-
-    wanted = {
-        "field_of_view_deg": field_of_view,
-        "f_number": f_number,
-        "pixel_pitch_um": pixel_pitch,
-        "kernel_size": kernel_size,
-        "wavelengths_um": wavelengths and tuple(wavelengths.split(",")),
-    }
-
-    def read(path: Path) -> "LensFile":
-        found = lens_files.read(path, catalogue or (), object_distance, **wanted)
-        for remark in found.remarks:
-            say(f"{path}: {remark}")
-        return _with_image_moved(found, focus) if focus else found
-
-    return read
-
-
-def _with_image_moved(found: "LensFile", shift: float) -> "LensFile":
-    """Return a lens with its image plane `shift` micrometres further away; raises InputError."""
-    if not math.isfinite(shift):
-        raise InputError(f"--focus {shift}: expected a number of micrometres, such as -10")
-    thickness = found.lens.thickness.clone()
-    thickness[-1] += 1e-3 * shift
-    return replace(found, lens=replace(found.lens, thickness=thickness))
-
-
-def _command(function: Callable[..., None]) -> Callable[..., None]:
-    """Add a command whose first parameter reads lenses; the options of `_reader` are its own too."""
-    shared = inspect.signature(_reader, eval_str=True).parameters
-
-    @wraps(function)
-    def command(**given: Any) -> None:
-        function(_reader(**{name: given.pop(name) for name in shared}), **given)
-
-    own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
-    parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in (*own, *shared.values())]
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
-    app.command()(command)
-    return command
-
-
-@_command
+@lens_command(app)
 def show(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
     """Say at a glance what lenses are: elements, focal length, sharpness from axis to corner, worst limit."""
     from tasklens.optics.analysis.datasheet import figures
@@ -117,7 +38,7 @@ def show(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) 
         print("\n\n".join(glance.text(name, each) for name, each in shown.items()))
 
 
-@_command
+@lens_command(app)
 def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
     """Compare lenses: a row for each, in one table."""
     from tasklens.optics.analysis.datasheet import figures
@@ -131,7 +52,7 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
         print(glance.table(rows))
 
 
-@_command
+@lens_command(app)
 def analyse(read: Callable, file: File, rays: Rays = 4096, json: AsJson = False) -> None:
     """Print all figures of a lens: first-order data, figures by field, aberrations by surface."""
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
@@ -146,7 +67,7 @@ def analyse(read: Callable, file: File, rays: Rays = 4096, json: AsJson = False)
         print(certificate.markdown(str(file), found.view.fields.tolist(), computed, by_surface), end="")
 
 
-@_command
+@lens_command(app)
 def draw(
     read: Callable,
     files: Files,
@@ -162,7 +83,7 @@ def draw(
     say(f"wrote {output}")
 
 
-@_command
+@lens_command(app)
 def psf(
     read: Callable,
     file: File,
@@ -183,7 +104,7 @@ def psf(
     say(f"wrote {output}")
 
 
-@_command
+@lens_command(app)
 def simulate(
     read: Callable,
     file: File,
@@ -241,22 +162,27 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="Lens: .zmx or .yaml.", show_default=False)],
     field_of_view: FieldOfView = None,
     catalogue: Catalogues = None,
+    configuration: Configuration = None,
     force: Force = False,
 ) -> None:
     """Convert a lens for Zemax, or from Zemax to YAML."""
-    from tasklens.optics.io import lens_files, prescription, zemax
+    from tasklens.materials.library import users_files
+    from tasklens.optics.io import lens_files, prescription
+    from tasklens.optics.io.zemax_glasses import NamedGlasses
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
-    found, content = lens_files.read_prescription(file, catalogue or ())
+    found, content = lens_files.read_prescription(file, [*(catalogue or ()), *users_files()], configuration)
     if output.suffix.lower() == ".zmx" and not (found.fields and found.wavelengths_um):
-        found = prescription.with_use(found, _reader(field_of_view, catalogue=catalogue)(file).view)
-    own = zemax.own_materials(found) if output.suffix.lower() == ".zmx" else {}
+        found = prescription.with_use(
+            found, reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
+        )
+    own = NamedGlasses.of(found.lens.media, output.stem).own if output.suffix.lower() == ".zmx" else ()
     if own:
         beside = new_file(output.with_suffix(".agf"), force, ".agf")
     lens_files.write(output, found, content)
     say(f"wrote {output}")
     if own:
-        say(f"wrote {beside} with {', '.join(own)}, for OpticStudio's folder Glasscat")
+        say(f"wrote {beside} with {', '.join(glass.name for glass in own)}, for OpticStudio's folder Glasscat")
 
 
 def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:

@@ -1,6 +1,6 @@
 """Material files: our YAML, read, and Zemax's glass catalogues (.AGF), read and written."""
 
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -10,41 +10,36 @@ from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError, replacing
 
 PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in plastics
-_FORMULAS = [name for name in FORMULAS if name != "model"]  # in the order of Zemax's numbers, from 1
+MAKERS = Path(__file__).parent / "makers"  # the built-in catalogues, made by tools/glass_catalogues.py
+FORMULA_NUMBERS = {name: number for number, name in enumerate(FORMULAS, 1) if name != "model"}  # Zemax's
+_BY_NUMBER = {number: name for name, number in FORMULA_NUMBERS.items()}
 
 
 def read(path: Path) -> dict[str, Material]:
     """Read the materials of a file, by name.
 
     Raises:
-        FileError: an invalid file; the message names it and the error.
+        FileError: an invalid file; the message names it and the error. A glass of a Zemax catalogue whose data cannot
+            be used is left out, unless it is the only one.
     """
     if path.suffix.lower() == ".agf":
-        return _read_agf(path)
+        return read_agf(path)[0]
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise FileError(f"{path}: expected a file of materials, .yaml or .agf")
     return from_definitions(yaml_files.read(path), str(path))
 
 
-def collect(paths: Iterable[Path]) -> dict[str, Material]:
-    """Read the materials of several files and the built-in plastics, by name; the first file with a name defines it."""
-    found: dict[str, Material] = {}
-    for path in paths:
-        found = read(path) | found
-    return _builtin() | found
+@cache
+def plastics() -> dict[str, Material]:
+    """Return the built-in plastics, by name."""
+    return read(PLASTICS)
 
 
 def builtin(name: str) -> Material:
     """Return a built-in plastic by name; raises ValueError with the known names."""
-    if name not in _builtin():
-        raise ValueError(f"unknown plastic {name!r}; expected one of {', '.join(_builtin())}")
-    return _builtin()[name]
-
-
-def in_zemax(catalogues: Container[str]) -> dict[str, Material]:
-    """Return the built-in plastics that OpticStudio has in one of some catalogues, by the name that it gives them."""
-    known = {tuple(material.zemax.split()): material for material in _builtin().values() if material.zemax}
-    return {name: material for (catalogue, name), material in known.items() if catalogue in catalogues}
+    if name not in plastics():
+        raise ValueError(f"unknown plastic {name!r}; expected one of {', '.join(plastics())}")
+    return plastics()[name]
 
 
 def write_agf(path: Path, materials: Iterable[Material]) -> None:
@@ -59,7 +54,7 @@ def write_agf(path: Path, materials: Iterable[Material]) -> None:
         if len(material.source.splitlines()) > 1:
             raise FileError(f"{material.name}: its source has several lines; a Zemax catalogue has room for one")
         nd, vd = material.abbe()
-        lines += [f"NM {material.name} {_FORMULAS.index(material.formula) + 1} 0 {nd:.6f} {vd:.6f} 0 0 0"]
+        lines += [f"NM {material.name} {FORMULA_NUMBERS[material.formula]} 0 {nd:.6f} {vd:.6f} 0 0 0"]
         lines += [f"GC {material.source}".strip(), "ED 0 0 0 0 0 0"]
         lines += [f"CD {' '.join(map(decimal, material.coefficients))}", "TD 0 0 0 0 0 0 20", "OD -1 -1 -1 -1 -1 -1"]
         lines += [f"LD {' '.join(map(decimal, material.range_um))}"]
@@ -73,28 +68,36 @@ def check_name(name: str) -> None:
         raise FileError(f"Zemax cannot have a glass called {name!r}; rename it")
 
 
-@cache
-def _builtin() -> dict[str, Material]:
-    return read(PLASTICS)
+def read_agf(path: Path) -> tuple[dict[str, Material], dict[str, FileError]]:
+    """Read a Zemax catalogue; returns its glasses, and the errors of those whose data cannot be used, by name.
 
+    NM begins a glass, CD holds its coefficients, LD its wavelength range. The first glass of a name counts.
 
-def _read_agf(path: Path) -> dict[str, Material]:
-    """Read a Zemax catalogue: NM begins a glass, CD holds its coefficients, LD its wavelength range."""
-    glasses: list[dict[str, Line]] = []
+    Raises:
+        FileError: no glass that can be used, or data in front of the first one.
+    """
+    entries: list[dict[str, Line]] = []
     for line in read_lines(path):
         if line.keyword == "NM":
-            glasses.append({})
+            entries.append({})
         if line.keyword in ("NM", "CD", "LD"):
-            if not glasses:
+            if not entries:
                 raise line.error("comes before the first glass (NM)")
-            glasses[-1][line.keyword] = line
-    if not glasses:
+            entries[-1][line.keyword] = line
+    if not entries:
         raise FileError(f"{path}: no glass (NM) in it")
-    found: dict[str, Material] = {}
-    for glass in glasses:
-        material = _glass(glass, path)
-        found.setdefault(material.name, material)
-    return found
+    glasses: dict[str, Material] = {}
+    errors: dict[str, FileError] = {}
+    for entry in entries:
+        name = (entry["NM"].words or [""])[0]
+        if name not in glasses:
+            try:
+                glasses[name] = _glass(entry, path)
+            except FileError as error:
+                errors.setdefault(name, error)
+    if not glasses:
+        raise next(iter(errors.values()))
+    return glasses, {name: error for name, error in errors.items() if name not in glasses}
 
 
 def _glass(lines: dict[str, Line], path: Path) -> Material:
@@ -102,19 +105,17 @@ def _glass(lines: dict[str, Line], path: Path) -> Material:
     for keyword in ("CD", "LD"):
         if keyword not in lines:
             raise head.error(f"{head.text!r} has no {keyword} line")
-    which = head.integer(1)
-    if not 1 <= which <= len(_FORMULAS):
-        raise head.error(f"expected a dispersion formula 1 .. {len(_FORMULAS)}, found {which}")
-    formula = _FORMULAS[which - 1]
+    number = head.integer(1)
+    if number not in _BY_NUMBER:
+        raise head.error(f"expected a dispersion formula 1 .. {len(_BY_NUMBER)}, got {number}")
+    formula = _BY_NUMBER[number]
     # Catalogues append or omit zero coefficients.
-    given = [lines["CD"].number(i) for i in range(len(lines["CD"].words))]
+    listed = [lines["CD"].number(i) for i in range(len(lines["CD"].words))]
     count = FORMULAS[formula][0]
-    coefficients = tuple([*given, *[0.0] * count][:count])
+    coefficients = tuple([*listed, *[0.0] * count][:count])
+    range_um = (lines["LD"].number(0), lines["LD"].number(1))
+    zemax = f"{path.stem} {head.words[0]}" if " " not in path.stem else ""
     try:
-        range_um = (lines["LD"].number(0), lines["LD"].number(1))
-        known = f"{path.stem} {head.words[0]}" if " " not in path.stem else ""
-        return Material(head.words[0], formula, coefficients, range_um, path.name, known)
-    except FileError:
-        raise
+        return Material(head.words[0], formula, coefficients, range_um, path.name, zemax)
     except ValueError as error:
         raise lines["LD"].error(str(error)) from None

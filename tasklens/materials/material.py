@@ -158,9 +158,13 @@ AIR = Material("air", "schott", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, math.inf))
 
 
 def model_glass(nd: float, vd: float, dpgf: float, label: str = "") -> Material:
-    """Return a glass of given nd, Vd and dPgF, valid in the visible; `label`, without spaces, begins its name."""
+    """Return a glass of nd, Vd and dPgF, valid in the visible; `label`, without spaces, begins its name.
+
+    Vd = 0 is Zemax's convention for an index that is the same at every wavelength.
+    """
     numbers = "/".join(repr(value) for value in (nd, vd, dpgf)[: 3 if dpgf else 2])
-    return Material(f"{label} {numbers}".strip(), "model", (nd, vd, dpgf), (0.38, 0.78), "nd, Vd and dPgF")
+    range_um = (0.38, 0.78) if vd else (0.0, 1000.0)
+    return Material(f"{label} {numbers}".strip(), "model", (nd, vd, dpgf), range_um, "nd, Vd and dPgF")
 
 
 def from_definitions(content: object, where: str) -> dict[str, Material]:

@@ -71,6 +71,13 @@ class View:
         """Return the view at the reference wavelength only."""
         return replace(self, wavelengths=(self.reference,))
 
+    def in_colours(self) -> "View":
+        """Return the view at three wavelengths, for red, green and blue: the longest, the middle and the shortest."""
+        if len(self.wavelengths) == 3:
+            return self
+        ordered = sorted(self.wavelengths, reverse=True)
+        return replace(self, wavelengths=(ordered[0], ordered[len(ordered) // 2], ordered[-1]))
+
     def in_meridian(self) -> "View":
         """Return the view with every field rotated onto +y, equivalent for a rotationally symmetric lens."""
         return replace(self, fields=torch.stack([torch.zeros_like(self.radii), self.radii], -1))

@@ -1,15 +1,15 @@
 """The configuration of a study, validated before the first job; no torch here."""
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator
 
-from tasklens.materials.catalogues import collect
+from tasklens.materials.library import Library
 from tasklens.materials.material import Material, from_definitions
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError
 from tasklens.study.ablations import Ablation, variant_entry
 from tasklens.study.design_settings import (
     DesignSettings,
@@ -115,22 +115,25 @@ class Study(Frozen):
     @field_validator("materials", mode="before")
     @classmethod
     def _used(cls, given: object, info: ValidationInfo) -> dict[str, Material]:
+        defined: Mapping[str, Material] = {}
+        library = Library()
         if isinstance(given, Mapping):
-            known = collect([]) | from_definitions(given, "definitions")
+            defined = from_definitions(given, "definitions")
         elif isinstance(given, list) and all(isinstance(path, str) for path in given):
+            library = Library([Path(path) for path in given])
             try:
-                known = collect(Path(path) for path in given)
+                library.check()
             except OSError as error:
                 raise ValueError(f"{error.filename}: cannot be read: {error.strerror}") from None
         else:
             raise ValueError("expected a list of files, or definitions by name")
         used = {}
-        for name, plastics in info.data.get("elements", {}).items():
-            for plastic in plastics:
-                if plastic not in known:
-                    near = ", ".join(difflib.get_close_matches(plastic, known, 8, 0))
-                    raise ValueError(f"elements.{name}: unknown plastic {plastic!r}; known ones nearest to it: {near}")
-                used[plastic] = known[plastic]
+        for name, materials in info.data.get("elements", {}).items():
+            for material in materials:
+                try:
+                    used[material] = defined[material] if material in defined else library.glass(material)
+                except FileError as error:
+                    raise ValueError(f"elements.{name}: {error}") from None
         return used
 
     @field_serializer("materials")

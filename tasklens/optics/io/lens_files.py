@@ -8,23 +8,28 @@ from typing import Any
 
 import torch
 from pydantic import ValidationError
+from scipy.optimize import brentq
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_object, check_stop
-from tasklens.optics.analysis.spots import chief_points
+from tasklens.optics.analysis.pupil import check_object, check_stop, sobol_disc
+from tasklens.optics.analysis.spots import chief_rays, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import FileError, positive
 from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
-_ROUNDS = 8  # of the search for a field by its image height; each divides the error by the distortion
+_LIGHT = 64  # rays per field that tell whether any light arrives
+_ANGLES = torch.arange(0.5, 85.0, 0.5, dtype=torch.float64)  # of the search for a field by its image height [degrees]
+_AXIS_DEG = 1.0  # field of view of a specification whose only field is the axis
+_FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,9 @@ class LensFile:
 
     Attributes:
         prescription: as in the file.
-        lens: the lens at the F-number that is asked for, and in focus as in the file; one in focus for a near object
-            that has no `spec` is so for infinity, unless an object distance is asked for.
-        view: fields, wavelengths and pixels.
+        lens: the lens at the F-number that is asked for, and in focus as in the file; one in focus for a near object is
+            refocused if another distance is asked for and it has no `spec`.
+        view: fields, wavelengths, pixels and object distance.
         content: what a YAML file says besides: spec, origin, figures, margins.
         remarks: what was assumed or changed, in words.
     """
@@ -48,35 +53,47 @@ class LensFile:
 
 
 def read(
-    path: Path, catalogues: Sequence[Path] = (), object_distance_mm: float | None = None, **wanted: Any
+    path: Path,
+    catalogues: Sequence[Path] = (),
+    object_distance_mm: float | None = None,
+    configuration: int | None = None,
+    wavelengths_um: Sequence[float | str] | None = None,
+    **changes: Any,
 ) -> LensFile:
     """Read a lens with its specification.
 
     The specification is that in a lens.yaml of ours. For any other lens it is made from the file: the field up to its
-    largest one, the F-number of its stop, its shortest, primary and longest wavelength. Pixels, and what the file does
-    not have, are the defaults of a study, which `remarks` say. A lens that is in focus for a near object is refocused
-    for infinity, unless `object_distance_mm` is given.
+    largest one, the F-number of its stop, its wavelengths, and the distance of its object. Pixels, and what the file
+    does not have, are the defaults of a study, which `remarks` say.
 
     Args:
         path: a lens.yaml or a .zmx file.
         catalogues: glass catalogues (.agf, or our YAML) of a .zmx file.
-        object_distance_mm: distance of the object in front of the first vertex [mm]; None: it is at infinity.
-        wanted: keys of `Spec` that differ from the file: field_of_view_deg, f_number, pixel_pitch_um, kernel_size,
-            wavelengths_um.
+        object_distance_mm: distance of the object in front of the first vertex [mm], or infinity; None: as in the file.
+        configuration: of a .zmx file with several; None: the one in which it was saved.
+        wavelengths_um: wavelengths in place of those of the file, the middle one the reference [um].
+        changes: keys of `Spec` that differ from the file: field_of_view_deg, f_number, pixel_pitch_um, kernel_size.
 
     Raises:
-        InputError: an object distance that is not positive and finite.
-        FileError: a file that is no lens, or that says nothing of its field where none is wanted; or an object in it.
+        InputError: an object distance that is not positive.
+        FileError: a file that is no lens, or that says nothing of its field; or an object in the lens.
     """
-    vergence = _vergence(object_distance_mm)
-    found, content = read_prescription(path, catalogues)
-    wanted = {key: value for key, value in wanted.items() if value is not None}
+    _check_distance(object_distance_mm)
+    shown, content = read_prescription(path, catalogues, configuration)
+    changes = {key: value for key, value in changes.items() if value is not None}
     try:
-        used = _used(path, found, content, wanted, vergence)
-        view = replace(used.view, object_vergence=vergence)
-        if vergence:
-            check_object(used.lens, view)
-        return replace(used, view=view)
+        wavelengths = tuple(positive(value, "wavelengths_um") for value in wavelengths_um or ())
+        spec = Spec.model_validate(changes)
+        changes = {key: getattr(spec, key) for key in changes}
+        distance = shown.object_distance_mm if object_distance_mm is None else object_distance_mm
+        if "spec" in content:
+            used = _specified(shown, content, changes, wavelengths, 1 / distance, str(path))
+        else:
+            check_stop(shown.lens)
+            used = _derived(shown, changes, wavelengths, 1 / distance)
+        if used.view.object_vergence:
+            check_object(used.lens, used.view)
+        return replace(used, remarks=(*shown.remarks, *used.remarks, *_dark(used)))
     except ValidationError as error:
         raise FileError(f"{path}: {'; '.join(problems(error, Spec))}") from None
     except FileError:
@@ -85,38 +102,40 @@ def read(
         raise FileError(f"{path}: {error}") from None
 
 
-def _vergence(distance: float | None) -> float:
-    if distance is None:
-        return 0.0
-    if not (0 < distance < math.inf and 1 / distance < math.inf):
+def _check_distance(distance: float | None) -> None:
+    if distance is not None and not (distance > 0 and 1 / distance < math.inf):
         raise InputError(
             f"object distance {distance:g} (--object, in Python object_distance_mm): expected millimetres in front of "
-            "the first vertex, such as 500"
+            "the first vertex, such as 500, or inf"
         )
-    return 1 / distance
 
 
-def _used(path: Path, found: Prescription, content: dict, wanted: dict, vergence: float) -> LensFile:
-    """Return a lens with its specification, for an object at infinity but in focus as for one of this vergence."""
-    chosen = Spec.model_validate(wanted)
-    wanted = {key: getattr(chosen, key) for key in wanted}
-    if "spec" not in content:
-        check_stop(found.lens)
-        return _derived(found, content, wanted, vergence)
-    lens, view = found.lens, view_of(found.lens, content, str(path))
-    if wanted:
-        given = {key: value for key, value in content["spec"].items() if key in Spec.model_fields}
-        lens, view = _changed(lens, content["spec"]["efl_mm"], given, wanted)
-    near = math.isfinite(found.object_distance_mm) and not vergence
-    remark = f"object at {found.object_distance_mm:g} mm in the file: taken to infinity, without new focus (--object)"
-    return LensFile(found, lens, view, content, (remark,) if near else ())
+def _specified(
+    shown: Prescription, content: dict, changes: dict, wavelengths: tuple[float, ...], vergence: float, name: str
+) -> LensFile:
+    """Return a lens with the specification of its file, changed."""
+    lens, view = shown.lens, view_of(shown.lens, content, name)
+    wavelengths = wavelengths or view.wavelengths
+    if changes:
+        own = {key: value for key, value in content["spec"].items() if key in Spec.model_fields}
+        own.pop("wavelengths_um", None)
+        lens, view = _changed(lens, content["spec"]["efl_mm"], own, changes, wavelengths)
+    view = replace(view, wavelengths=wavelengths, object_vergence=vergence)
+    lens.refractive_indices(wavelengths)
+    remarks = []
+    near = shown.object_distance_mm
+    if math.isfinite(near) and vergence != 1 / near:
+        remarks.append(f"object at {near:g} mm in the file: taken to {_distance(vergence)}, without new focus")
+    return LensFile(shown, lens, view, content, tuple(remarks))
 
 
-def read_prescription(path: Path, catalogues: Sequence[Path] = ()) -> tuple[Prescription, dict]:
+def read_prescription(
+    path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None
+) -> tuple[Prescription, dict]:
     """Read the prescription of a lens from either kind of file, and what a YAML file says besides; raises FileError."""
     suffix = path.suffix.lower()
     if suffix == ".zmx":
-        return zemax.read(path, catalogues), {}
+        return zemax.read(path, catalogues, configuration), {}
     if suffix in (".yaml", ".yml"):
         return prescription.read(path)
     raise FileError(f"{path}: expected a lens file, .yaml or .zmx")
@@ -137,90 +156,133 @@ def write(path: Path, found: Prescription, notes: Mapping[str, Any]) -> None:
         raise FileError(f"{path}: expected .yaml, or .zmx for Zemax")
 
 
-def _changed(lens: Lens, efl: float, given: dict, wanted: dict) -> tuple[Lens, View]:
-    """Return the lens and its view with the wanted values in place of the given ones; the focal length stays."""
-    values = given | wanted
-    if "field_of_view_deg" in wanted:
-        values["diagonal_mm"] = 2 * efl * math.tan(math.radians(min(wanted["field_of_view_deg"], 149.0)) / 2)
+def _changed(lens: Lens, efl: float, own: dict, changes: dict, wavelengths: tuple[float, ...]) -> tuple[Lens, View]:
+    """Return the lens and its view with changes of its own values; the focal length stays."""
+    values = own | changes
+    if "field_of_view_deg" in changes:
+        values["diagonal_mm"] = 2 * efl * math.tan(math.radians(min(changes["field_of_view_deg"], 149.0)) / 2)
     spec = Spec.model_validate(values)
-    view = view_of_spec(spec)
-    lens.refractive_indices(view.wavelengths)
-    if "f_number" in wanted:
+    view = replace(view_of_spec(spec), wavelengths=wavelengths)
+    lens.refractive_indices(wavelengths)
+    if "f_number" in changes:
         radius = zemax.stop_radius(lens, ("f_number", spec.f_number), view.reference)
         at_stop = torch.arange(len(lens.media)) == lens.stop
         lens = replace(lens, semi_diameter=torch.where(at_stop, radius, lens.semi_diameter))
     return lens, view
 
 
-def _derived(found: Prescription, content: Mapping, wanted: dict, vergence: float) -> LensFile:
+def _derived(shown: Prescription, changes: dict, wavelengths: tuple[float, ...], vergence: float) -> LensFile:
     """Make the specification of a lens whose file has none from what the file says; raises InputError."""
     remarks = []
-    colours = found.wavelengths_um or ()
-    middle = colours[found.primary or 0] if colours else 0.0
-    given: dict[str, Any] = {}
-    if colours and max(colours) > middle > min(colours):
-        given["wavelengths_um"] = (max(colours), middle, min(colours))
-    elif "wavelengths_um" not in wanted:
-        default = Spec.model_fields["wavelengths_um"].default
-        taken = ", ".join(map(str, default))
-        remarks.append(f"no three wavelengths in the file: taken as {taken} um (--wavelengths)")
-    reference = (given | wanted).get("wavelengths_um", Spec.model_fields["wavelengths_um"].default)[1]
-    first_order = paraxial(found.lens, reference)
+    if not wavelengths and shown.wavelengths_um:
+        wavelengths = _with_reference(shown.wavelengths_um, shown.primary or 0)
+    elif not wavelengths:
+        wavelengths = Spec.model_fields["wavelengths_um"].default
+        remarks.append(f"no wavelengths in the file: taken as {', '.join(map(str, wavelengths))} um (--wavelengths)")
+    reference = wavelengths[len(wavelengths) // 2]
+    first_order = paraxial(shown.lens, reference)
     efl = float(first_order.efl)
     if not 0 < efl < math.inf:
         raise InputError(f"a lens with a focal length of {efl:.4g} mm forms no image")
-    given["f_number"] = efl / float(2 * first_order.entrance_pupil_radius)
-    if "field_of_view_deg" not in wanted:
-        tangent = _largest_tangent(found, efl, float(first_order.entrance_pupil_z), reference, vergence)
-        given["field_of_view_deg"] = math.degrees(2 * math.atan(tangent))
-        given["diagonal_mm"] = 2 * efl * tangent
-    lens, view = _changed(found.lens, efl, given, wanted)
-    if not {"pixel_pitch_um", "kernel_size"} <= set(wanted):
-        taken = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} of them"
-        remarks.append(f"no pixels in the file: taken as {taken} (--pixel-pitch, --kernel-size)")
-    if math.isfinite(found.object_distance_mm) and not vergence:
+    own: dict[str, Any] = {"f_number": efl / float(2 * first_order.entrance_pupil_radius)}
+    tangent = 1.0
+    if "field_of_view_deg" not in changes:
+        tangent = _largest_tangent(shown, efl, float(first_order.entrance_pupil_z), reference)
+        own["field_of_view_deg"] = math.degrees(2 * math.atan(tangent)) if tangent else _AXIS_DEG
+        own["diagonal_mm"] = 2 * efl * math.tan(math.radians(own["field_of_view_deg"]) / 2)
+    lens, view = _changed(shown.lens, efl, own, changes, wavelengths)
+    if not tangent:
+        view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
+        remarks.append("no field but the axis in the file (--field-of-view)")
+    if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
+        pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} of them"
+        remarks.append(f"no pixels in the file: taken as {pixels} (--pixel-pitch, --kernel-size)")
+    view = replace(view, object_vergence=vergence)
+    near = shown.object_distance_mm
+    if math.isfinite(near) and vergence != 1 / near:
         focused = refocused(lens, view, _RAYS)
         shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
-        remarks.append(f"object at {found.object_distance_mm:g} mm: refocused for infinity, by {shift:.1f} um")
+        remarks.append(f"object at {near:g} mm in the file: refocused for {_distance(vergence)}, by {shift:.1f} um")
         lens = focused
-    return LensFile(found, lens, view, content, tuple(remarks))
+    return LensFile(shown, lens, view, {}, tuple(remarks))
 
 
-def _largest_tangent(found: Prescription, efl: float, pupil_z: float, wavelength: float, vergence: float) -> float:
-    """Compute the tangent of the largest field angle of a prescription.
+def _distance(vergence: float) -> str:
+    return f"{1 / vergence:g} mm" if vergence else "infinity"
 
-    Of an object height it is that of the chief ray, h / (distance to the entrance pupil); of a real image height that
-    of the chief ray that arrives there.
+
+def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:
+    """Return wavelengths from the longest to the shortest, but with the primary one, the reference, in the middle."""
+    others = sorted((w for i, w in enumerate(wavelengths) if i != primary), reverse=True)
+    middle = len(wavelengths) // 2
+    return (*others[:middle], wavelengths[primary], *others[middle:])
+
+
+def _dark(used: LensFile) -> list[str]:
+    """Return a remark if the chief ray of some fields, or all their light, does not arrive."""
+    view = used.view.in_reference()
+    chief = chief_rays(used.lens, view).valid[:, 0, 0]
+    light = trace_fields(used.lens, view, sobol_disc(_LIGHT, seed=0)).valid.any(-1).any(-1)
+    remarks = []
+    for arrives, what in ((light, "no light arrives"), (chief | ~light, "the chief ray does not arrive")):
+        if not arrives.all():
+            angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))
+            count = int((~arrives).sum())
+            remarks.append(
+                f"{what} at {count} of {len(light)} fields, from {angle:.1f} degrees on: clear apertures stop it"
+            )
+    return remarks
+
+
+def _largest_tangent(shown: Prescription, efl: float, pupil_z: float, wavelength: float) -> float:
+    """Compute the tangent of the largest field angle of a prescription; zero if its only field is the axis.
+
+    Of an object height it is that of the chief ray, h / (distance to the entrance pupil); of a paraxial image height
+    h / (f k), with k of `image_scale`; of a real image height that of the chief ray that arrives there.
 
     Raises:
-        InputError: the prescription has no fields but the axis, or such as need a near object.
+        InputError: the prescription has no fields, or such as need a near object, or no chief ray arrives.
     """
-    kind, points = found.fields or ("", ())
-    near = math.isfinite(found.object_distance_mm)
-    ask = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
+    if shown.fields is None:
+        raise InputError(f"has neither a spec nor fields; {_FIELD}")
+    kind, points = shown.fields
+    near = math.isfinite(shown.object_distance_mm)
     if kind == "angle_deg":
-        largest = max(math.hypot(*(math.tan(math.radians(angle)) for angle in point)) for point in points)
-    else:
-        largest = max((math.hypot(*point) for point in points), default=0.0)
-        if kind == "object_height_mm" and near:
-            largest /= found.object_distance_mm + pupil_z
-        elif kind == "real_image_height_mm":
-            largest = _tangent_of_image_height(found.lens, efl, largest, wavelength, vergence)
-        elif kind == "paraxial_image_height_mm" and not near:
-            largest /= efl
-        elif kind:
-            raise InputError(f"fields by {kind.replace('_', ' ')} and this object distance have no angle; {ask}")
-    if not 0 < largest < math.inf:
-        raise InputError(f"has no field but the axis; {ask}" if kind else f"has neither a spec nor fields; {ask}")
-    return largest
+        return max(math.hypot(*(math.tan(math.radians(angle)) for angle in point)) for point in points)
+    height = max(math.hypot(*point) for point in points)
+    view = View(torch.zeros(1, 2, dtype=torch.float64), efl, (wavelength,), 1.0, 3, 1 / shown.object_distance_mm)
+    if kind == "object_height_mm" and near:
+        return height / (shown.object_distance_mm + pupil_z)
+    if kind == "paraxial_image_height_mm":
+        return height / (efl * abs(float(image_scale(shown.lens, view))))
+    if kind == "real_image_height_mm":
+        return _tangent_of_image_height(shown.lens, view, height) if height else 0.0
+    raise InputError(f"fields by {kind.replace('_', ' ')} and an object at infinity have no angle; {_FIELD}")
 
 
-def _tangent_of_image_height(lens: Lens, efl: float, height: float, wavelength: float, vergence: float) -> float:
-    """Compute the tangent of the field whose chief ray meets the image plane at `height` [mm], by its distortion."""
-    tangent = height / efl
-    for _ in range(_ROUNDS):
-        field = torch.tensor([[0.0, tangent * efl]], dtype=torch.float64)
-        view = View(field, efl, (wavelength,), 1.0, 3, vergence)
-        found = abs(float(chief_points(lens, view)[0, 1]))
-        tangent *= height / found if found > 0 else math.nan
-    return tangent
+def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
+    """Compute the tangent of the least field whose chief ray meets the image plane at `height` [mm].
+
+    Clear apertures are left out: they may stop the ray, which is another matter than where it goes.
+
+    Raises:
+        InputError: no chief ray arrives there.
+    """
+    at_stop = torch.arange(len(lens.media)) == lens.stop
+    unclipped = replace(lens, semi_diameter=torch.where(at_stop, lens.semi_diameter, math.inf))
+
+    def beyond(tangents: torch.Tensor) -> torch.Tensor:
+        """Return how far the chief rays arrive beyond `height` [mm]; NaN for a lost ray."""
+        fields = torch.stack([torch.zeros_like(tangents), tangents * view.efl], -1)
+        rays = chief_rays(unclipped, replace(view, fields=fields))
+        return torch.where(rays.valid, rays.y.abs(), math.nan)[:, 0, 0] - height
+
+    tangents = torch.tan(torch.deg2rad(_ANGLES))
+    heights = beyond(tangents)
+    arrived = int((heights >= 0).long().argmax())
+    if not heights[arrived] >= 0 or heights[:arrived].isnan().any():
+        raise InputError(f"no chief ray arrives at the image height {height:g} mm of the file; {_FIELD}")
+    low = float(tangents[arrived - 1]) if arrived else 0.0
+    return float(
+        brentq(lambda t: float(beyond(torch.tensor([t], dtype=torch.float64))[0]), low, float(tangents[arrived]))
+    )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ class Prescription:
         wavelengths_um: wavelengths in the order of the file [um].
         primary: index of the reference wavelength.
         object_distance_mm: distance from the object, which is in focus, to the first surface [mm].
+        remarks: what was assumed when the file was read, in words.
     """
 
     lens: Lens
@@ -47,6 +48,7 @@ class Prescription:
     wavelengths_um: tuple[float, ...] | None = None
     primary: int | None = None
     object_distance_mm: float = math.inf
+    remarks: tuple[str, ...] = field(default=(), compare=False)
 
 
 def to_dict(prescription: Prescription) -> dict:

@@ -12,12 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tasklens.materials.catalogues import collect, in_zemax, write_agf
-from tasklens.materials.material import AIR, Material
+from tasklens.materials.catalogues import write_agf
+from tasklens.materials.library import Library
 from tasklens.materials.zemax_text import Line, decimal, read_lines
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io.prescription import FIELDS, Prescription, check_order
-from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_configuration, check_surface, check_system
+from tasklens.optics.io.zemax_configurations import in_configuration
+from tasklens.optics.io.zemax_glasses import NamedGlasses
+from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_behind, check_surface, check_system
 from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
 from tasklens.optics.io.zemax_system import (
     read_aperture,
@@ -46,45 +48,44 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
     return float(diameter / (2 * found.entrance_pupil_radius.double()))
 
 
-def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
+def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None) -> Prescription:
     """Read the prescription from a Zemax lens file.
 
-    Glasses are looked up in `catalogues` (.agf or our YAML), those listed in GCAT first and in its order, in the
-    catalogue that `write` put beside the file, then among the built-in plastics, by our names and OpticStudio's.
+    Glasses are looked up by `Library`, with `catalogues` (.agf or our YAML) and the catalogue that `write` put beside
+    the file.
 
-    A surface vignettes as in Zemax: by a circular or floating aperture, or a semi-diameter that is fixed or picked up;
-    automatic semi-diameters do not vignette. The radius of the stop follows from the aperture (`stop_radius`, at the
-    primary wavelength), or is its semi-diameter for "float by stop size". Where the stop itself vignettes at less, that
-    is its radius, and the prescription has no aperture.
+    A surface vignettes as in Zemax: by a circular or floating aperture, or, if it refracts, by a semi-diameter that is
+    fixed or picked up; automatic semi-diameters do not vignette. The radius of the stop follows from the aperture
+    (`stop_radius`, at the primary wavelength), or is its semi-diameter for "float by stop size". Where the stop itself
+    vignettes at less, that is its radius, and the prescription has no aperture.
+
+    Args:
+        path: the file.
+        catalogues: material files of the user.
+        configuration: number of the configuration, from 1; None for the one in which the file was saved.
 
     Raises:
         FileError: an invalid or unsupported file; the message names the file, the line and the error.
     """
-    system, blocks = _split(read_lines(path), path)
-    if "MODE" in system and system["MODE"].words[:1] != ["SEQ"]:
-        raise system["MODE"].error(f"expected a sequential file (SEQ), found {system['MODE'].text!r}")
-    if "MNUM" in system and system["MNUM"].integer(0) > 1:
-        raise system["MNUM"].error(f"{system['MNUM'].integer(0)} configurations; save the file with one")
+    lines = read_lines(path)
+    for line in lines:
+        if line.keyword == "MODE" and line.words[:1] != ["SEQ"]:
+            raise line.error(f"expected a sequential file (SEQ), got {line.text!r}: non-sequential ones are not read")
+    system, blocks, behind = _split(lines, path)
+    chosen = in_configuration(blocks, system, behind, configuration)
     unit = read_unit(system)
     _check_ends(blocks)
     inner = blocks[1:-1]
-    stops = [i for i, block in enumerate(inner) if "STOP" in block.lines]
-    if len(stops) > 1:
-        raise inner[stops[1]].lines["STOP"].error(f"expected one stop, found {len(stops)}")
-    if not stops:
-        raise FileError(f"{path}: expected STOP on a surface between object and image, found 0")
-    named = system["GCAT"].text.upper().split() if "GCAT" in system else []
-    ranked = sorted(catalogues, key=lambda file: [*named, file.stem.upper()].index(file.stem.upper()))
-    own = path.with_suffix(".agf")
-    if own.stem.upper() in named and own.exists():
-        ranked.append(own)
-    glasses = in_zemax(named) | collect(ranked)
-    for name, material in glasses.items():
-        if material.zemax.startswith(f"{own.stem} "):  # OpticStudio does not have it
-            glasses[name] = replace(material, zemax="")
-    searched = ", ".join([*(file.name for file in ranked), "the built-in plastics"])
-    lens = to_lens(inner, stops[0], unit, glasses, searched)
+    stop = _stop(inner, path)
+    library = _library(path, system, catalogues)
+    lens, remarks = to_lens(inner, stop, unit, library)
+    # OpticStudio does not have the glasses of the catalogue beside the file.
+    media = (replace(m, zemax="") if m.zemax.startswith(f"{path.stem} ") else m for m in lens.media)
+    lens = replace(lens, media=tuple(media))
     check_order(lens.media, lens.thickness.tolist(), str(path), first=1)
+    count = system["MNUM"].integer(0) if "MNUM" in system else 1
+    if count > 1:
+        remarks.append(f"configuration {chosen} of {count} (--configuration)")
 
     wavelengths, primary = read_wavelengths(system, path)
     object_distance = read_object_distance(blocks[0].line("DISZ"), unit)
@@ -113,17 +114,39 @@ def read(path: Path, catalogues: Sequence[Path] = ()) -> Prescription:
         wavelengths_um=wavelengths,
         primary=primary,
         object_distance_mm=object_distance,
+        remarks=tuple(remarks),
     )
 
 
-def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]:
-    """Split lines into those of the system, by keyword (wavelengths as WAVM 1 ..), and those of surfaces (indented).
+def _library(path: Path, system: dict[str, Line], catalogues: Sequence[Path]) -> Library:
+    """Return the glasses of a lens file: of the catalogues that it lists, and of the user's."""
+    listed = system["GCAT"].text.upper().split() if "GCAT" in system else []
+    beside = path.with_suffix(".agf")
+    own = [beside] if beside.stem.upper() in listed and beside.exists() else []
+    return Library([*own, *catalogues], listed)
+
+
+def _stop(inner: list[Block], path: Path) -> int:
+    """Return the index of the stop among the surfaces between object and image; raises FileError."""
+    stops = [i for i, block in enumerate(inner) if "STOP" in block.lines]
+    if len(stops) > 1:
+        raise inner[stops[1]].lines["STOP"].error(f"expected one stop, found {len(stops)}")
+    if not stops:
+        raise FileError(f"{path}: expected STOP on a surface between object and image, found 0")
+    return stops[0]
+
+
+def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block], list[Line]]:
+    """Split lines into those of the system, of surfaces (indented), and behind the surfaces.
+
+    Lines of the system are by keyword, those of wavelengths and further fields by keyword and number (WAVM 1 ..).
 
     Raises:
         FileError: a keyword that may change rays and is not read, or data that are there twice.
     """
     system: dict[str, Line] = {}
     blocks: list[Block] = []
+    behind: list[Line] = []
     for line in lines:
         if line.keyword == "SURF":
             if line.integer(0) != len(blocks):
@@ -138,12 +161,17 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block]]
             else:
                 blocks[-1].lines[line.keyword] = line
         else:
-            (check_configuration if blocks else check_system)(line)
+            if blocks:
+                check_behind(line)
+                behind.append(line)
+            else:
+                check_system(line)
             if line.keyword in SYSTEM:
-                _add(system, f"WAVM {line.integer(0)}" if line.keyword == "WAVM" else line.keyword, line)
+                several = line.keyword in ("WAVM", "FEFD")
+                _add(system, f"{line.keyword} {line.integer(0)}" if several else line.keyword, line)
     if len(blocks) < 3:
         raise FileError(f"{path}: expected SURF of an object, a surface and an image at least, found {len(blocks)}")
-    return system, blocks
+    return system, blocks, behind
 
 
 def _add(found: dict[Any, Line], key: object, line: Line) -> None:
@@ -155,6 +183,11 @@ def _add(found: dict[Any, Line], key: object, line: Line) -> None:
 def _check_ends(blocks: list[Block]) -> None:
     """Check that the object is in air, and that object and image surface are planes; raises FileError."""
     first, last = blocks[0], blocks[-1]
+    if "STOP" in last.lines or "GLAS" in last.lines or last.line("DISZ").number(0):
+        raise last.head.error(
+            f"surface {last.head.text} is the last one, and no image surface (DISZ 0, without glass and stop); is the "
+            "file cut off?"
+        )
     if "GLAS" in first.lines:
         raise first.lines["GLAS"].error("the object is not in air")
     for block, name in ((first, "object"), (last, "image surface")):
@@ -165,30 +198,25 @@ def _check_ends(blocks: list[Block]) -> None:
 def write(path: Path, prescription: Prescription) -> None:
     """Write a Zemax lens file; `read` restores every number exactly.
 
-    A glass has the name by which OpticStudio knows it. Those that it does not know are written to a catalogue beside
-    the file, of the same name (.agf), which belongs into OpticStudio's folder `Glasscat`.
+    A glass has the name by which OpticStudio knows it. Glasses that it does not know, or whose name means another one
+    in a catalogue that the lens needs too, are written to a catalogue beside the file, of the same name (.agf), which
+    belongs into OpticStudio's folder `Glasscat`.
 
     Raises:
         FileError: no fields or wavelengths, more wavelengths than Zemax allows, an aperture that does not fit the stop,
             or a text or name that the file cannot hold.
     """
-    own = own_materials(prescription)
-    if own and " " in path.stem:
+    glasses = NamedGlasses.of(prescription.lens.media, path.stem)
+    if glasses.own and " " in path.stem:
         raise FileError(f"{path}: the name of a Zemax catalogue has no spaces; rename the file")
-    text = "\r\n".join(_lines(prescription, str(path), [path.stem.upper()] if own else [])) + "\r\n"
-    if own:
-        write_agf(path.with_suffix(".agf"), own.values())
+    text = "\r\n".join(_lines(prescription, str(path), glasses)) + "\r\n"
+    if glasses.own:
+        write_agf(path.with_suffix(".agf"), glasses.own)
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode("ascii" if text.isascii() else "utf-16"))
 
 
-def own_materials(prescription: Prescription) -> dict[str, Material]:
-    """Return the glasses that OpticStudio does not know, by name, which `write` puts into a catalogue."""
-    media = prescription.lens.media
-    return {medium.name: medium for medium in media if medium != AIR and medium.formula != "model" and not medium.zemax}
-
-
-def _lines(prescription: Prescription, name: str, own: list[str]) -> list[str]:
+def _lines(prescription: Prescription, name: str, glasses: NamedGlasses) -> list[str]:
     lens, wavelengths, primary = prescription.lens, prescription.wavelengths_um, prescription.primary or 0
     comments = prescription.comments or ("",) * len(lens.media)
     if not prescription.fields or not wavelengths or len(wavelengths) > _WAVELENGTHS:
@@ -208,7 +236,6 @@ def _lines(prescription: Prescription, name: str, own: list[str]) -> list[str]:
     elif not math.isfinite(radii[lens.stop]):
         raise FileError(f"{name}: the lens has neither an aperture nor a radius of its stop")
     kind, points = prescription.fields
-    catalogues = dict.fromkeys([*(m.zemax.split()[0] for m in lens.media if m.zemax), *own])
     zeros = " 0" * len(points)
     lines = [
         "VERS 190513 80 123457 L123457",
@@ -216,7 +243,7 @@ def _lines(prescription: Prescription, name: str, own: list[str]) -> list[str]:
         f"NAME {prescription.title}".strip(),
         "UNIT MM X W X CM MR CPMM",
     ]
-    lines += [aperture, "ENVD 20 1 0", *([f"GCAT {' '.join(catalogues)}"] if catalogues else [])]
+    lines += [aperture, "ENVD 20 1 0", *([f"GCAT {' '.join(glasses.catalogues)}"] if glasses.catalogues else [])]
     lines += [f"FTYP {FIELDS.index(kind)} 0 {len(points)} {len(wavelengths)} 0 0 0 {len(points)}"]
     lines += [f"{axis} {' '.join(decimal(point[i]) for point in points)}" for i, axis in enumerate(("XFLN", "YFLN"))]
     lines += [f"FWGN{' 1' * len(points)}", *(f"{key}{zeros}" for key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"))]
@@ -226,6 +253,6 @@ def _lines(prescription: Prescription, name: str, own: list[str]) -> list[str]:
     distance = decimal(prescription.object_distance_mm) if near else "INFINITY"
     lines += ["SURF 0", "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', f"  DISZ {distance}", '  DIAM 0 0 0 0 1 ""']
     for i, comment in enumerate(comments):
-        lines += [f"SURF {i + 1}", *to_lines(lens, i, comment, radii[i])]
+        lines += [f"SURF {i + 1}", *to_lines(lens, i, comment, radii[i], glasses.names)]
     image = f"SURF {len(lens.media) + 1}"
     return [*lines, image, "  TYPE STANDARD", '  CURV 0 0 0 0 0 ""', "  DISZ 0", '  DIAM 0 0 0 0 1 ""', "MNUM 1 1"]

@@ -10,21 +10,23 @@ def _keywords(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-SYSTEM = _keywords("MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN WAVM WAVL WAVN PWAV MNUM")
+SYSTEM = _keywords(
+    "MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN XFLD YFLD FENF FEFD WAVM WAVL WAVN PWAV MNUM"
+)
 SURFACE = _keywords("STOP COMM TYPE CURV PARM XDAT DISZ GLAS CONI DIAM CLAP FLAP")
 
 # Vignetting factors, weights, ray aiming, polarisation, names of files, settings of analyses and displays.
 _HARMLESS_SYSTEM = _keywords(
-    "! AUTH BLNK COFN DBDT EERA FCOM FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB POLS PUSH "
-    "RAIM ROPD SDMA TOL VANN VCXN VCYN VDXN VDYN VERS WWGN WWGT XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
+    "! AUTH BLNK CHZH COFN DBDT EERA FCOM FSVY FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB "
+    "POLS PUSH RAIM ROPD SDMA STUD TOL VANN VCXN VCYN VDXN VDYN VERS WWGN WWGT XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
 )
 # Solves and variables (their values stand in the file), coatings, colours, drawing, mechanical radii, tolerances.
 _HARMLESS_SURFACE = _keywords(
-    "! COAT EDGE FIMP MAZH MEMA MIRR OEMA POPS PPAR PZUP SCOL SLAB SSID TCED TCMM TOLE VCON VDSZ VPAR"
+    "! CHZH COAT EDGE FIMP FSVY MAZH MEMA MIRR OEMA POPS PPAR PZUP SCOL SLAB SSID STUD TCED TCMM TOLE VCON VDSZ VPAR"
 )
 _APERTURES = _keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither round nor clear
 
-_CLIMATE = "only indices at 20 deg C and 1 atm are read, without adjustment to the environment (0 in third place)"
+_CLIMATE = "only indices at 20 deg C and 1 atm are read"
 _IGNORED = "an ignored surface is not read; delete it in Zemax, or do not ignore it"
 _DECENTRED = "a decentred aperture is not read; centre it, or delete it and its CLAP or FLAP"
 _TELECENTRIC = "an object space that is telecentric is not read; switch it off in Zemax"
@@ -34,8 +36,7 @@ _HIDDEN = "only the first four flags are known to concern drawings alone; set th
 # Words by position whose only value that is read is the given one; a word that is not there is neutral.
 _NEUTRAL: dict[str, dict[int, tuple[float, str]]] = {
     "FTYP": {1: (0, _TELECENTRIC), 6: (0, _AFOCAL)},
-    "ENVD": {0: (20, _CLIMATE), 1: (1, _CLIMATE), 2: (0, _CLIMATE)},
-    "GFAC": {0: (0, "an apodised pupil is not read; switch the apodisation off in Zemax")},
+    "ENVD": {0: (20, _CLIMATE), 1: (1, _CLIMATE)},  # at which the adjustment (third) changes nothing
     "OBDC": {0: (0, _DECENTRED), 1: (0, _DECENTRED)},
     "IGNR": {0: (0, _IGNORED)},
     "HIDE": {i: (0, _HIDDEN) for i in range(4, 16)},
@@ -58,6 +59,13 @@ def check_system(line: Line) -> None:
     elif line.keyword not in SYSTEM | _HARMLESS_SYSTEM:
         raise _unknown(line)
     _check_neutral(line)
+    if line.keyword == "GFAC" and not _uniform(line):
+        raise line.error(f"an apodised pupil is not read; switch the apodisation off in Zemax; found {line.text!r}")
+
+
+def _uniform(line: Line) -> bool:
+    """Return whether an apodisation is uniform: type 0, or 1, Gaussian, of factor 0."""
+    return line.number(0) == 0 or (line.number(0) == 1 and len(line.words) > 1 and line.number(1) == 0)
 
 
 def check_surface(line: Line) -> None:
@@ -71,13 +79,17 @@ def check_surface(line: Line) -> None:
 
 
 def check_configuration(line: Line) -> None:
-    """Check a line behind the surfaces, of merit functions, tolerances or a configuration; raises FileError."""
-    if line.keyword in SURFACE | _APERTURES | {"OBDC", "SCBD", "HIDE"}:
-        raise line.error("belongs to a surface: expected spaces in front of it, behind the line SURF")
+    """Check a line of the configuration that is read; raises FileError."""
     if line.keyword in _CONFIGURATION:
         neutral, message = _CONFIGURATION[line.keyword]
         if line.number(max(0, min(2, len(line.words) - 1))) != neutral:
             raise line.error(f"{message}; found {line.text!r}")
+
+
+def check_behind(line: Line) -> None:
+    """Check that a line behind the surfaces does not belong to one; raises FileError."""
+    if line.keyword in SURFACE | _APERTURES | {"OBDC", "SCBD", "HIDE"}:
+        raise line.error("belongs to a surface: expected spaces in front of it, behind the line SURF")
 
 
 def check_aperture(line: Line) -> None:

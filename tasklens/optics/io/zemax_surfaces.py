@@ -4,9 +4,11 @@ import math
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 
+from tasklens.materials.library import Library, UnknownGlassError
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.materials.zemax_text import BLANK, Line, decimal
 from tasklens.optics.io.zemax_keywords import check_aperture
@@ -14,6 +16,7 @@ from tasklens.optics.lens import Lens
 
 _TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
 _MOST_TERMS = 240  # terms of an extended asphere
+_KINDS = ("STANDARD", "EVENASPH", "XASPHERE", "ODDASPHE", "XOSPHERE")
 _HEAD = 2  # numbers of an extended asphere in front of its coefficients
 
 
@@ -36,15 +39,17 @@ class Block:
         return self.lines[keyword].number(0) if keyword in self.lines else default
 
 
-def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, Material], searched: str) -> Lens:
+def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tuple[Lens, list[str]]:
     """Convert the surfaces between object and image to a lens.
 
     Args:
         blocks: lines of the surfaces.
         stop: index of the stop.
         unit: the file's unit of length [mm].
-        glasses: materials by name.
-        searched: source of `glasses`, for error messages.
+        library: glasses by name.
+
+    Returns:
+        The lens, and what was assumed about its glasses, in words.
 
     Raises:
         FileError: an invalid or unsupported surface.
@@ -52,42 +57,51 @@ def to_lens(blocks: list[Block], stop: int, unit: float, glasses: Mapping[str, M
     aspheres = [_asphere(block, unit) for block in blocks]
     orders = max(len(coefficients) for coefficients in aspheres)
     media: list[Material] = []
+    remarks: list[str] = []
     for block in blocks:
-        media.append(_medium(block, media, glasses, searched))
+        media.append(_medium(block, media, library, remarks))
+    refracts = [before != after for before, after in pairwise([AIR, *media])]
 
     def column(values: Iterable[float | list[float]]) -> torch.Tensor:
         return torch.tensor(list(values), dtype=torch.float64)
 
-    return Lens(
+    lens = Lens(
         curvature=column(block.line("CURV").number(0) / unit for block in blocks),
         conic=column(block.number("CONI", 0.0) for block in blocks),
         alpha=column([*a, *[0.0] * (orders - len(a))] for a in aspheres).reshape(len(blocks), orders),
         thickness=column(block.line("DISZ").number(0, unit) for block in blocks),
-        semi_diameter=column(_clear_radius(block, unit) for block in blocks),
+        semi_diameter=column(_clear_radius(*each, unit) for each in zip(blocks, refracts, strict=True)),
         media=tuple(media),
         stop=stop,
     )
+    return lens, list(dict.fromkeys([*library.remarks, *remarks]))
 
 
 def _asphere(block: Block, unit: float) -> list[float]:
     """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)].
 
     An even asphere has alpha_2j in PARM j; an extended one the number of terms in XDAT 1, the radius rho in
-    sum_j a_j (r / rho)^2j in XDAT 2, and a_j in XDAT 2 + j.
+    sum_j a_j (r / rho)^2j in XDAT 2, and a_j in XDAT 2 + j. Odd aspheres, with terms (r / rho)^j, are read if all of
+    their odd terms are zero.
     """
     kind = block.lines["TYPE"].text if "TYPE" in block.lines else "STANDARD"
     rho, used = 1.0, []
-    if kind == "EVENASPH":
+    if kind in ("EVENASPH", "ODDASPHE"):
         used = [("PARM", j) for j in range(1, _TERMS + 1)]
-    elif kind == "XASPHERE":
+    elif kind in ("XASPHERE", "XOSPHERE"):
         terms, rho = _normalisation(block)
         used = [("XDAT", _HEAD + j) for j in range(1, terms + 1)]
     elif kind != "STANDARD":
-        raise block.lines["TYPE"].error(f"{kind} is not read; STANDARD, EVENASPH and XASPHERE are")
-    head = [("XDAT", j) for j in range(1, _HEAD + 1)] if kind == "XASPHERE" else []
+        raise block.lines["TYPE"].error(f"{kind} is not read; {', '.join(_KINDS)} are")
+    head = [("XDAT", j) for j in range(1, _HEAD + 1)] if kind in ("XASPHERE", "XOSPHERE") else []
     for key, line in block.numbered.items():
         if key not in used and key not in head and line.number(1):
             raise line.error(f"{kind} with {len(used)} terms has no number {key[1]}; delete the line, or mend the type")
+    if kind in ("ODDASPHE", "XOSPHERE"):
+        for key in used[::2]:
+            if key in block.numbered and block.numbered[key].number(1):
+                raise block.numbered[key].error("an odd term of an asphere is not read; only even ones are")
+        used = used[1::2]
     found = [
         _coefficient(block.numbered[key], j, rho, unit) if key in block.numbered else 0.0
         for j, key in enumerate(used, 1)
@@ -128,8 +142,11 @@ def _coefficient(line: Line, j: int, rho: float, unit: float) -> float:
     return found
 
 
-def _clear_radius(block: Block, unit: float) -> float:
-    """Read the radius of the clear aperture [mm]; infinite where Zemax does not vignette."""
+def _clear_radius(block: Block, refracts: bool, unit: float) -> float:
+    """Read the radius of the clear aperture [mm]; infinite where Zemax does not vignette.
+
+    A semi-diameter that is fixed or picked up is a floating aperture, on surfaces that refract.
+    """
     for line in block.lines.values():
         check_aperture(line)
     for keyword in ("CLAP", "FLAP"):
@@ -139,7 +156,7 @@ def _clear_radius(block: Block, unit: float) -> float:
                 raise aperture.error("the aperture has a hole; only full circles are read")
             return _radius(aperture, 1, unit)
     drawn = block.lines.get("DIAM")
-    if drawn is not None and len(drawn.words) > 1 and drawn.integer(1) in (1, 2):  # fixed, or picked up
+    if refracts and drawn is not None and len(drawn.words) > 1 and drawn.integer(1) in (1, 2):  # fixed, or picked up
         return _radius(drawn, 0, unit)
     return math.inf
 
@@ -151,11 +168,12 @@ def _radius(line: Line, index: int, unit: float) -> float:
     return line.number(index, unit)
 
 
-def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material], searched: str) -> Material:
-    """Read the medium behind a surface.
+def _medium(block: Block, before: list[Material], library: Library, remarks: list[str]) -> Material:
+    """Read the medium behind a surface; adds what is assumed to `remarks`.
 
     GLAS: a name, a solve (0 none, 1 model, 2 picked up from the surface in the next number, 3 substitution, 4 offset),
-    nd, Vd, dPgF. The name of a model glass is only a label, which may also be a name in a catalogue.
+    nd, Vd, dPgF. The name of a model glass is only a label, which may also be a name in a catalogue. A glass that no
+    catalogue has is a model glass too, where its line has nd and Vd.
     """
     if "GLAS" not in block.lines:
         return AIR
@@ -171,18 +189,34 @@ def _medium(block: Block, before: list[Material], glasses: Mapping[str, Material
             raise line.error(f"picked up from surface {source}, which is not in front of it")
         return before[source - 1]
     if solve == 1 or name == BLANK:
-        nd, vd, dpgf = line.number(3), line.number(4), line.number(5) if len(line.words) > 5 else 0.0
+        nd, vd = line.number(3), line.number(4)
+        dpgf = line.number(5) if len(line.words) > 5 else 0.0
         if nd < 1 or vd < 0:
             raise line.error(f"no model glass has nd = {nd} and Vd = {vd}")
         return model_glass(nd, vd, dpgf, "" if name == BLANK else name)
-    if name not in glasses:
-        catalogue = "Give its catalogue or YAML file (--catalogue FILE, in a study `catalogues`)"
-        raise line.error(f"unknown glass {name!r}; searched in {searched}. {catalogue}")
-    return glasses[name]
+    try:
+        return library.glass(name)
+    except UnknownGlassError as error:
+        nd, vd = (line.number(i) if len(line.words) > i else 0.0 for i in (3, 4))
+        if nd <= 1 or vd <= 0:
+            raise line.error(str(error)) from None
+        remarks.append(
+            f"glass {name} is in no catalogue: taken as one of nd = {nd:g} and Vd = {vd:g}, as its line says, whose "
+            "index is right to 1e-4 in the visible (--catalogue)"
+        )
+        return model_glass(nd, vd, 0.0, name)
 
 
-def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
-    """Convert surface `index` of a lens to lines [mm]; `radius` is that of its clear aperture, infinite without one."""
+def to_lines(lens: Lens, index: int, comment: str, radius: float, names: Mapping[Material, str]) -> list[str]:
+    """Convert surface `index` of a lens to lines [mm].
+
+    Args:
+        lens: the lens.
+        index: index of the surface.
+        comment: its comment, or nothing.
+        radius: radius of its clear aperture [mm], infinite without one.
+        names: names of the glasses that are in catalogues.
+    """
     alpha = lens.alpha[index].tolist()
     while alpha and not alpha[-1]:
         alpha.pop()
@@ -198,7 +232,7 @@ def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
         lines += [f'  XDAT {k} {decimal(v)} 0 0 1 0 0 ""' for k, v in enumerate((float(len(alpha)), 1.0, *alpha), 1)]
     lines.append(f"  DISZ {decimal(float(lens.thickness[index]))}")
     if lens.media[index] != AIR:
-        lines.append(f"  GLAS {_glass(lens.media[index])}")
+        lines.append(f"  GLAS {_glass(lens.media[index], names)}")
     lines.append(f"  CONI {decimal(float(lens.conic[index]))}")
     if math.isfinite(radius):
         lines += [f'  DIAM {decimal(radius)} 1 0 0 1 ""', f"  FLAP 0 {decimal(radius)} 0"]
@@ -207,11 +241,10 @@ def to_lines(lens: Lens, index: int, comment: str, radius: float) -> list[str]:
     return lines
 
 
-def _glass(material: Material) -> str:
+def _glass(material: Material, names: Mapping[Material, str]) -> str:
     if material.formula == "model":
         numbers = " ".join(decimal(value) for value in material.coefficients)
         label = material.name.split()[0] if " " in material.name else BLANK
         return f"{label} 1 0 {numbers} 0 0 0 0 0"
-    name = material.zemax.split()[-1] if material.zemax else material.name
     nd, vd = map(decimal, material.abbe())  # for readers without the catalogue, from which Zemax takes the index
-    return f"{name} 0 0 {nd} {vd} 0 0 0 0 0 0"
+    return f"{names[material]} 0 0 {nd} {vd} 0 0 0 0 0 0"

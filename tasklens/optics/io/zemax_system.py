@@ -10,6 +10,7 @@ from tasklens.runtime.files import FileError
 
 _UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
 _INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
+_FIELDS = 12  # in a line of coordinates
 _APERTURES = ("ENPD", "FNUM", "FLOA")
 
 
@@ -67,17 +68,36 @@ def read_aperture(
 
 
 def read_fields(system: Mapping[str, Line], unit: float, path: Path) -> tuple[str, tuple[tuple[float, float], ...]]:
-    """Read the kind of the fields and their points (x, y) [deg or mm]; raises FileError."""
-    for keyword in ("FTYP", "XFLN", "YFLN"):
-        if keyword not in system:
-            raise FileError(f"{path}: no fields: {keyword} is missing")
+    """Read the kind of the fields and their points (x, y) [deg or mm]; raises FileError.
+
+    The points are in XFLN and YFLN, in old files in XFLD and YFLD. These hold twelve; with more, point i stands in
+    FEFD i x y.
+    """
+    if "FTYP" not in system:
+        raise FileError(f"{path}: no fields: FTYP is missing")
     line = system["FTYP"]  # type, telecentric, number of fields, number of wavelengths
     kind, count = line.integer(0), line.integer(2)
     if not 0 <= kind < len(FIELDS) or count < 1:
         raise line.error(f"expected a type 0 .. {len(FIELDS) - 1} and at least one field, found {line.text!r}")
     scale = 1.0 if FIELDS[kind] == "angle_deg" else unit
-    points = ((system["XFLN"].number(i, scale), system["YFLN"].number(i, scale)) for i in range(count))
+    x, y = (_coordinates(system, axis, path) for axis in "XY")
+    listed = min(count, _FIELDS) if f"FEFD {count}" in system else count
+    points = [(x.number(i, scale), y.number(i, scale)) for i in range(listed)]
+    for i in range(1, count + 1):
+        if (further := system.get(f"FEFD {i}")) is not None:
+            point = further.number(1, scale), further.number(2, scale)
+            if i <= listed and point != points[i - 1]:
+                raise further.error(f"differs from field {i} in {x.keyword} and {y.keyword}; save the file again")
+            points[i - 1 :] = [point] if i > listed else points[i - 1 :]
     return FIELDS[kind], tuple(points)
+
+
+def _coordinates(system: Mapping[str, Line], axis: str, path: Path) -> Line:
+    """Return the line of the fields' coordinates along an axis, X or Y."""
+    for keyword in (f"{axis}FLN", f"{axis}FLD"):
+        if keyword in system:
+            return system[keyword]
+    raise FileError(f"{path}: no fields: {axis}FLN is missing")
 
 
 def read_wavelengths(system: Mapping[str, Line], path: Path) -> tuple[tuple[float, ...], int]:

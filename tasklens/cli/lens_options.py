@@ -1,0 +1,108 @@
+"""Options of every command that reads lenses."""
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tasklens.cli.outputs import say
+from tasklens.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from tasklens.optics.io.lens_files import LensFile
+
+_PANEL = "What differs from the file, or is not in it"
+
+
+FieldOfView = Annotated[float | None, typer.Option(help="Full angle, degrees.", rich_help_panel=_PANEL)]
+FNumber = Annotated[float | None, typer.Option(help="Focal length / pupil.", rich_help_panel=_PANEL)]
+PixelPitch = Annotated[float | None, typer.Option(help="Micrometres.", rich_help_panel=_PANEL)]
+KernelSize = Annotated[int | None, typer.Option(help="Width of PSFs, pixels, odd.", rich_help_panel=_PANEL)]
+Wavelengths = Annotated[
+    str | None, typer.Option(help="Micrometres, the reference in the middle: 0.65,0.55,0.47.", rich_help_panel=_PANEL)
+]
+Focus = Annotated[
+    float | None,
+    typer.Option(help="Shift of the image plane away from the lens, micrometres.", rich_help_panel=_PANEL),
+]
+ObjectDistance = Annotated[
+    float | None,
+    typer.Option("--object", help="Distance of the object, millimetres, or inf.", rich_help_panel=_PANEL),
+]
+Catalogues = Annotated[
+    list[Path] | None, typer.Option(help="Glass catalogue of a .zmx (.agf or YAML).", rich_help_panel=_PANEL)
+]
+
+Configuration = Annotated[
+    int | None, typer.Option(help="Configuration of a .zmx that has several.", rich_help_panel=_PANEL)
+]
+
+
+def reader(
+    field_of_view: FieldOfView = None,
+    f_number: FNumber = None,
+    pixel_pitch: PixelPitch = None,
+    kernel_size: KernelSize = None,
+    wavelengths: Wavelengths = None,
+    focus: Focus = None,
+    object_distance: ObjectDistance = None,
+    catalogue: Catalogues = None,
+    configuration: Configuration = None,
+) -> Callable[[Path], "LensFile"]:
+    """Return a function that reads lenses with these options."""
+    from tasklens.materials.library import users_files
+    from tasklens.optics.io import lens_files
+
+    files = [*(catalogue or ()), *users_files()]
+    colours = wavelengths.split(",") if wavelengths else None
+
+    def read(path: Path) -> "LensFile":
+        file = lens_files.read(
+            path,
+            files,
+            object_distance,
+            configuration,
+            colours,
+            field_of_view_deg=field_of_view,
+            f_number=f_number,
+            pixel_pitch_um=pixel_pitch,
+            kernel_size=kernel_size,
+        )
+        for remark in file.remarks:
+            say(f"{path}: {remark}")
+        return _with_image_moved(file, focus) if focus else file
+
+    return read
+
+
+def _with_image_moved(found: "LensFile", shift: float) -> "LensFile":
+    """Return a lens with its image plane `shift` micrometres further away; raises InputError."""
+    if not math.isfinite(shift):
+        raise InputError(f"--focus {shift}: expected a number of micrometres, such as -10")
+    thickness = found.lens.thickness.clone()
+    thickness[-1] += 1e-3 * shift
+    return replace(found, lens=replace(found.lens, thickness=thickness))
+
+
+def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that adds a command whose first parameter reads lenses; it has the options of `reader` too."""
+    shared = inspect.signature(reader, eval_str=True).parameters
+
+    def add(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def command(**values: Any) -> None:
+            function(reader(**{name: values.pop(name) for name in shared}), **values)
+
+        own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+        parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in (*own, *shared.values())]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
+        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        app.command()(command)
+        return command
+
+    return add

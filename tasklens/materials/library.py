@@ -1,0 +1,156 @@
+"""Search for a glass by its name: in a user's catalogues, among the built-in plastics, and in those of the makers."""
+
+import difflib
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+
+from tasklens.materials import catalogues
+from tasklens.materials.material import Material, model_glass
+from tasklens.runtime.files import FileError
+
+FOLDER = "TASKLENS_CATALOGUES"  # environment variable: a folder of catalogues that every command reads
+_CODE = re.compile(r"(\d{3})(\d{3})")
+_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")  # in the order of their search
+_ALIASES = {"NIKON": "HIKARI", "NIKON-HIKARI": "HIKARI"}  # other names of catalogues in OpticStudio
+
+
+class UnknownGlassError(FileError):
+    """No catalogue has a glass of this name."""
+
+
+class Library:
+    """Glasses by name.
+
+    A name is searched for in the catalogues that a lens file lists, in its order; then in the other files of the user,
+    among the built-in plastics, and in the built-in catalogues of the makers.
+
+    Attributes:
+        remarks: choices among several glasses of one name, in words.
+    """
+
+    def __init__(self, files: Sequence[Path] = (), listed: Sequence[str] = ()) -> None:
+        """Prepare a search.
+
+        Args:
+            files: material files of the user (.agf or our YAML), which precede built-in ones of the same name.
+            listed: names of catalogues, in capitals, as a lens file has them (GCAT).
+        """
+        self.files = files
+        self.listed = listed
+        self.remarks: list[str] = []
+        self._contents: dict[Path, tuple[dict[str, Material], dict[str, FileError]]] = {}
+
+    def check(self) -> None:
+        """Read all files of the user; raises FileError for one that cannot be read."""
+        for path in self.files:
+            self._read(path)
+
+    def glass(self, name: str) -> Material:
+        """Return the first glass of a name.
+
+        Six digits are a glass code: 517642 has nd = 1.517 and Vd = 64.2.
+
+        Raises:
+            UnknownGlassError: no glass of this name.
+            FileError: its data cannot be used, or a file cannot be read.
+        """
+        errors: list[FileError] = []
+        matches = list(self._matches(name, errors))
+        if matches:
+            self._remark(matches)
+            return matches[0]
+        if errors:
+            raise errors[0]
+        if code := _CODE.fullmatch(name):
+            return model_glass(float(f"1.{code[1]}"), int(code[2]) / 10, 0.0, name)
+        raise UnknownGlassError(self._unknown(name))
+
+    def _matches(self, name: str, errors: list[FileError]) -> Iterator[Material]:
+        for glasses, unusable in self._sources():
+            if name in glasses:
+                yield glasses[name]
+            elif name in unusable:
+                errors.append(unusable[name])
+
+    def _sources(self) -> Iterator[tuple[dict[str, Material], dict[str, FileError]]]:
+        """Yield the glasses of all catalogues, and the errors of those that cannot be used, in the order of search."""
+        for catalogue in self.listed:
+            for path in self.files:
+                if path.stem.upper() == catalogue:
+                    yield self._read(path)
+            yield in_zemax(catalogue), {}
+            if is_maker(catalogue):
+                yield of_maker(catalogue), {}
+        for path in self.files:
+            if path.stem.upper() not in self.listed:
+                yield self._read(path)
+        yield catalogues.plastics(), {}
+        for maker in _MAKERS:
+            if maker not in self.listed:
+                yield of_maker(maker), {}
+
+    def _read(self, path: Path) -> tuple[dict[str, Material], dict[str, FileError]]:
+        if path not in self._contents:
+            agf = path.suffix.lower() == ".agf"
+            self._contents[path] = catalogues.read_agf(path) if agf else (catalogues.read(path), {})
+        return self._contents[path]
+
+    def _remark(self, matches: Sequence[Material]) -> None:
+        """Note that another maker's glass of the same name differs, unless the lens file lists the catalogue."""
+        first = matches[0]
+        catalogue = first.zemax.partition(" ")[0].upper()
+        others = [other for other in matches[1:] if other.coefficients != first.coefficients]
+        if others and catalogue in _MAKERS and catalogue not in self.listed:
+            named = ", ".join(other.zemax.partition(" ")[0] for other in others)
+            self.remarks.append(f"glass {first.name} of {catalogue}; others: {named} (--catalogue)")
+
+    def _unknown(self, name: str) -> str:
+        names = {each for glasses, _ in self._sources() for each in glasses}
+        nearest = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+        offer = f"; nearest names: {', '.join(nearest)}" if nearest else ""
+        files = "".join(f"{path.name}, " for path in self.files)
+        return (
+            f"unknown glass {name!r} in {files}the built-in plastics and the catalogues {', '.join(_MAKERS)}{offer}. "
+            f"Give its catalogue (--catalogue FILE or the folder {FOLDER}; in a study `materials` or `catalogues`)"
+        )
+
+
+def is_maker(catalogue: str) -> bool:
+    """Return whether a catalogue, by its name in capitals, is one of the built-in ones of the makers."""
+    return _ALIASES.get(catalogue, catalogue) in _MAKERS
+
+
+@cache
+def of_maker(maker: str) -> dict[str, Material]:
+    """Return the glasses of a maker's built-in catalogue, by name."""
+    return catalogues.read(catalogues.MAKERS / f"{_ALIASES.get(maker, maker)}.agf")
+
+
+def in_zemax(catalogue: str) -> dict[str, Material]:
+    """Return the built-in plastics that one of OpticStudio's catalogues has, by the name that it gives them."""
+    plastics = [material for material in catalogues.plastics().values() if material.zemax]
+    named = {tuple(material.zemax.split()): material for material in plastics}
+    return {name: material for (folder, name), material in named.items() if folder.upper() == catalogue}
+
+
+def users_files() -> list[Path]:
+    """Return the catalogues in the folder of the environment variable `TASKLENS_CATALOGUES`; raises FileError."""
+    folder = os.environ.get(FOLDER)
+    if not folder:
+        return []
+    if not Path(folder).is_dir():
+        raise FileError(f"{folder}: no such folder; correct the environment variable {FOLDER}")
+    return sorted(path for path in Path(folder).iterdir() if path.suffix.lower() in (".agf", ".yaml", ".yml"))
+
+
+def nearest(nd: float, vd: float, glasses: Sequence[Material]) -> Material:
+    """Return the glass nearest to nd and Vd: one unit of Vd counts as much as 0.005 of nd."""
+    return min(glasses, key=lambda glass: math.dist(_scaled(*glass.abbe()), _scaled(nd, vd)))
+
+
+def _scaled(nd: float, vd: float) -> tuple[float, float]:
+    return nd / 0.005, vd

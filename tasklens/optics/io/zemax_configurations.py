@@ -1,0 +1,78 @@
+"""Configurations of a Zemax file: what differs from the configuration in which the surfaces were saved."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from tasklens.materials.zemax_text import Line
+from tasklens.optics.io.zemax_keywords import check_configuration
+from tasklens.optics.io.zemax_surfaces import Block
+from tasklens.runtime.files import FileError
+
+_WORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "GLSS": "GLAS"}  # operand, and the line of its surface
+_ROUNDING = 1e-9  # of values that are in a file twice, relative
+
+
+def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequence[Line], number: int | None) -> int:
+    """Bring the surfaces into a configuration, in place.
+
+    Args:
+        blocks: lines of all surfaces.
+        system: lines of the system, with MNUM: number of configurations, and the one in which the file was saved.
+        rows: lines behind the surfaces: OPERAND surface configuration value ...
+        number: the configuration, from 1; None for the one in which the file was saved.
+
+    Returns:
+        The number of the configuration.
+
+    Raises:
+        FileError: no such configuration, or one that differs in data that are not read.
+    """
+    line = system.get("MNUM")
+    count = line.integer(0) if line is not None else 1
+    saved = line.integer(1) if line is not None and len(line.words) > 1 else 1
+    chosen = saved if number is None else number
+    if not 1 <= chosen <= count:
+        where = line.where if line is not None else blocks[0].head.where.rpartition(", line")[0]
+        raise FileError(f"{where}: expected a configuration 1 .. {count}, got {chosen} (--configuration)")
+    operands = {configuration: _operands(rows, configuration) for configuration in {saved, chosen}}
+    for row in rows:
+        if len(row.words) < 3 or row.words[1] == str(chosen):
+            check_configuration(row)
+    for key, row in operands[chosen].items():
+        block = blocks[key[1]] if key[1] < len(blocks) else None
+        if block is None or key[0] not in _WORDS:
+            if row.words[2:3] != operands[saved].get(key, row).words[2:3]:
+                raise row.error(f"differs from configuration {saved}, in which the file was saved, and is not read")
+        elif chosen != saved:
+            _set(block, row)
+        else:
+            _check(block, row)
+    return chosen
+
+
+def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int], Line]:
+    """Return the rows of a configuration by operand and surface."""
+    return {
+        (row.keyword, row.integer(0)): row
+        for row in rows
+        if len(row.words) > 2 and row.words[0].isdigit() and row.words[1] == str(configuration)
+    }
+
+
+def _set(block: Block, row: Line) -> None:
+    keyword = _WORDS[row.keyword]
+    others = " 0 0" if keyword == "GLAS" else ""
+    block.lines[keyword] = replace(row, keyword=keyword, text=f"{row.words[2]}{others}")
+
+
+def _check(block: Block, row: Line) -> None:
+    """Check that a surface has the value of the configuration in which the file was saved."""
+    keyword = _WORDS[row.keyword]
+    line = block.lines.get(keyword)
+    if keyword == "GLAS" or line is None or line.words[:1] == ["INFINITY"]:
+        return
+    if not math.isclose(line.number(0), row.number(2), rel_tol=_ROUNDING, abs_tol=_ROUNDING):
+        raise row.error(
+            f"the file was saved in this configuration, but its surface has {line.text.split()[0]}; save it again"
+        )

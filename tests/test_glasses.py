@@ -1,0 +1,195 @@
+"""Glasses by name: the makers' catalogues, which one of several has a name, and the names in a Zemax file."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+from examples import make_lens
+from reference_files import SHARED, reference_files
+
+from tasklens.materials import catalogues
+from tasklens.materials.catalogues import builtin
+from tasklens.materials.library import FOLDER, Library, UnknownGlassError, in_zemax, nearest, of_maker, users_files
+from tasklens.materials.material import C_LINE, D_LINE, F_LINE, G_LINE, Material
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.runtime.files import FileError
+
+MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")
+
+# nd and Vd in the makers' data sheets, of current and obsolete glasses
+DATA_SHEETS = [
+    ("SCHOTT", "N-BK7", 1.51680, 64.17),
+    ("SCHOTT", "BK7", 1.51680, 64.17),
+    ("SCHOTT", "SF6", 1.80518, 25.43),
+    ("SCHOTT", "SK16", 1.62041, 60.33),
+    ("SCHOTT", "LAK9", 1.69100, 54.71),
+    ("SCHOTT", "B270", 1.52308, 58.57),
+    ("OHARA", "S-BSL7", 1.51633, 64.14),
+    ("OHARA", "S-TIH53", 1.84666, 23.78),
+    ("HOYA", "FCD1", 1.49700, 81.61),
+    ("HIKARI", "J-LASF05", 1.83481, 42.72),
+    ("CDGM", "H-K9L", 1.51680, 64.20),
+    ("SUMITA", "K-BK7", 1.51633, 64.06),
+]
+
+
+@pytest.mark.parametrize("maker, name, nd, vd", DATA_SHEETS)
+def test_nd_and_vd_of_data_sheets(maker, name, nd, vd):
+    assert of_maker(maker)[name].abbe() == pytest.approx((nd, vd), abs=2e-2)
+    assert of_maker(maker)[name].abbe()[0] == pytest.approx(nd, abs=1.5e-5)
+
+
+def test_every_glass_of_the_makers_is_a_glass():
+    """In number, with indices above 1 in its range, falling in the visible, and nd and Vd of glasses."""
+    assert {maker: len(of_maker(maker)) for maker in MAKERS} == {
+        "SCHOTT": 359, "OHARA": 417, "HOYA": 408, "HIKARI": 379, "CDGM": 314, "SUMITA": 192,
+    }  # fmt: skip
+    for maker in MAKERS:
+        for glass in of_maker(maker).values():
+            assert glass.zemax == f"{maker} {glass.name}" and glass.name == glass.name.upper()
+            lines = [glass.refractive_index(w) for w in (F_LINE, D_LINE, C_LINE) if glass.covers(w)]
+            assert lines == sorted(lines, reverse=True) and all(1.35 < n < 2.3 for n in lines)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the complete catalogue of the maker is not there")
+def test_indices_are_those_of_the_makers_catalogue():
+    """Of Schott, from another version of its catalogue, at g, F, d and C; SF57HHT alone has other ones there."""
+    (path,) = reference_files("glass/SCHOTT.AGF")
+    theirs, differences = catalogues.read(path), []
+    for name in theirs.keys() & of_maker("SCHOTT").keys() - {"SF57HHT"}:
+        for line in (G_LINE, F_LINE, D_LINE, C_LINE):
+            if theirs[name].covers(line) and of_maker("SCHOTT")[name].covers(line):
+                differences.append(
+                    abs(theirs[name].refractive_index(line) - of_maker("SCHOTT")[name].refractive_index(line))
+                )
+    assert len(differences) > 1000 and max(differences) < 1e-12
+
+
+def test_the_catalogues_come_from_the_database():
+    """Of every glass of refractiveindex.info, as Optiland has it, the tool gives what is in the package."""
+    optiland = pytest.importorskip("optiland")
+    path = Path(__file__).parents[1] / "tools" / "glass_catalogues.py"
+    spec = importlib.util.spec_from_file_location("glass_catalogues", path)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    database = Path(optiland.__file__).parent / "database" / "data-nk" / "glass"
+    for maker in MAKERS:
+        _, glasses = tool.catalogue(maker, database, [])
+        assert len(glasses) > 150
+        for glass in glasses:
+            ours = of_maker(maker)[glass.name]
+            assert ours.formula == glass.formula
+            assert ours.coefficients == pytest.approx(glass.coefficients, rel=1e-11)
+
+
+# ---- which glass a name means
+
+
+def written(folder: Path, name: str, *glasses: tuple[str, float]) -> Path:
+    path = folder / f"{name}.agf"
+    path.write_text("".join(f"NM {glass} 5 0 1.5 50\nCD {index} 0 0\nLD 0.4 0.8\n" for glass, index in glasses))
+    return path
+
+
+def test_the_order_of_search(tmp_path):
+    """Catalogues that the lens lists, in its order; then the user's, the plastics, the makers."""
+    mine = written(tmp_path, "mine", ("F2", 1.4), ("COC", 1.6))
+    assert Library().glass("COC") == builtin("COC") and Library([mine]).glass("COC").source == "mine.agf"
+    assert Library().glass("F2") == of_maker("SCHOTT")["F2"]
+    assert Library([], ["HIKARI"]).glass("F2") == of_maker("HIKARI")["F2"] != of_maker("SCHOTT")["F2"]
+    assert Library([], ["NIKON"]).glass("F2") == of_maker("HIKARI")["F2"]
+    assert Library([mine]).glass("F2").source == "mine.agf"
+    assert Library([mine], ["SCHOTT"]).glass("F2") == of_maker("SCHOTT")["F2"]
+    assert Library([mine], ["MINE", "SCHOTT"]).glass("F2").source == "mine.agf"
+    assert Library([], ["MISC"]).glass("POLYSTYR") == builtin("PS") and "POLYCARB" in in_zemax("MISC")
+
+
+def test_a_choice_between_makers_is_a_remark():
+    """Unless the lens lists the catalogue, or the others have the same glass."""
+    library = Library()
+    library.glass("F2")
+    assert library.remarks == ["glass F2 of SCHOTT; others: HOYA, HIKARI, CDGM (--catalogue)"]
+    for listed, name in ((["SCHOTT"], "F2"), ([], "N-BK7")):
+        library = Library([], listed)
+        library.glass(name)
+        assert library.remarks == []
+
+
+def test_a_glass_code_is_a_glass():
+    glass = Library().glass("691547")
+    assert glass.abbe() == pytest.approx((1.691, 54.7), rel=1e-12)
+
+
+def test_an_unknown_glass_is_refused_with_the_nearest_names(tmp_path):
+    with pytest.raises(UnknownGlassError, match=r"'N-BK77' in mine\.agf.*nearest names: N-BK7"):
+        Library([written(tmp_path, "mine", ("A", 1.5))]).glass("N-BK77")
+
+
+def test_one_glass_without_data_does_not_spoil_its_catalogue(tmp_path):
+    path = written(tmp_path, "maker", ("GOOD", 1.5))
+    path.write_text(path.read_text() + "NM UNMEASURED 2 0 1.5 60\nCD 1 0.006 0.2 0.02 1 103\nLD 0 0\n")
+    assert Library([path]).glass("GOOD").refractive_index(0.5) == 1.5
+    with pytest.raises(FileError, match=r"maker\.agf, line 6: LD: UNMEASURED: expected a range"):
+        Library([path]).glass("UNMEASURED")
+
+
+def test_a_folder_of_ones_own_catalogues(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    mine = written(tmp_path, "mine", ("A", 1.5))
+    (tmp_path / "notes.txt").write_text("")
+    assert users_files() == [mine]
+    monkeypatch.setenv(FOLDER, str(tmp_path / "absent"))
+    with pytest.raises(FileError, match=rf"absent: no such folder.*{FOLDER}"):
+        users_files()
+
+
+def test_the_nearest_glass():
+    assert nearest(1.5168, 64.2, list(of_maker("SCHOTT").values())).name in ("BK7", "N-BK7", "N-BK7HT", "N-BK7HTI")
+
+
+# ---- names in a Zemax file
+
+
+def with_glasses(*glasses: Material) -> Prescription:
+    media = [medium for glass in glasses for medium in (glass, "air")]
+    lens = make_lens([0.1, -0.1] * len(glasses), [0.5] * len(media), media, semi_diameter=[1.0] * len(media))
+    return Prescription(lens, fields=("angle_deg", ((0.0, 10.0),)), wavelengths_um=(0.5876,), primary=0)
+
+
+def round_trip(tmp_path: Path, *glasses: Material, files: list[Path] | None = None) -> tuple[list[Material], str]:
+    """The glasses of a lens that was written and read again, and the catalogues that its file lists."""
+    zemax.write(tmp_path / "out.zmx", with_glasses(*glasses))
+    text = (tmp_path / "out.zmx").read_text()
+    again = zemax.read(tmp_path / "out.zmx", files or [])
+    return list(again.lens.media[::2]), re.search("GCAT (.*)", text)[1]
+
+
+def indices(glasses: list[Material]) -> list[float]:
+    return [glass.refractive_index(D_LINE) for glass in glasses]
+
+
+def test_two_makers_of_one_name(tmp_path):
+    """LAF20 of Schott beside TAF3 of Hoya, which has a LAF20 too: Schott is listed first."""
+    glasses = [of_maker("HOYA")["TAF3"], of_maker("SCHOTT")["LAF20"]]
+    assert of_maker("HOYA")["LAF20"].abbe()[0] != pytest.approx(glasses[1].abbe()[0], abs=0.01)
+    again, listed = round_trip(tmp_path, *glasses)
+    assert indices(again) == indices(glasses) and listed == "SCHOTT HOYA"
+    assert not (tmp_path / "out.agf").exists()
+
+
+def test_glasses_whose_order_cannot_be_right_go_into_a_catalogue_of_the_lens(tmp_path):
+    """F2 of both makers: one of them gets another name."""
+    glasses = [of_maker("HIKARI")["F2"], of_maker("SCHOTT")["F2"], of_maker("SCHOTT")["N-BK7"]]
+    again, listed = round_trip(tmp_path, *glasses)
+    assert indices(again) == indices(glasses) and listed.startswith("OUT ")
+    assert len({glass.name for glass in again}) == 3
+
+
+def test_a_glass_behind_a_catalogue_of_unknown_contents(tmp_path):
+    """Two catalogues of the user: OpticStudio's may have the name in both."""
+    first, second = written(tmp_path, "first", ("A", 1.5)), written(tmp_path, "second", ("B", 1.6))
+    glasses = [catalogues.read(first)["A"], catalogues.read(second)["B"]]
+    again, listed = round_trip(tmp_path, *glasses, files=[second, first])
+    assert indices(again) == indices(glasses) and listed == "OUT first"
