@@ -3,6 +3,7 @@
 For notebooks, with `help()` of each:
 
     load_lens, save_lens    lens.yaml and Zemax files
+    lens, draw              a lens typed surface by surface; drawings
     trace, psf, analyse     rays, point spread functions, figures of a lens
     simulate                captures of an image, each as if all of it lay at one field
     simulate_sensor         capture of an image by the whole sensor
@@ -12,17 +13,19 @@ For notebooks, with `help()` of each:
 from importlib import import_module
 from typing import Any
 
-__all__ = ["analyse", "design", "load_lens", "psf", "save_lens", "simulate", "simulate_sensor", "trace"]
+__all__ = ["analyse", "design", "draw", "lens", "load_lens", "psf", "save_lens", "simulate", "simulate_sensor", "trace"]
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for: `import tasklens` by itself imports nothing, neither torch nor numba."""
     if name == "design":  # a package that can be called: see there
         return import_module("tasklens.design")
+    if name == "__version__":
+        return import_module("importlib.metadata").version("tasklens")
     if name in __all__:
         return getattr(import_module("tasklens.notebook"), name)
     raise AttributeError(f"module 'tasklens' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted([*globals(), *__all__, "__version__"])

@@ -16,12 +16,10 @@ from tasklens.design.descent import Descent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
-from tasklens.materials.catalogues import PLASTICS
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View, view_of_spec
-from tasklens.runtime.errors import InputError
 from tasklens.study.design_settings import (
     DescentSettings,
     DesignSettings,
@@ -187,12 +185,6 @@ def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
     lens, notes, _ = methods.design(settings, None, problem().dataset, {}, {"singlet-phone": plain})
     assert notes["origin"]["start"] == "singlet-phone" and lens.media == plain.media
     assert lens.alpha.shape[1] == 5 and [*notes["origin"]["candidate_losses"]] == ["singlet-phone"]
-
-
-def test_a_start_with_its_stop_inside_is_refused(start):
-    wanted = lens_design(parse(with_start(PLASTICS, ["phone"])), "singlet-mine", 0)
-    with pytest.raises(InputError, match="expected a lens with its stop in front, got one with the stop on surface 2"):
-        methods.design(wanted, None, problem().dataset, {}, {"singlet-phone": replace(start, stop=2)})
 
 
 def test_designs_that_begin_with_each_other_are_refused():

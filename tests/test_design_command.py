@@ -79,6 +79,30 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
     assert torch.equal(first, again) and not torch.equal(first, other) and first.any()
 
 
+def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys):
+    """From a file that has no network, with its glasses; the start and the network are those that are given."""
+    assert design(*QUICK, "-o", "start.yaml") == 0
+    network = (
+        "--classifier",
+        "test_resnet",
+        "--weights",
+        "mine.safetensors",
+        "--images",
+        "photographs",
+        "--size",
+        "32",
+    )
+    quick = ("--set", "descents.0.steps=2", "--set", "rays=16", "--set", "batch_size=2", "--kernel-size", "11")
+    assert (
+        design("--start", "start.yaml", "--method", "task", "--size", "32", *network, *quick, "-o", "better.yaml") == 0
+    )
+    assert "design: task by descents, seed 0" in capsys.readouterr().out
+    content = yaml.safe_load((photographs / "better.yaml").read_text())
+    assert content["origin"]["start"] == "start.yaml" and content["origin"]["validation_loss"] > 0
+    start, better = (lens_files.read(photographs / f"{name}.yaml").lens for name in ("start", "better"))
+    assert better.media == start.media and not torch.equal(better.curvature, start.curvature)
+
+
 TASK = ("--method", "task", "--classifier", "test_resnet")
 MISTAKES = [
     (
@@ -87,7 +111,7 @@ MISTAKES = [
     ),
     (
         ("--method", "magic"),
-        "method 'magic': expected one of least_squares, spot, image_quality, task, joint, end_to_end",
+        "method 'magic': expected one of least_squares, spot, image_quality, image_error, correlation, task",
     ),
     (("--method", "task"), "method task: needs a network: --classifier NAME --weights FILE, in Python `classifier`"),
     (("--method", "end_to_end"), "method end_to_end: needs a network: --classifier NAME --weights FILE"),

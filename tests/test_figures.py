@@ -47,7 +47,7 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
     assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == said[:3]
     assert said[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
     assert len(bars_of(figure)) == 3
-    for axes, field in zip(figure.axes, figures.SHOWN, strict=True):
+    for axes, field in zip(figure.axes, panel.shown, strict=True):
         half = panel.view.kernel_size * panel.view.pixel_pitch / 2
         assert axes.get_xlim() == axes.get_ylim() == (-half, half)  # y upward
         outside = 1 - panel.figures["energy_in_window"][field]
@@ -68,7 +68,7 @@ def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
 def test_section_and_curves_have_legends_and_a_scale_bar(panel):
     section, curves = drawn(figures.draw_section, panel), drawn(figures.draw_curves, panel)
     said = legend_of(section)
-    assert "stop" in said and all(any(text.startswith(name) for text in said) for name in figures.SHOWN.values())
+    assert "stop" in said and all(any(text.startswith(name) for text in said) for name in panel.shown.values())
     assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
     said = legend_of(curves)
     assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(said)

@@ -1,5 +1,6 @@
 """What a notebook has: shapes, units, gradients, and help that can be read."""
 
+import importlib.metadata
 import inspect
 import math
 import subprocess
@@ -31,7 +32,7 @@ def test_importing_it_loads_nothing_heavy():
         "; print(set(tasklens.__all__) <= set(dir(tasklens))); print(tasklens.psf.__module__, 'torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["set()", "True", "tasklens.notebook True"]
+    assert done.stdout.splitlines() == ["set()", "True", "tasklens.notebook.lenses True"]
 
 
 @pytest.mark.parametrize("name", tasklens.__all__)
@@ -140,6 +141,91 @@ def test_what_a_capture_cannot_be_made_of(doublet, tmp_path):
             tasklens.simulate(image, lens, view, rays=64)
     with pytest.raises(InputError, match="expected srgb or linear, got 'rgb'"):
         tasklens.simulate(torch.zeros(3, 60, 60), lens, view, colour="rgb", rays=64)
+
+
+def test_images_as_other_programs_have_them(doublet):
+    """Reversed channels of OpenCV, Pillow, 16 bits: the same capture; other numbers are refused."""
+    from PIL import Image
+
+    lens, view = doublet
+    values = numpy.random.default_rng(0).integers(0, 256, (60, 64, 3), dtype=numpy.uint8)
+    expected = tasklens.simulate(values, lens, view, [(0, 0)], rays=64)
+    reversed_twice = values[..., ::-1].copy()[..., ::-1]
+    for image in (reversed_twice, Image.fromarray(values), values.astype(numpy.uint16) * 257):
+        torch.testing.assert_close(tasklens.simulate(image, lens, view, [(0, 0)], rays=64).float(), expected.float())
+    for image, words in (
+        (values.astype(int), r"expected uint8, uint16 or floats in \[0, 1\], got torch.int64"),
+        (values.astype(float), r"expected floats in \[0, 1\], got 0 to 255; scale them"),
+        (values / 255 - 0.1, r"got -0\.1 to 0\.9"),
+        (values * numpy.nan, "got nan to nan"),
+    ):
+        with pytest.raises(InputError, match=words):
+            tasklens.simulate(image, lens, view, [(0, 0)], rays=64)
+
+
+def test_a_field_without_sensor_or_light_is_refused(doublet):
+    lens, view = doublet
+    image = torch.zeros(3, 60, 60)
+    with pytest.raises(InputError, match=r"field \(9, 9\) mm: outside the field, which ends 2\.000 mm from the axis"):
+        tasklens.simulate(image, lens, view, [(9, 9)], rays=64)
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[-1] = 0.2
+    dark = replace(lens, semi_diameter=semi_diameter)
+    assert tasklens.simulate(image, dark, view, [(0, 0)], rays=64).shape == (1, 3, 60, 60)
+    with pytest.raises(InputError, match=r"no light arrives at the field \(1\.7, 1\) mm"):
+        tasklens.simulate(image, dark, view, [(1.7, 1.0)], rays=64)
+
+
+COOKE = [
+    {"radius": 22.01359, "thickness": 3.25896, "material": "SK16"},
+    {"radius": -435.76044, "thickness": 6.00755},
+    {"radius": -22.21328, "thickness": 0.99997, "material": "F2"},
+    {"curvature": 1 / 20.29192, "thickness": 4.75041, "stop": True},
+    {"radius": 79.6836, "thickness": 2.95208, "material": "SK16"},
+    {"radius": -18.39533, "thickness": 42.2},
+]
+
+
+def test_a_lens_typed_surface_by_surface():
+    """The Cooke triplet of Zemax's samples: EFL 50 mm; its image without a distance is in focus."""
+    lens, view = tasklens.lens(COOKE, field_of_view_deg=40, f_number=5)
+    figures = tasklens.analyse(lens, view, rays=256)
+    assert figures["efl_mm"] == pytest.approx(50.0, abs=0.03) and figures["f_number"] == pytest.approx(5, rel=1e-9)
+    assert max(figures["angle_deg"]) == pytest.approx(20, abs=1e-9) and lens.stop == 3
+    focused, _ = tasklens.lens([*COOKE[:-1], {"radius": -18.39533}], field_of_view_deg=40, f_number=5)
+    assert float(focused.thickness[-1]) == pytest.approx(42.2, abs=0.3)
+    asphere = {**COOKE[0], "conic": -0.5, "coefficients": [0, 1e-6], "semi_diameter": 9.0}
+    typed, _ = tasklens.lens([asphere, *COOKE[1:]], field_of_view_deg=40, f_number=5)
+    assert typed.alpha[0].tolist() == [0, 1e-6] and float(typed.conic[0]) == -0.5 and float(typed.semi_diameter[0]) == 9
+
+
+@pytest.mark.parametrize(
+    "surface, change, words",
+    [
+        (0, {"radius": 0}, "surface 0: radius: expected a number other than 0"),
+        (1, {"radiuss": 3}, "surface 1: unknown key 'radiuss'; expected radius, curvature"),
+        (1, {"curvature": 3}, "surface 1: expected either `radius`"),
+        (2, {"thickness": "thin"}, "surface 2: thickness: expected a number, got 'thin'"),
+        (2, {"material": "F22"}, "unknown glass 'F22'"),
+        (4, {"stop": True}, "expected `stop` at one surface, got 2"),
+        (0, {"conic": float("inf")}, "surface 0: conic: expected a number, got inf"),
+        (0, {"coefficients": [None]}, "surface 0: coefficients: expected a number, got None"),
+    ],
+)
+def test_a_typed_lens_that_cannot_be(surface, change, words):
+    surfaces = [*COOKE[:surface], {**COOKE[surface], **change}, *COOKE[surface + 1 :]]
+    with pytest.raises(InputError, match=words):
+        tasklens.lens(surfaces, field_of_view_deg=40, f_number=5)
+
+
+def test_a_notebook_shows_a_lens(doublet):
+    """Its cross-section, and a row for each surface; a figure in full on request."""
+    lens, view = doublet
+    shown = lens._repr_html_()
+    assert shown.count("<tr>") == len(lens.media) + 1 and shown.count("<path") == 2 + 3 and "OKP4" in shown
+    assert "nan" not in shown and "inf" not in shown
+    assert len(tasklens.draw(lens, view, "mine", rays=64).get_children()) > 1
+    assert tasklens.__version__ == importlib.metadata.version("tasklens")
 
 
 def test_a_design_in_a_notebook():

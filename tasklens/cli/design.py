@@ -13,12 +13,14 @@ from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.runtime.errors import InputError
 
 _SPEC, _NETWORK = "Specification", "Network and photographs, for the methods that have them"
-_METHOD = "least_squares, spot, image_quality; by a network: task, joint, end_to_end."
+_METHOD = "least_squares, spot, image_quality, image_error, correlation; by a network: task, joint, end_to_end."
+_ELEMENTS = "COC,OKP4"
+_START = "A lens of your own"
 
 
 def design(
     output: Annotated[Path, typer.Option("--output", "-o", help="Lens: .yaml or .zmx.", show_default=False)],
-    elements: Annotated[str, typer.Option(help="Plastics from front to back.")] = "COC,OKP4",
+    elements: Annotated[str | None, typer.Option(help="Materials from front to back: COC,OKP4")] = None,
     method: Annotated[str, typer.Option(help=_METHOD)] = "least_squares",
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     settings: Annotated[
@@ -28,7 +30,26 @@ def design(
     limits: Annotated[
         list[str] | None, typer.Option("--limit", help="A limit, of `constraints` of a study: max_track=6.")
     ] = None,
-    materials: Annotated[list[Path] | None, typer.Option(help="File of further plastics (.yaml, .agf).")] = None,
+    materials: Annotated[
+        list[Path] | None, typer.Option("--materials", "--catalogue", help="File of further glasses (.yaml, .agf).")
+    ] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(help="A lens to improve, .zmx or .yaml; its glasses stay.", rich_help_panel=_START),
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option(
+            help="What varies: curvature,thickness:1+3,alpha_4..10 (surfaces from 0).", rich_help_panel=_START
+        ),
+    ] = None,
+    configuration: Annotated[
+        int | None, typer.Option(help="Configuration of a .zmx that has several.", rich_help_panel=_START)
+    ] = None,
+    object_distance: Annotated[
+        float | None,
+        typer.Option("--object", help="inf: the object of the file is moved away.", rich_help_panel=_START),
+    ] = None,
     f_number: Annotated[float | None, typer.Option(help="2.8", rich_help_panel=_SPEC)] = None,
     field_of_view: Annotated[float | None, typer.Option(help="68.8 degrees, full", rich_help_panel=_SPEC)] = None,
     diagonal: Annotated[float | None, typer.Option(help="Of the sensor: 4 mm", rich_help_panel=_SPEC)] = None,
@@ -63,8 +84,14 @@ def design(
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 
     tasklens design --method task --images photographs --classifier resnet18 --weights mine.safetensors -o mine.yaml
+
+    tasklens design --start mine.zmx --method image_quality --free curvature,thickness -o better.zmx
     """
     new_file(output, force, ".yaml", ".yml", ".zmx")
+    if start is not None and (elements, diagonal) != (None, None):
+        raise InputError("--elements, --diagonal: not with --start, whose lens has them")
+    if start is None and (free, configuration, object_distance) != (None, None, None):
+        raise InputError("--free, --configuration, --object: only with --start FILE")
     spec = {
         "f_number": f_number,
         "field_of_view_deg": field_of_view,
@@ -72,6 +99,8 @@ def design(
         "pixel_pitch_um": pixel_pitch,
         "kernel_size": kernel_size,
         "wavelengths_um": wavelengths and wavelengths.split(","),
+        "configuration": configuration,
+        "object_distance_mm": object_distance,
     }
     network: dict[str, Any] | None = None
     if classifier is not None:
@@ -89,8 +118,10 @@ def design(
     with _progress():
         lens, view, notes = designed(
             method,
-            elements.split(","),
+            (elements or _ELEMENTS).split(","),
             seed=seed,
+            start=start,
+            free=None if free is None else _free(free),
             settings=changed,
             constraints=limited,
             materials=materials or (),
@@ -105,6 +136,25 @@ def design(
         print_json(summary | {"file": str(output)})
     else:
         print(glance.text(str(output), summary))
+
+
+def _free(text: str) -> dict[str, tuple[int, ...] | None]:
+    """Return variables and their surfaces from NAME or NAME:0+1+3, with commas between; alpha_4..8 are several.
+
+    Raises:
+        InputError: another text.
+    """
+    free: dict[str, tuple[int, ...] | None] = {}
+    for part in text.split(","):
+        name, colon, numbers = part.strip().partition(":")
+        first, _, last = name.removeprefix("alpha_").partition("..")
+        try:
+            surfaces = tuple(int(number) for number in numbers.split("+")) if colon else None
+            orders = range(int(first), int(last or first) + 1, 2) if name.startswith("alpha_") else ()
+        except ValueError:
+            raise InputError(f"--free {part}: expected variables such as curvature,thickness:1+3,alpha_4..10") from None
+        free |= dict.fromkeys([f"alpha_{order}" for order in orders] or [name], surfaces)
+    return free
 
 
 def _nested(given: Sequence[str], option: str) -> dict[str, Any]:

@@ -75,11 +75,12 @@ def draw(
     rays: Rays = 4096,
     force: Force = False,
 ) -> None:
-    """Draw lenses one above the other: cross-section with rays, spots, PSFs, ray fans."""
+    """Draw lenses one above the other: cross-section with rays, spots, PSFs, ray fans, MTF, distortion."""
     from tasklens.report import drawing
 
     new_file(output, force, ".png", ".svg", ".pdf")
-    drawing.draw(output, {name: read(path) for name, path in _named(files).items()}, rays)
+    lenses = {name: read(path) for name, path in _named(files).items()}
+    drawing.draw(output, {name: (lens.lens, lens.view) for name, lens in lenses.items()}, rays)
     say(f"wrote {output}")
 
 

@@ -5,7 +5,7 @@
 
 Arguments:
 
-    method       least_squares, spot, image_quality; and with a network task, joint, end_to_end
+    method       least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end
     elements     plastics from front to back: names of built-in ones, or of those in `materials`
     seed         of all random numbers
     settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"descents": {"0": {"steps": 200}}}
@@ -14,6 +14,10 @@ Arguments:
     images       folder of photographs: <class>/*, or train/<class>/*; by default rendered textures
     size         side of the photographs [pixels]
     classifier   the network: {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}
+    start        file of a lens to improve (.zmx, lens.yaml), in place of `elements`: its glasses stay, and limits that
+                 it breaks are its own values
+    free         of that lens: {"curvature": [0, 1], "thickness": None}, surfaces numbered from 0, None: all; also
+                 alpha_4 .. alpha_10; by default curvatures, distances, and the coefficients of aspheres
     f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect
                  specification; by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -33,15 +34,16 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
         semi_diameter: (S,) radius that light uses on each surface [mm].
     """
     semi = semi_diameter.clamp(min=float(lens.semi_diameter[lens.stop]))
-    element = torch.tensor([medium != AIR for medium in lens.media[:-1]])
-    shared = torch.maximum(semi[:-1], semi[1:])[:, None] * HEIGHTS
+    front, behind, element = spaces(lens)
+    shared = torch.maximum(semi[front], semi[behind])[:, None] * HEIGHTS
 
-    def surface_sag(surfaces: slice, heights: Tensor) -> Tensor:
+    def surface_sag(surfaces: Tensor | slice, heights: Tensor) -> Tensor:
         squares = torch.minimum(heights, semi[surfaces, None]) ** 2
         return sag(squares, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None])[0]
 
-    gap = lens.thickness[:-1, None] + surface_sag(slice(1, None), shared) - surface_sag(slice(None, -1), shared)
-    centre, edge = lens.thickness[:-1][element], gap[element]
+    distance = lens.vertices[behind] - lens.vertices[front]
+    gap = distance[:, None] + surface_sag(behind, shared) - surface_sag(front, shared)
+    centre, edge = distance[element], gap[element]
     last = surface_sag(slice(-1, None), semi[-1:, None] * HEIGHTS)
     slope = radial_slope(semi[:, None] * HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None])
     return {
@@ -53,6 +55,20 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
         "max_track": limits.max_track - lens.thickness.sum()[None],
         "max_slope": (limits.max_slope - slope.abs()).flatten(),
     }
+
+
+def spaces(lens: Lens) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the surfaces (P,) in front of and behind each space between elements, and which spaces (P,) are elements.
+
+    A stop or another plane in air between two elements bounds no space of its own; nor does a stop in the first
+    element. One in front of the lens does.
+    """
+    refracting = lens.refracting_surfaces
+    pairs = list(pairwise(refracting))
+    if lens.stop < refracting[0] and float(lens.vertices[refracting[0]] - lens.vertices[lens.stop]) >= 0:
+        pairs.insert(0, (lens.stop, refracting[0]))
+    front, behind = torch.tensor(pairs).unbind(-1)
+    return front, behind, torch.tensor([lens.media[i] != AIR for i, _ in pairs])
 
 
 def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays) -> dict[str, Tensor]:

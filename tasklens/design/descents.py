@@ -69,7 +69,7 @@ def design(
         return Supervisor(made, problem, part.size, settings.augment, micro_batch, part.centre, settings.tolerances)
 
     def selection_loss(judge: Supervisor, lens: Lens) -> float:
-        repaired = with_clear_apertures(*repair(lens, problem.view, problem.limits))
+        repaired = with_clear_apertures(*repair(lens, problem.view, problem.limits, problem.free))
         return judge.selection_loss(repaired, settings.descents[-1].pixels[1])
 
     origin: dict[str, Any] = {}

@@ -10,8 +10,14 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from tasklens.design.constraints import HEIGHTS, chief_ray_angle, first_order_margins, manufacturing_margins, violation
-from tasklens.materials.material import AIR
+from tasklens.design.constraints import (
+    HEIGHTS,
+    chief_ray_angle,
+    first_order_margins,
+    manufacturing_margins,
+    spaces,
+    violation,
+)
 from tasklens.optics.analysis.paraxial import paraxial_ray, powers_and_spaces
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
@@ -48,26 +54,28 @@ class LinearLimits:
         """
         lens, semi, dt = self.lens, self.semi, changes["thickness"]
         d_semi = changes["semi_diameter"] * self.moves
-        element = torch.tensor([medium != AIR for medium in lens.media[:-1]])
-        shared = torch.maximum(semi[:-1], semi[1:])[:, None] * HEIGHTS
-        d_shared = torch.where(semi[:-1] >= semi[1:], d_semi[:, :-1], d_semi[:, 1:])[..., None] * HEIGHTS
+        front, behind, element = spaces(lens)
+        shared = torch.maximum(semi[front], semi[behind])[:, None] * HEIGHTS
+        d_shared = torch.where(semi[front] >= semi[behind], d_semi[:, front], d_semi[:, behind])[..., None] * HEIGHTS
         rim, d_rim = semi[:, None] * HEIGHTS, d_semi[..., None] * HEIGHTS
         every = torch.arange(len(semi))
         # In front and behind of each space, and of the last surface; flat beyond the radius that light uses.
-        part = torch.cat([every[:-1], every[1:], every[-1:]])
+        part = torch.cat([front, behind, every[-1:]])
         heights, d_heights = torch.cat([shared, shared, rim[-1:]]), torch.cat([d_shared, d_shared, d_rim[:, -1:]], 1)
         d_heights = torch.where(heights > semi[part, None], d_semi[:, part, None], d_heights)
         heights = torch.minimum(heights, semi[part, None])
         _, d_sag = self._change(lambda r, *shape: sag(r**2, *shape)[0], part, heights, d_heights, changes)
-        front, behind, last = d_sag.split([len(semi) - 1, len(semi) - 1, 1], 1)
-        gap = dt[:, :-1, None] + behind - front
+        in_front, in_back, last = d_sag.split([len(front), len(behind), 1], 1)
+        vertices = dt.cumsum(1) - dt
+        distance = vertices[:, behind] - vertices[:, front]
+        gap = distance[..., None] + in_back - in_front
         steep, slope = self._change(radial_slope, every, rim, d_rim, changes)
         off_axis = self.view.radii > 0
         fields, points = self.view.fields[off_axis], self.chief[:2, off_axis].T
         squared = fields.square().sum(-1)
         stretched = (points * fields).sum(-1) / squared - 1
         distortion = (changes["chief"][:, :2, off_axis].mT * fields).sum(-1) / squared
-        centre = dt[:, :-1][:, element]
+        centre = distance[:, element]
         power, d_power = self._power(changes)
         rows = [
             -centre,

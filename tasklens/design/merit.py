@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tasklens.design.linear_limits import LinearLimits
+from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields
 from tasklens.optics.analysis.spots import trace_fields_full
 from tasklens.optics.lens import Lens
@@ -27,7 +28,8 @@ VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um of violation 
 class Merit:
     """Residuals of a lens [um]: two per ray, whose sum of squares is the mean squared spot radius, then limits.
 
-    The stop must be in front of the lens, so that the launched rays do not depend on the lens.
+    Rays are launched to fill a stop in front of the lens. At a stop inside they are aimed again at every lens; how the
+    aim moves with the lens is left out of the derivatives, whose steps are checked at the lens that they lead to.
 
     Args:
         reference: reference point of the rays' errors in y.
@@ -130,6 +132,8 @@ class Merit:
 
     def _launch(self, lens: Lens) -> Rays:
         """Launch the rays, which are the same for all lenses with one stop in front."""
+        if stop_is_inside(lens):
+            return launch_fields(lens.detached(), self.view, self.pupil)
         radius = float(lens.semi_diameter[lens.stop])
         if self.launched is None or self.launched[0] != radius:
             self.launched = radius, launch_fields(lens, self.view, self.pupil)

@@ -28,8 +28,7 @@ from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Classification, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.runtime.errors import InputError
-from tasklens.study.design_settings import DescentSettings, LeastSquaresSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings, LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens, LensDesign
 
 _APERTURE = 1.02  # clear aperture of an imported lens without one, over the radius that light uses
@@ -66,10 +65,11 @@ def design(
         used = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(wanted.rays, seed=0)]))
         origin = {"design": wanted.entry.design_name, "method": "file"} | origin
         return *with_notes(lens, _APERTURE * used, wanted, origin), []
-    plates = flat(wanted.entry.plastics, wanted.spec, wanted.constraints)
-    problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset)
+    free = settings.free if isinstance(settings, GradientDesignSettings) else None
+    problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset, free)
     origin = {"design": wanted.entry.design_name, "method": settings.method, "seed": wanted.seed}
     if isinstance(settings, LeastSquaresSettings):
+        plates = flat(wanted.entry.plastics, wanted.spec, wanted.constraints)
         lens, history = least_squares.design(plates, problem, settings, checkpoint)
         origin["start"] = "random paraxial lenses"
         return *with_notes(*repair(lens, view, wanted.constraints), wanted, origin), history
@@ -100,24 +100,24 @@ def design(
                 return Contrast(view.directions)
         return ImageError(logarithm=part.criterion == "log_image_error")
 
-    start, origin["start"] = plates, "flat"
     if starts:
         origin["start"] = max(starts, key=lambda name: starts[name][1])
-        start = _free(starts[origin["start"]][0])
-    opened = {name: _free(lens) for name, lens in candidates.items()}
+        start = _begun(starts[origin["start"]][0], settings.keep_apertures)
+    else:
+        start, origin["start"] = flat(wanted.entry.plastics, wanted.spec, wanted.constraints), "flat"
+    opened = {name: _begun(lens, settings.keep_apertures) for name, lens in candidates.items()}
     lens, more, history, judge = descents.design(start, opened, criterion, problem, settings, checkpoint)
-    finished, notes = with_notes(*repair(lens, view, wanted.constraints), wanted, origin | more)
+    finished, notes = with_notes(*repair(lens, view, wanted.constraints, free), wanted, origin | more)
     if wanted.entry.supervised:
         notes["local_optimum"] = local_optimum(finished, judge, settings.descents[-1])
     return finished, notes, history
 
 
-def _free(lens: Lens) -> Lens:
-    """Return a lens to begin with: without clear apertures except the stop, with all coefficients of a design."""
-    if lens.stop != 0:
-        raise InputError(f"start: expected a lens with its stop in front, got one with the stop on surface {lens.stop}")
+def _begun(lens: Lens, keep_apertures: bool) -> Lens:
+    """Return a lens to begin with: all coefficients of a design; without clear apertures, unless they are kept."""
     missing = max(0, ORDERS[-1] // 2 - lens.alpha.shape[1])
-    return replace(with_open_apertures(lens), alpha=torch.nn.functional.pad(lens.alpha, (0, missing)))
+    begun = lens if keep_apertures else with_open_apertures(lens)
+    return replace(begun, alpha=torch.nn.functional.pad(lens.alpha, (0, missing)))
 
 
 def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:

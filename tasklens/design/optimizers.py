@@ -26,7 +26,7 @@ class RaySpaceOptimizer:
 
     def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
         self.settings, self.pitch = settings, problem.view.pixel_pitch
-        self.space = RaySpace(start, problem.view, problem.limits)
+        self.space = RaySpace(start, problem.view, problem.limits, problem.free)
         self.values = self.space.start
         self.model = self.space.linearise(self.values)
         self.mean = torch.zeros_like(self.values)
@@ -103,6 +103,7 @@ class AdamWOptimizer:
         rates = settings.learning_rates
         self.variables = Variables.for_learning_rates(start, problem.view, rates)
         self.values = {name: value.requires_grad_() for name, value in self.variables.values().items()}
+        self.free = self.variables.free(problem.free)
         self.optimizer = torch.optim.AdamW(parameter_groups(self.values, rates), betas=settings.betas)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(
             self.optimizer, lambda step: cosine(step / settings.steps, settings.final)
@@ -132,6 +133,8 @@ class AdamWOptimizer:
             penalties = penalties + incidence_penalty(lens, self.problem.view, settings.max_incidence_deg)
         self.penalty = penalties.item()
         (loss + settings.penalty * penalties).backward()
+        for value, free in zip(self.values.values(), self.free.chunk(len(self.values)), strict=True):
+            value.grad = value.grad * free  # type: ignore[operator]  # a variable without gradient does not move
         return torch.cat([value.grad for value in self.values.values()])  # type: ignore[misc]
 
     def apply(self, change: Tensor) -> None:

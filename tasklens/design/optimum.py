@@ -33,7 +33,7 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
         standard `error`, paired by image; the `step_um` and the direction `along` which it was; the number of images.
     """
     problem, pixels = supervisor.problem, settings.pixels[1]
-    space = RaySpace(lens, problem.view, problem.limits)
+    space = RaySpace(lens, problem.view, problem.limits, problem.free)
     model = space.linearise(space.start)
     generator = torch.Generator().manual_seed(problem.seed)
     gradient = _gradient(space, supervisor, pixels)
@@ -45,7 +45,7 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
     gains: list[dict[str, Any]] = []
     for along, step_um, slope in steps:
         change = model.step(slope, step_um, settings.damping, HARD)
-        moved, _ = repair(space.lens(space.start + change), problem.view, problem.limits)
+        moved, _ = repair(space.lens(space.start + change), problem.view, problem.limits, problem.free)
         difference = here - _losses(supervisor, moved, pixels)
         error = float(difference.std() / len(difference) ** 0.5)
         gains.append({"gain": float(difference.mean()), "error": error, "step_um": step_um, "along": along})

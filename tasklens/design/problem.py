@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from tasklens.design.variables import Free
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.settings import CaptureSettings, Constraints
@@ -20,6 +21,7 @@ class Problem:
         seed: seed of all random numbers.
         capture: capture settings, for supervised designs.
         dataset: sharp training images, for supervised designs.
+        free: free variables by name, and their surfaces; None: all.
     """
 
     view: View
@@ -27,3 +29,4 @@ class Problem:
     seed: int
     capture: CaptureSettings | None = None
     dataset: ImageDataset | None = None
+    free: Free | None = None

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.merit import Merit
-from tasklens.design.variables import Variables
+from tasklens.design.variables import Free, Variables
 from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -28,7 +28,7 @@ from tasklens.study.settings import Constraints
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
 _DISPLACEMENT_UM = 3.0  # ray displacement equivalent to a small change, or the step size if that is larger
 SOFT, HARD = 1e3, 1e5  # w [1/mm^2]: on the way, a lens may pass through what is forbidden; at its end, it may not
-_MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
+MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
 _REPAIR_STEPS_UM = 1e-3, 0.25, 2.0  # shortest, first and longest step of the repair: a sharp spot has 2 um
 _KEPT = 1e-9  # violation that is rounding, of limits with a buffer [mm]
 _REPAIR_STEPS = 60  # maximum number of steps of the repair
@@ -80,20 +80,24 @@ class LinearModel:
 
 
 class RaySpace:
-    """Variables of a lens as one vector (V,), and their linear model."""
+    """Free variables of a lens as one vector (V,), and their linear model."""
 
-    def __init__(self, lens: Lens, view: View, limits: Constraints):
+    def __init__(self, lens: Lens, view: View, limits: Constraints, free: Free | None = None):
         self.variables = Variables.normalised(lens, view)
-        self.merit = Merit(view, limits, rim=_MARGINAL_RAYS)
+        self.merit = Merit(view, limits, rim=MARGINAL_RAYS)
         values = self.variables.values()
         self.names = list(values)
-        self.start = torch.cat(list(values.values()))
-        self.directions = self.variables.directions(self.names)
-        self.scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
+        self.free = self.variables.free(free)
+        self.all = torch.cat(list(values.values()))
+        self.start = self.all[self.free]
+        directions = self.variables.directions(self.names)
+        self.directions = {name: change[self.free] for name, change in directions.items()}
+        scale = torch.cat([torch.full_like(value, _SCALES[name]) for name, value in values.items()])
+        self.scale = scale[self.free]
 
     def lens(self, vector: Tensor) -> Lens:
         """Return the lens with these values (V,), differentiable in them."""
-        return self.variables.assemble_vector(self.names, vector)
+        return self.variables.assemble_vector(self.names, self.all.masked_scatter(self.free, vector))
 
     def linearise(self, vector: Tensor) -> LinearModel:
         """Linearise rays and limits about the lens with these values (V,)."""
@@ -106,7 +110,7 @@ class RaySpace:
         return LinearModel(rays.T @ rays, self.scale, violation[violated] / per_mm, limits[violated] / per_mm)
 
 
-def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
+def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None) -> tuple[Lens, Tensor]:
     """Repair violated limits of a lens by steps of small ray displacement; one that keeps them all stays as it is.
 
     What is repaired ends inside all limits by the buffer that designs aim at. Distortion is repaired at the heights of
@@ -117,7 +121,7 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
         The lens, or that of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
         its limits were evaluated [mm].
     """
-    asked, clear = limits, Merit(view, limits, rim=_MARGINAL_RAYS).clear_semi_diameters(lens)
+    asked, clear = limits, Merit(view, limits, rim=MARGINAL_RAYS).clear_semi_diameters(lens)
     for attempt in range(_REPAIRS):
         margins = manufacturing_margins(lens, limits, torch.minimum(clear, lens.semi_diameter))
         margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
@@ -126,16 +130,16 @@ def repair(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
             break
         if attempt:
             asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * margin)})
-        lens, clear = _repaired(lens, view, asked)
+        lens, clear = _repaired(lens, view, asked, free)
     return lens, clear
 
 
-def _repaired(lens: Lens, view: View, limits: Constraints) -> tuple[Lens, Tensor]:
+def _repaired(lens: Lens, view: View, limits: Constraints, free: Free | None) -> tuple[Lens, Tensor]:
     """Take steps to the least violation, each shorter until it lessens it: how far is linear differs between lenses.
 
     Where none does, as where rays come back that were lost, a long step goes on behind that.
     """
-    space = RaySpace(lens, view, limits)
+    space = RaySpace(lens, view, limits, free)
     shortest, first, longest = _REPAIR_STEPS_UM
     vector, step_um = space.start, first
     model = space.linearise(vector)

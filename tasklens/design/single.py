@@ -1,21 +1,19 @@
 """Design of one lens without a study."""
 
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import nn
-
-from tasklens.design import methods
+from tasklens.design import from_lens, methods
+from tasklens.design.supervisors import supervisors
+from tasklens.materials.library import users_files
+from tasklens.optics.io import lens_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
-from tasklens.recognition.dataset import ImageDataset
-from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
 from tasklens.study import single
-from tasklens.study.study import Study
 from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # of a folder, at most
@@ -32,6 +30,8 @@ def design(
     images: str | Path | None = None,
     size: int = 224,
     classifier: Mapping[str, Any] | None = None,
+    start: str | Path | None = None,
+    free: Mapping[str, Sequence[int] | None] | None = None,
     **spec: Any,
 ) -> tuple[Lens, View, dict[str, Any]]:
     """Design one lens; see `help(tasklens.design)`.
@@ -40,6 +40,8 @@ def design(
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
     section = None if images is None else {"folder": str(images), "size": size, "train": _IMAGES, "minival": 2}
+    if start is not None:
+        return _from_lens(Path(start), method, free, settings, constraints, materials, section, classifier, seed, spec)
     files = [str(path) for path in materials]
     found = single.study(method, elements, spec, settings or {}, constraints or {}, files, section, classifier)
     for name, entry in found.lenses.items():
@@ -52,7 +54,7 @@ def design(
     made: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        dataset, network = _supervisors(found, Path(folder))
+        dataset, network = supervisors(found, Path(folder))
         for name in found.lenses:
             entry = found.lens(name)
             made[name], notes, _ = methods.design(
@@ -65,19 +67,24 @@ def design(
     return made[name], view, notes
 
 
-def _supervisors(study: Study, folder: Path) -> tuple[ImageDataset | None, nn.Module | None]:
-    """Return the images and the network that designs of the study need; images are converted to a file in `folder`."""
-    entries = study.lenses.values()
-    if not any(entry.supervised for entry in entries):
-        return None, None
-    from tasklens.recognition import classifiers, dataset
-
-    settings = study.classifier(study.supervisor)
-    if any(entry.classified for entry in entries):
-        classifiers.check(study.supervisor, settings, study.images.size)
-    device = claim()
-    images = dataset.training_images(study.images, folder / "images.npy", device=device)
-    if not any(entry.classified for entry in entries):
-        return images, None
-    torch.manual_seed(0)
-    return images, classifiers.build(settings, images.classes).to(device)
+def _from_lens(
+    start: Path,
+    method: str,
+    free: Mapping[str, Sequence[int] | None] | None,
+    settings: Mapping[str, Any] | None,
+    constraints: Mapping[str, Any] | None,
+    catalogues: Sequence[str | Path],
+    images: Mapping[str, Any] | None,
+    classifier: Mapping[str, Any] | None,
+    seed: int,
+    spec: Mapping[str, Any],
+) -> tuple[Lens, View, dict[str, Any]]:
+    """Improve the lens of a file."""
+    file = lens_files.read(start, [*(Path(path) for path in catalogues), *users_files()], **spec)
+    lens, view, notes, remarks = from_lens.design(
+        file, method, free, settings or {}, constraints or {}, images, classifier, seed
+    )
+    for remark in (*file.remarks, *remarks):
+        print(f"tasklens: {start}: {remark}", file=sys.stderr)
+    notes["origin"] |= {"start": str(start)}
+    return lens, view, notes

@@ -7,11 +7,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.aiming import stop_is_inside
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import clear_semi_diameters
+from tasklens.optics.io.zemax import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
 from tasklens.study.learning_rates import LearningRates
 
+Free = Mapping[Any, Sequence[int]]  # free variables by name, and the surfaces on which they are free
 ORDERS = (4, 6, 8, 10)  # orders of asphere coefficients in designs; alpha_2 would duplicate the curvature
 
 
@@ -23,10 +28,12 @@ class Variables:
         lens: lens with the other values.
         radius: (S,) normalisation radius R of each surface [mm]. A variable is alpha_2j R^(2j - 1), the slope at R up
             to a factor, so that one step size suits small and large surfaces.
+        f_number: F-number that a stop inside the lens is set to, at a wavelength [um]; None: its radius stays.
     """
 
     lens: Lens
     radius: Tensor
+    f_number: tuple[float, float] | None = None
 
     @classmethod
     def plain(cls, lens: Lens) -> "Variables":
@@ -36,12 +43,15 @@ class Variables:
     @classmethod
     def for_learning_rates(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
         """Return variables normalised if `rates` are."""
-        return cls.normalised(lens, view) if rates.normalised else cls.plain(lens)
+        if rates.normalised:
+            return cls.normalised(lens, view)
+        return cls(lens, torch.ones_like(lens.curvature), _f_number(lens, view))
 
     @classmethod
     def normalised(cls, lens: Lens, view: View) -> "Variables":
         """Return variables with R = the radius that light uses on each surface of `lens`, at least that of the stop."""
-        return cls(lens, clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop])))
+        radius = clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop]))
+        return cls(lens, radius, _f_number(lens, view))
 
     def _scale(self, order: int) -> Tensor:
         return self.radius[list(self.lens.refracting_surfaces)] ** (order - 1)
@@ -54,6 +64,18 @@ class Variables:
             f"alpha_{order}": self.lens.alpha[refracting, order // 2 - 1] * self._scale(order) for order in ORDERS
         }
         return {name: value.detach().clone() for name, value in values.items()}
+
+    def free(self, free: Free | None) -> Tensor:
+        """Return a mask (V,) of the free variables among all of `values`, concatenated."""
+        refracting = self.lens.refracting_surfaces
+        if free is None:
+            return torch.ones(len(refracting) * (2 + len(ORDERS)), dtype=torch.bool)
+        for name, surfaces in free.items():
+            for surface in surfaces:
+                if surface not in refracting:
+                    numbers = ", ".join(map(str, refracting))
+                    raise InputError(f"free: {name}: surface {surface} does not refract; expected some of {numbers}")
+        return torch.tensor([surface in free.get(name, ()) for name in self.values() for surface in refracting])
 
     def directions(self, names: Iterable[str]) -> dict[str, Tensor]:
         """Return V unit changes of the variables `names`: `curvature`, `thickness` (V, S) and `alpha` (V, S, M)."""
@@ -85,12 +107,26 @@ class Variables:
         columns = [
             put(f"alpha_{2 * j}", column, self._scale(2 * j)) for j, column in enumerate(self.lens.alpha.unbind(-1), 1)
         ]
-        return replace(
+        lens = replace(
             self.lens,
             curvature=put("curvature", self.lens.curvature),
             thickness=put("thickness", self.lens.thickness),
             alpha=torch.stack(columns, -1),
         )
+        if self.f_number is None:
+            return lens
+        value, wavelength = self.f_number
+        semi_diameter = lens.semi_diameter.clone()
+        semi_diameter[lens.stop] = stop_radius(lens.detached(), ("f_number", value), wavelength)
+        return replace(lens, semi_diameter=semi_diameter)
+
+
+def _f_number(lens: Lens, view: View) -> tuple[float, float] | None:
+    """Return the F-number of a lens and its wavelength, if its stop is inside; one in front keeps its radius."""
+    if not stop_is_inside(lens):
+        return None
+    first_order = paraxial(lens.detached(), view.reference)
+    return float(first_order.efl / (2 * first_order.entrance_pupil_radius)), view.reference
 
 
 def parameter_groups(values: Mapping[str, Tensor], rates: LearningRates) -> list[dict[str, Any]]:

@@ -167,6 +167,15 @@ def model_glass(nd: float, vd: float, dpgf: float, label: str = "") -> Material:
     return Material(f"{label} {numbers}".strip(), "model", (nd, vd, dpgf), range_um, "nd, Vd and dPgF")
 
 
+def short_name(material: Material) -> str:
+    """Return the name of a material for a person: that of a model glass with nd and Vd as data sheets round them."""
+    if material.formula != "model":
+        return material.name
+    nd, vd, _ = material.coefficients
+    own = f"{material.name.partition(' ')[0]} " if " " in material.name else ""
+    return f"{own}{nd:.4g}/{vd:.3g}"
+
+
 def from_definitions(content: object, where: str) -> dict[str, Material]:
     """Read materials by name from the content of a YAML file.
 

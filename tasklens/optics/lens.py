@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tasklens.materials.material import AIR, Material
+from tasklens.optics.lens_html import html
 from tasklens.optics.pose import Pose
 from tasklens.optics.surface import Surface
 
@@ -144,6 +145,11 @@ class Lens:
         pose = self.pose and Pose(self.pose.rotation.detach(), self.pose.position.detach())
         melt = self.melt and replace(self.melt, shift=self.melt.shift.detach(), spread=self.melt.spread.detach())
         return replace(self, **tensors, pose=pose, melt=melt)
+
+    def _repr_html_(self) -> str:
+        """Show the lens in a notebook: its cross-section and its prescription."""
+        lens = self.detached()
+        return html(lens.surfaces, lens.thickness, lens.media, lens.stop)
 
 
 @lru_cache(maxsize=256)

@@ -1,4 +1,7 @@
-"""Folders of photographs, a folder per class: what is in them, and whether it is enough; no torch here."""
+"""Folders of photographs, a folder per class: what is in them, and whether it is enough; no torch here.
+
+Hidden files and folders, whose names begin with a dot, are passed over: macOS and Jupyter leave copies in them.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -25,7 +28,7 @@ def split_folder(folder: Path, names: Sequence[str]) -> Path:
 
 def classes(split: Path) -> list[str]:
     """Return the names of the classes in the folder of a split; raises FileError if there are none."""
-    found = sorted(entry.name for entry in split.iterdir() if entry.is_dir())
+    found = sorted(entry.name for entry in split.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     if not found:
         raise FileError(f"{split}: expected a folder per class in it, found none")
     return found
@@ -39,6 +42,8 @@ def photographs(folder: Path) -> Iterator[Path]:
     """
     with os.scandir(folder) as entries:
         for entry in entries:
+            if entry.name.startswith("."):
+                continue
             if entry.is_dir(follow_symlinks=False):
                 yield from photographs(Path(entry.path))
             elif entry.name.lower().endswith(SUFFIXES):

@@ -110,11 +110,21 @@ def decode(path: Path) -> Image.Image:
     try:
         with Image.open(path) as file:
             image = ImageOps.exif_transpose(file)
-            if image.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
+            if image.mode == "F":
+                image = _of_floats(image)
+            elif image.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
                 image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
             return image.convert("RGB")
     except Exception as error:  # of any kind, whichever decoder notices
         raise FileError(f"{path}: cannot be read as an image ({error})") from error
+
+
+def _of_floats(image: Image.Image) -> Image.Image:
+    """Convert an image of floating-point numbers in [0, 1], which Pillow would clip to 0 and 1, to 8 bits."""
+    values = numpy.asarray(image)
+    if not (values.min() >= 0 and values.max() <= 1):
+        raise ValueError(f"floating-point values from {values.min():g} to {values.max():g}; expected 0 to 1")
+    return Image.fromarray((255 * values).round().astype("uint8"))
 
 
 def _tensor(image: Image.Image) -> Tensor:

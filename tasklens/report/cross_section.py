@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from matplotlib.axes import Axes
 
-from tasklens.materials.material import AIR
+from tasklens.materials.material import AIR, short_name
 from tasklens.optics.analysis.pupil import launch_fields
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
@@ -16,6 +16,8 @@ from tasklens.optics.view import View
 from tasklens.report.scale_bar import scale_bar
 
 _RAYS = 9  # of a field
+_ROWS = 3  # of the names of materials
+_FOOT = 0.35  # height of these rows and of the scale bar, over half the height of the lens
 _PUPIL = 0.98  # of its radius, where the outermost rays are
 _ELEMENT: Any = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
 
@@ -33,6 +35,7 @@ def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], 
                 rim = sign * float(lens.semi_diameter[i])
                 label = "stop" if sign == 1 else None
                 axes.plot([float(vertices[i])] * 2, [rim, 1.4 * rim], color="black", lw=2.5, label=label)
+    names = []
     for i, medium in enumerate(lens.media[:-1]):
         if medium != AIR:
             (z0, h0), (z1, h1) = edges[i], edges[i + 1]
@@ -42,17 +45,20 @@ def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], 
             end = torch.tensor([flange], dtype=lens.dtype)
             axes.fill(z, torch.cat([-end, h0, end, end, h1.flip(0), -end]), **_ELEMENT)
             middle = float(vertices[i] + lens.thickness[i] / 2)
-            axes.text(middle, -flange, f" {medium.name} ", ha="center", va="top", fontsize=8)
+            names.append((middle, short_name(medium)))
     _rays(axes, lens, view, shown, colours)
     image_z = float(vertices[-1] + lens.thickness[-1])
     half = float(view.radii.max())
     axes.plot([image_z] * 2, [-half, half], color="black", lw=2.5)
-    axes.text(image_z, -half, "sensor", ha="right", va="top", fontsize=8)
-    axes.set(aspect="equal")
+    axes.text(image_z, half, "sensor", ha="center", va="bottom", fontsize=8)
+    base = min(-half, *(-float(height.max()) for _, height in edges if height.isfinite().all()))
+    for k, (middle, name) in enumerate(names):  # in rows, lest they overlap
+        axes.text(middle, base, "\n" * (k % _ROWS) + name, ha="center", va="top", fontsize=8)
+    axes.set(aspect="equal", ylim=(base * (1 + _FOOT), None))
     axes.margins(0.03, 0.08)
     axes.set_axis_off()
-    axes.legend(loc="upper left", fontsize=8, frameon=False)
-    scale_bar(axes, "mm", place="lower left")
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=4, fontsize=8, frameon=False)
+    scale_bar(axes, "mm")
 
 
 def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:
@@ -71,9 +77,9 @@ def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours:
     z = torch.stack([front, *z_each, torch.full_like(front, float(vertices[-1] + lens.thickness[-1]))])
     y = torch.stack([before, *y_each, image.y[:, 0]])
     angles = torch.rad2deg(torch.atan(radius / view.efl)).tolist()
-    for k, (name, colour) in enumerate(zip(shown.values(), colours, strict=True)):
+    for k, (name, colour) in enumerate(zip(shown.values(), colours, strict=False)):
         valid = image.valid[k, 0]
         lost = int((~valid).sum())
-        label = f"{name}, {angles[k]:.0f}°" + (f" ({lost} of {len(valid)} rays lost)" if lost else "")
+        label = f"{name}, {angles[k]:.2g}°" + (f" ({lost} of {len(valid)} rays lost)" if lost else "")
         axes.plot(z[:, k, valid].numpy(), y[:, k, valid].numpy(), color=colour, lw=0.7)
         axes.plot([], [], color=colour, label=label)

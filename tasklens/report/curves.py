@@ -1,6 +1,7 @@
 """Curves of a lens: ray fans, MTF and encircled energy."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -13,6 +14,7 @@ from tasklens.optics.analysis.spots import RayFans
 from tasklens.optics.analysis.tail import encircled_energy
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
+from tasklens.report.along_field import AlongField
 
 # As in a specification: red, green, blue.
 BY_WAVELENGTH = (
@@ -23,12 +25,14 @@ BY_WAVELENGTH = (
 _MARKERS = ("o", "s", "^")  # of the fields shown
 _FREQUENCIES = 41
 _RADII_UM = (0.5, 500.0)
+_SHIFTS = 31  # of the image plane
+_DEPTH = 8  # largest shift, over pixel pitch times F-number
 
 
 def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, shown: Mapping[int, str]) -> None:
     """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian."""
     half = view.kernel_size * view.pixel_pitch / 2
-    all_axes = part.subplots(1, 2 * len(shown), sharey=True)
+    all_axes = part.subplots(1, 2 * len(shown), sharey=True, squeeze=False)[0]
     for k, (field, name) in enumerate(shown.items()):
         for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
             axes = all_axes[2 * k + i]
@@ -48,7 +52,7 @@ def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, shown: Mapping[int
     nyquist, cutoff = figures["nyquist_per_mm"], figures["diffraction_cutoff_per_mm"]
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
     tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
-    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=True)):
+    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=False)):
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
@@ -66,7 +70,7 @@ def encircled(
     low, high = (torch.tensor(radius).log10().item() for radius in _RADII_UM)
     radii = torch.logspace(low, high, 81, dtype=torch.float64)
     energy = encircled_energy(rays, centre, radii / 1e3)
-    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=True)):
+    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=False)):
         axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
     axes.axhline(0.5, color="grey", lw=0.6)
     axes.axvline(view.pixel_pitch, color="grey", lw=1, ls=":", label="a pixel")
@@ -78,9 +82,60 @@ def encircled(
     _finish(axes)
 
 
+def mtf_by_field(axes: Axes, along: AlongField, frequency: float) -> None:
+    """Draw the geometric MTF at one frequency [cycles/mm] from the axis to the corner: solid T, dashed S."""
+    tangential, sagittal = geometric_mtf(along.rays, along.view.directions, [frequency])
+    axes.plot(along.angles, tangential[:, 0], color="black", lw=1, label="T")
+    axes.plot(along.angles, sagittal[:, 0], color="black", lw=1, ls="--", label="S")
+    axes.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"MTF at {frequency:.0f} cycles/mm")
+    _finish(axes)
+
+
+def mtf_by_focus(
+    axes: Axes,
+    rays: Rays,
+    view: View,
+    figures: Mapping,
+    frequency: float,
+    shown: Mapping[int, str],
+    colours: Sequence[str],
+) -> None:
+    """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
+    half = _DEPTH * view.pixel_pitch * figures["f_number"]
+    shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
+    for (field, name), colour in zip(shown.items(), colours, strict=False):
+        values = []
+        for shift in (shifts / 1e3).tolist():
+            moved = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
+            tangential, sagittal = geometric_mtf(moved, view.directions, [frequency])
+            values.append(float(tangential[field, 0] + sagittal[field, 0]) / 2)
+        axes.plot(shifts, values, color=colour, lw=1, label=name)
+    axes.set(
+        xlim=(-half, half), ylim=(0, 1.02), xlabel="image plane moved by [um]", title="MTF through focus, (T + S) / 2"
+    )
+    _finish(axes)
+
+
+def focus_by_field(axes: Axes, along: AlongField) -> None:
+    """Draw the tangential and sagittal focus of rays near the chief ray against the field."""
+    axes.plot(along.tangential, along.angles, color="black", lw=1, label="T")
+    axes.plot(along.sagittal, along.angles, color="black", lw=1, ls="--", label="S")
+    axes.set(xlabel="focus from the image plane [um]", ylabel="field [degrees]", title="field curvature")
+    _finish(axes)
+
+
+def distortion_by_field(axes: Axes, along: AlongField) -> None:
+    """Draw the distortion against the field."""
+    axes.plot(along.distortion, along.angles, color="black", lw=1)
+    axes.locator_params(axis="x", nbins=4)
+    axes.set(xlabel="distortion [%]", title="distortion")
+    _finish(axes)
+
+
 def _finish(axes: Axes) -> None:
     axes.title.set_fontsize(9)
     axes.xaxis.label.set_fontsize(8)
     axes.tick_params(labelsize=8)
     axes.grid(lw=0.3)
-    axes.legend(fontsize=7)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=7)

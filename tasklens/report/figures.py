@@ -23,11 +23,12 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.report import curves, spot_panels
+from tasklens.report.along_field import along_field
 from tasklens.report.cross_section import cross_section
 from tasklens.runtime.files import replacing
 
-SHOWN = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
-COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
+_NAMES = ("axis", "middle", "corner")
+_COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
 _DPI = 110
@@ -62,6 +63,12 @@ class Panel:
     rays: Rays
     centre: Tensor
 
+    @property
+    def shown(self) -> dict[int, str]:
+        """Names by index of the fields that are drawn: nearest to the axis, in the middle, and in the corner."""
+        order = self.view.radii.argsort(stable=True).tolist()
+        return dict(zip(dict.fromkeys((order[0], order[len(order) // 2], order[-1])), _NAMES, strict=False))
+
 
 def panel(title: str, path: Path, psf: Path) -> Panel:
     """Read what a panel shows from the files of a lens and its PSFs; raises FileError."""
@@ -78,10 +85,15 @@ def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) 
 
 def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
     """Draw one lens, or several one above the other, and write a file of the format of each path's suffix."""
-    whole = Figure(figsize=(13, 9 * len(panels)), layout="constrained")
+    save(drawn(panels), paths)
+
+
+def drawn(panels: Sequence[Panel]) -> Figure:
+    """Return the figure of one lens, or of several one above the other."""
+    whole = Figure(figsize=(13, 11.5 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
-    save(whole, paths)
+    return whole
 
 
 def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
@@ -109,14 +121,16 @@ def _round(part: Figure | SubFigure) -> None:
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:
-    top, middle, bottom = part.subfigures(3, 1, squeeze=False, height_ratios=(4, 2.5, 2.5))[:, 0]
+    rows = part.subfigures(4, 1, squeeze=False, height_ratios=(4, 2.5, 2.5, 2.5))[:, 0]
+    top, middle, bottom, foot = rows
     left, right = top.subfigures(1, 2, width_ratios=(1.1, 1))
     draw_section(left, panel)
     draw_spots(right, panel)
     draw_psfs(middle, panel)
     fans, charts = bottom.subfigures(1, 2, width_ratios=(1.1, 1))
-    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, SHOWN)
+    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, panel.shown)
     draw_curves(charts, panel)
+    draw_by_field(foot, panel)
     figures = panel.figures
     near = f", object at {figures['object_distance_mm']:g} mm" if "object_distance_mm" in figures else ""
     part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}{near}", weight="bold")
@@ -124,12 +138,12 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the cross-section with rays."""
-    cross_section(part.subplots(), panel.lens, panel.view, SHOWN, COLOURS)
+    cross_section(part.subplots(), panel.lens, panel.view, panel.shown, _COLOURS)
 
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the spot diagrams of axis, middle and corner, with the circles of core and 80 %."""
-    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, SHOWN)
+    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.shown)
 
 
 def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
@@ -140,8 +154,19 @@ def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
 def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw MTF and encircled energy of axis, middle and corner."""
     mtf, energy = part.subplots(1, 2)
-    curves.mtf(mtf, panel.rays, panel.view, panel.figures, SHOWN, COLOURS)
-    curves.encircled(energy, panel.rays, panel.centre, panel.view, SHOWN, COLOURS)
+    curves.mtf(mtf, panel.rays, panel.view, panel.figures, panel.shown, _COLOURS)
+    curves.encircled(energy, panel.rays, panel.centre, panel.view, panel.shown, _COLOURS)
+
+
+def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw MTF against field and focus, field curvature and distortion."""
+    by_field, by_focus, curvature, distortion = part.subplots(1, 4)
+    view, frequency = panel.view, panel.figures["nyquist_per_mm"] / 2
+    along = along_field(panel.lens, view)
+    curves.mtf_by_field(by_field, along, frequency)
+    curves.mtf_by_focus(by_focus, panel.rays, view, panel.figures, frequency, panel.shown, _COLOURS)
+    curves.focus_by_field(curvature, along)
+    curves.distortion_by_field(distortion, along)
 
 
 def compare_psfs(path: Path, panels: Sequence[Panel]) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas
 
-from tasklens.materials.material import AIR
+from tasklens.materials.material import AIR, short_name
 from tasklens.optics.lens import Lens
 from tasklens.report.manufacturability import UNITS
 from tasklens.report.publish import rounded
@@ -56,7 +56,10 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
     order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
     shown = [order[0], order[len(order) // 2], order[-1]]
     found: dict[str, Any] = {
-        "materials": [medium.name for medium in lens.media if medium != AIR],
+        "materials": [
+            short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and not is_plate(lens, i)
+        ],
+        "plates": [short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and is_plate(lens, i)],
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm", "image_distance_mm", "airy_radius_um")},
         "fields": {key: [figures[key][field] for field in shown] for key in _FIELDS},
     }
@@ -64,11 +67,18 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
     return found | {key: content[key] for key in ("worst_margin", "origin") if key in content}
 
 
+def is_plate(lens: Lens, surface: int) -> bool:
+    """Return whether the medium behind a surface is a plane plate, such as a cover glass: no element of the lens."""
+    both = slice(surface, surface + 2)
+    return not (lens.curvature[both].any() or lens.alpha[both].any())
+
+
 def text(name: str, found: Mapping) -> str:
     """Return a summary as a few lines for a terminal."""
     materials = found["materials"]
+    plates = f"; plane plates {', '.join(found['plates'])}" if found["plates"] else ""
     lines = [
-        f"{name}: {len(materials)} element{'s' * (len(materials) != 1)}, {', '.join(materials)}",
+        f"{name}: {len(materials)} element{'s' * (len(materials) != 1)}, {', '.join(materials)}{plates}",
         f"  focal length {found['efl_mm']:.3f} mm, F/{found['f_number']:.2f}, {found['track_mm']:.2f} mm from the "
         f"first surface to the image, Airy radius {found['airy_radius_um']:.1f} um",
     ]

@@ -55,7 +55,7 @@ def spots(
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xticks=[], yticks=[])
         scale_bar(axes, "um")
         angle = figures["angle_deg"][field]
-        axes.set_title(f"{name}, {angle:.0f}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
+        axes.set_title(f"{name}, {angle:.2g}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
         radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"
         axes.set_xlabel(f"{radius}\n{_outside(figures, field)}", fontsize=8)
     handles = [*part.axes[-1].get_legend_handles_labels()[0], *_ROUND]
@@ -85,7 +85,7 @@ def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mappin
         for axes, image in zip(grid[:, column], (shares.clamp(0, 1).sqrt(), logarithm), strict=True):
             axes.imshow(image.numpy(), origin="lower", extent=(-half, half, -half, half))
             axes.set(xticks=[], yticks=[])
-        grid[0, column].set_title(f"{figures['angle_deg'][field]:.0f}°", fontsize=9)
+        grid[0, column].set_title(f"{figures['angle_deg'][field]:.2g}°", fontsize=9)
         inside = figures["energy_in_window"][field]
         grid[1, column].set_xlabel("all inside" if 1 - inside < _LEAST_SAID else f"{inside:.1%} inside", fontsize=8)
     for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):

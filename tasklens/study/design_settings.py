@@ -23,6 +23,9 @@ from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 from tasklens.study.tolerance_settings import Grade
 
+VariableName = Literal["curvature", "thickness", "alpha_4", "alpha_6", "alpha_8", "alpha_10"]
+SurfaceNumber = Annotated[int, Field(ge=0, le=1000)]
+
 OPTIMIZER_KEYS = {  # keys of a descent that only one optimizer reads
     "ray_space": ("step_size", "momentum", "damping"),
     "adamw": ("learning_rates", "betas", "penalty", "max_incidence_deg"),
@@ -168,6 +171,14 @@ class GradientDesignSettings(Frozen):
         None,
         description="One of `tasks.networks`, of which the network supervises in the classifier's place, on images "
         "with objects; null: the classifier.",
+    )
+    free: dict[VariableName, tuple[SurfaceNumber, ...]] | None = Field(
+        None,
+        description="Variables that are free, and of which surfaces, numbered from 0; null: all of every surface that "
+        "refracts. A thickness is the distance behind the surface.",
+    )
+    keep_apertures: bool = Field(
+        False, description="Clear apertures of the start stay and vignette; else they follow from the design."
     )
     tolerances: Grade | None = Field(
         None,

@@ -33,6 +33,7 @@ def study(
     materials: Sequence[str],
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
+    alone: bool = False,
 ) -> Study:
     """Return a study of the lens and those that it begins with, in the order of their designs.
 
@@ -42,6 +43,7 @@ def study(
         spec, settings, constraints: keys that differ of `spec`, of the design, and of `constraints`.
         materials: files of further plastics.
         images, classifier: sections of a study file; None: rendered textures, no network.
+        alone: without the lenses that it begins with; the start is a lens of the user.
 
     Raises:
         StudyError: a wrong key or value.
@@ -49,7 +51,8 @@ def study(
     """
     if method not in methods():
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
-    designs = _with_starts(method, laid_over(methods()[method], settings))
+    changed = laid_over(methods()[method], settings)
+    designs = {method: changed | {"start": "flat"}} if alone else _with_starts(method, changed)
     side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
     found = parse(
         {

@@ -17,6 +17,7 @@ from tasklens.optics.rays import Rays, passing
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
+_LIGHT = 64  # rays per field that tell whether any light arrives
 _RIM = 64  # number of marginal rays for semi-diameters
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays
@@ -43,6 +44,11 @@ def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, Rays, list[Rays]]:
     """Trace rays as `chief_rays` does; return them as launched, on the image plane, and behind every surface."""
     rays = launch_fields(lens, view, _CENTRE, (view.reference,))
     return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference,)))
+
+
+def lit(lens: Lens, view: View) -> Tensor:
+    """Return for each field (F,) whether any light of the reference wavelength arrives."""
+    return trace_fields(lens, view.in_reference(), sobol_disc(_LIGHT, seed=0)).valid.any(-1).any(-1)
 
 
 def chief_points(lens: Lens, view: View) -> Tensor:

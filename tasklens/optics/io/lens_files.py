@@ -14,8 +14,8 @@ from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_object, check_stop, sobol_disc
-from tasklens.optics.analysis.spots import chief_rays, trace_fields
+from tasklens.optics.analysis.pupil import check_object, check_stop
+from tasklens.optics.analysis.spots import chief_rays, lit
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
@@ -26,7 +26,6 @@ from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
-_LIGHT = 64  # rays per field that tell whether any light arrives
 _ANGLES = torch.arange(0.5, 85.0, 0.5, dtype=torch.float64)  # of the search for a field by its image height [degrees]
 _AXIS_DEG = 1.0  # field of view of a specification whose only field is the axis
 _FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
@@ -90,7 +89,7 @@ def read(
             used = _specified(shown, content, changes, wavelengths, 1 / distance, str(path))
         else:
             check_stop(shown.lens)
-            used = _derived(shown, changes, wavelengths, 1 / distance)
+            used = derived(shown, changes, wavelengths, 1 / distance)
         if used.view.object_vergence:
             check_object(used.lens, used.view)
         return replace(used, remarks=(*shown.remarks, *used.remarks, *_dark(used)))
@@ -171,8 +170,18 @@ def _changed(lens: Lens, efl: float, own: dict, changes: dict, wavelengths: tupl
     return lens, view
 
 
-def _derived(shown: Prescription, changes: dict, wavelengths: tuple[float, ...], vergence: float) -> LensFile:
-    """Make the specification of a lens whose file has none from what the file says; raises InputError."""
+def derived(shown: Prescription, changes: dict, wavelengths: tuple[float, ...], vergence: float) -> LensFile:
+    """Make the specification of a lens that has none from its prescription.
+
+    Args:
+        shown: the prescription.
+        changes: values of `Spec` that differ from it.
+        wavelengths: wavelengths in place of those of the prescription, or none.
+        vergence: 1 / distance of the object [1/mm].
+
+    Raises:
+        InputError: it forms no image, or has no field.
+    """
     remarks = []
     if not wavelengths and shown.wavelengths_um:
         wavelengths = _with_reference(shown.wavelengths_um, shown.primary or 0)
@@ -222,7 +231,7 @@ def _dark(used: LensFile) -> list[str]:
     """Return a remark if the chief ray of some fields, or all their light, does not arrive."""
     view = used.view.in_reference()
     chief = chief_rays(used.lens, view).valid[:, 0, 0]
-    light = trace_fields(used.lens, view, sobol_disc(_LIGHT, seed=0)).valid.any(-1).any(-1)
+    light = lit(used.lens, view)
     remarks = []
     for arrives, what in ((light, "no light arrives"), (chief | ~light, "the chief ray does not arrive")):
         if not arrives.all():

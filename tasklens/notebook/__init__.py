@@ -1,0 +1,32 @@
+"""What a notebook needs: `import tasklens`, and these functions.
+
+A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow through) and is looked at with a `View`
+(fields, wavelengths, pixels). Lengths are in mm, wavelengths, pixels and spots in um.
+
+    import tasklens
+
+    lens, view = tasklens.load_lens("lens.yaml")
+    tasklens.analyse(lens, view)["rms_centroid_um"]
+    captures = tasklens.simulate("photograph.jpg", lens, view)
+"""
+
+import warnings
+
+from tasklens.notebook.captures import simulate, simulate_sensor
+from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
+
+__all__ = [
+    "analyse",
+    "described",
+    "draw",
+    "lens",
+    "load_lens",
+    "psf",
+    "save_lens",
+    "simulate",
+    "simulate_sensor",
+    "trace",
+]
+
+# torch causes this warning itself, at the first forward-mode derivative of a process.
+warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)

@@ -1,0 +1,193 @@
+"""Lenses in a notebook: read, typed, written, traced, drawn."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torch import Tensor
+
+from tasklens.materials.library import Library, users_files
+from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
+from tasklens.optics.io import lens_files
+from tasklens.optics.io.prescription import Prescription, with_use
+from tasklens.optics.io.typed import typed
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
+
+_RAYS = 1024  # per field and colour, for the focus
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specification: Any) -> tuple[Lens, View]:
+    """Read a lens and its specification from a lens.yaml or a Zemax file (.zmx).
+
+    Args:
+        path: the file.
+        catalogues: glass catalogues of a Zemax file (.agf, or plastics in YAML).
+        specification: what differs from the file: field_of_view_deg (full angle), f_number, pixel_pitch_um, kernel_size
+            (width of PSFs in pixels, odd), wavelengths_um (the middle one is the reference), object_distance_mm (from
+            the object to the first vertex, or infinity); configuration (of a Zemax file with several).
+
+    Returns:
+        The lens, and the view: nine fields from the axis to the corner, wavelengths, pixels, object distance. What was
+        assumed about them, since the file does not say it, is a warning.
+
+    Raises:
+        InputError: the message names the file, what is wrong, and what to do.
+
+    Example:
+        >>> lens, view = tasklens.load_lens("triplet.zmx", ["SCHOTT.AGF"], pixel_pitch_um=3.0)
+    """
+    files = [*(Path(catalogue) for catalogue in catalogues), *users_files()]
+    file = lens_files.read(Path(path), files, **specification)
+    for remark in file.remarks:
+        warnings.warn(f"{path}: {remark}", stacklevel=2)
+    return file.lens, file.view
+
+
+def lens(
+    surfaces: Sequence[Mapping[str, Any]],
+    field_of_view_deg: float,
+    f_number: float | None = None,
+    wavelengths_um: Sequence[float] = (0.6563, 0.5876, 0.4861),
+    object_distance_mm: float = math.inf,
+    catalogues: Sequence[str | Path] = (),
+    **pixels: Any,
+) -> tuple[Lens, View]:
+    """Return a lens that is typed surface by surface, from the object to the image, and its view.
+
+    Args:
+        surfaces: of each surface `radius` [mm] (inf for a plane) or `curvature`, `thickness` to the next one [mm],
+            `material` behind it (air if absent), `conic`, `coefficients` of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter`
+            of its clear aperture [mm], and `stop: True` at one. Without the last `thickness`, the image is in focus.
+        field_of_view_deg: full angle.
+        f_number: focal length over diameter of the entrance pupil; None: the stop has its `semi_diameter`.
+        wavelengths_um: wavelengths; the middle one is the reference.
+        object_distance_mm: from the object to the first vertex.
+        catalogues: glass catalogues (.agf, .yaml) besides the built-in ones.
+        pixels: pixel_pitch_um and kernel_size (width of PSFs in pixels, odd).
+
+    Raises:
+        InputError: the message names the surface, what is wrong, and what to do.
+
+    Example:
+        >>> lens, view = tasklens.lens(
+        ...     [
+        ...         {"radius": 51.7, "thickness": 8.0, "material": "N-BK7", "stop": True},
+        ...         {"radius": -42.0, "thickness": 2.5, "material": "N-SF5"},
+        ...         {"radius": -140.0},
+        ...     ],
+        ...     field_of_view_deg=4,
+        ...     f_number=4,
+        ... )
+    """
+    colours = tuple(wavelengths_um)
+    library = Library([*(Path(catalogue) for catalogue in catalogues), *users_files()])
+    shown = typed(surfaces, f_number, library, colours[len(colours) // 2])
+    changes = {"field_of_view_deg": field_of_view_deg, **pixels}
+    file = lens_files.derived(shown, changes, colours, 1 / object_distance_mm)
+    if "thickness" in surfaces[-1]:
+        return file.lens, file.view
+    return refocused(file.lens, file.view, _RAYS), file.view
+
+
+def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":
+    """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF, field curvature, distortion.
+
+    Args:
+        title: heading of the figure.
+        rays: number of rays of each field and wavelength.
+
+    Returns:
+        A matplotlib figure, which a notebook shows; `savefig` writes it.
+
+    Example:
+        >>> tasklens.draw(lens, view).savefig("lens.pdf")
+    """
+    from tasklens.report import drawing
+
+    return drawing.figure({title: (lens, view)}, rays)
+
+
+def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
+    """Write a lens as a lens.yaml, or by the suffix .zmx for Zemax; a file of that name is replaced.
+
+    Args:
+        path: the file.
+        notes: what `design` says of the lens; by default its specification and figures.
+
+    Example:
+        >>> tasklens.save_lens("lens.zmx", lens, view)
+    """
+    found = with_use(Prescription(lens.detached()), view)
+    lens_files.write(Path(path), found, notes or described(lens, view))
+
+
+def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
+    """Return the specification and the figures of a lens, as a lens.yaml has them."""
+    spec = {
+        "fields_mm": view.fields.tolist(),
+        "efl_mm": view.efl,
+        "wavelengths_um": list(view.wavelengths),
+        "pixel_pitch_um": view.pixel_pitch,
+        "kernel_size": view.kernel_size,
+    }
+    return {"spec": spec, "figures": figures(lens, view, rays)}
+
+
+def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) -> Rays:
+    """Trace rays of all F fields and W wavelengths through the lens to the image plane, differentiably in the lens.
+
+    Args:
+        rays: N, the number of rays of each field and wavelength, spread evenly over the stop.
+        pupil: (N, 2) points of the unit disc in place of these, where the rays pass the stop.
+
+    Returns:
+        Rays on the image plane: positions `x`, `y` [mm] and direction cosines `l`, `m`, `n`, each (F, W, N); `valid`
+        is false for lost rays.
+
+    Example:
+        >>> rays = tasklens.trace(lens, view, rays=64)
+        >>> rays.x[rays.valid].std()
+    """
+    return trace_fields(lens, view, sobol_disc(rays, seed=0) if pupil is None else pupil)
+
+
+def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> Tensor:
+    """Compute the point spread functions of all F fields and W wavelengths, differentiably in the lens.
+
+    Args:
+        rays: number of rays of each field and wavelength.
+        diffraction: sums of plane waves in place of counted rays; takes half a minute.
+
+    Returns:
+        (F, W, K, K) energies on the sensor's pixels around the chief ray; rows run along y, columns along x. Each sums
+        to the fraction of the light that is inside the window.
+
+    Example:
+        >>> tasklens.psf(lens, view).sum((-2, -1))  # energy inside the window
+    """
+    return evaluation_psf(lens, view, rays, diffraction)
+
+
+def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
+    """Compute the optical figures of a lens; each name ends in its unit, a list has one entry per field.
+
+    Among them: efl_mm, f_number, track_mm, rms_centroid_um, radius_80_um, mtf_tangential_half_nyquist,
+    distortion_percent, relative_illumination, seidel_um.
+
+    Args:
+        rays: number of rays of each field and wavelength.
+
+    Example:
+        >>> tasklens.analyse(lens, view)["rms_centroid_um"]
+    """
+    return figures(lens, view, rays)

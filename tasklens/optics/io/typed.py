@@ -1,0 +1,102 @@
+"""A lens typed in Python, surface by surface."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from tasklens.materials.library import Library
+from tasklens.materials.material import AIR, Material
+from tasklens.optics.io.prescription import Prescription, check_order
+from tasklens.optics.io.zemax import stop_radius
+from tasklens.optics.lens import Lens
+from tasklens.runtime.errors import InputError
+
+_KEYS = ("radius", "curvature", "thickness", "material", "conic", "coefficients", "semi_diameter", "stop")
+
+
+def typed(
+    surfaces: Sequence[Mapping[str, Any]], f_number: float | None, library: Library, wavelength: float
+) -> Prescription:
+    """Return the prescription of a lens from its surfaces.
+
+    Args:
+        surfaces: of each surface `radius` or `curvature`, `thickness` to the next one, `material` behind it (name or
+            `Material`; air if absent), `conic`, `coefficients` of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter` of its
+            clear aperture, and `stop` of one. Lengths in mm. The thickness of the last one may be absent: 0.
+        f_number: focal length over diameter of the entrance pupil; None: the semi-diameter of the stop is its radius.
+        library: glasses by name.
+        wavelength: wavelength of the F-number [um].
+
+    Raises:
+        InputError: a key that is not known or missing, a value that is no number, or not one stop; names the surface.
+    """
+    if not surfaces:
+        raise InputError("a lens: expected at least one surface")
+    rows = [_row(surface, i, last=i == len(surfaces) - 1) for i, surface in enumerate(surfaces)]
+    stops = [i for i, surface in enumerate(surfaces) if surface.get("stop")]
+    if len(stops) != 1:
+        raise InputError(f"a lens: expected `stop` at one surface, got {len(stops)}")
+    orders = max(len(row["coefficients"]) for row in rows)
+
+    def column(key: str) -> torch.Tensor:
+        return torch.tensor([row[key] for row in rows], dtype=torch.float64)
+
+    alpha = [[*row["coefficients"], *[0.0] * (orders - len(row["coefficients"]))] for row in rows]
+    lens = Lens(
+        curvature=column("curvature"),
+        conic=column("conic"),
+        alpha=torch.tensor(alpha, dtype=torch.float64).reshape(len(rows), orders),
+        thickness=column("thickness"),
+        semi_diameter=column("semi_diameter"),
+        media=tuple(_medium(surface.get("material"), library) for surface in surfaces),
+        stop=stops[0],
+    )
+    check_order(lens.media, lens.thickness.tolist(), "a lens", first=0)
+    if f_number is None:
+        return Prescription(lens)
+    aperture = ("f_number", f_number)
+    lens.semi_diameter[lens.stop] = stop_radius(lens, aperture, wavelength)
+    return Prescription(lens, aperture=aperture)
+
+
+def _row(surface: Mapping[str, Any], index: int, last: bool) -> dict[str, Any]:
+    """Return the numbers of a surface."""
+    where = f"surface {index}"
+    for key in surface:
+        if key not in _KEYS:
+            raise InputError(f"{where}: unknown key {key!r}; expected {', '.join(_KEYS)}")
+    if ("radius" in surface) == ("curvature" in surface):
+        raise InputError(f"{where}: expected either `radius` (inf for a plane) or `curvature`")
+    if "thickness" not in surface and not last:
+        raise InputError(f"{where}: expected `thickness`, the distance to the next surface [mm]")
+    if surface.get("radius") == 0:
+        raise InputError(f"{where}: radius: expected a number other than 0, such as inf for a plane")
+    curvature = 1 / _real(surface, "radius", where) if "radius" in surface else _real(surface, "curvature", where)
+    coefficients = surface.get("coefficients", ())
+    return {
+        "curvature": curvature,
+        "thickness": _real(surface, "thickness", where, 0.0),
+        "conic": _real(surface, "conic", where, 0.0),
+        "coefficients": [_real({"coefficients": value}, "coefficients", where) for value in coefficients],
+        "semi_diameter": _real(surface, "semi_diameter", where, math.inf),
+    }
+
+
+def _real(surface: Mapping[str, Any], key: str, where: str, default: float = 0.0) -> float:
+    """Return the value of a key as a number; radii and clear apertures may be infinite."""
+    value = surface.get(key, default)
+    try:
+        found = float(value)
+    except (TypeError, ValueError):
+        found = math.nan
+    if math.isnan(found) or (math.isinf(found) and key not in ("radius", "semi_diameter")):
+        raise InputError(f"{where}: {key}: expected a number, got {value!r}")
+    return found
+
+
+def _medium(material: Material | str | None, library: Library) -> Material:
+    if material is None or material == AIR.name:
+        return AIR
+    return library.glass(material) if isinstance(material, str) else material

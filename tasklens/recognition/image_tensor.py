@@ -1,0 +1,39 @@
+"""Images of a user, in a file or an array of any usual kind, as tensors."""
+
+from pathlib import Path
+
+import numpy
+import torch
+from PIL.Image import Image as PillowImage
+from torch import Tensor
+
+from tasklens.recognition.folders import read_whole
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError
+
+Image = str | Path | PillowImage | numpy.ndarray | Tensor
+_ROUNDING = 1e-6  # of floats in [0, 1]
+
+
+def image_tensor(image: Image) -> Tensor:
+    """Return an image as a tensor (3, H, W) in [0, 1]; raises InputError."""
+    if isinstance(image, str | Path):
+        if not Path(image).is_file():
+            raise FileError(f"{image}: no such image")
+        return read_whole(Path(image)).float() / 255
+    if not isinstance(image, Tensor):
+        array = numpy.asarray(image.convert("RGB") if isinstance(image, PillowImage) else image)
+        if array.dtype == "uint16":
+            array = array / 65535
+        tensor = torch.from_numpy(numpy.ascontiguousarray(array))
+        image = tensor.movedim(-1, 0) if tensor.dim() == 3 else tensor
+    if image.dim() != 3 or image.shape[0] != 3:
+        raise InputError(f"image: expected an array (H, W, 3) or a tensor (3, H, W), got {tuple(image.shape)}")
+    if image.dtype == torch.uint8:
+        return image.float() / 255
+    if not image.is_floating_point():
+        raise InputError(f"image: expected uint8, uint16 or floats in [0, 1], got {image.dtype}")
+    low, high = float(image.detach().min()), float(image.detach().max())
+    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
+        raise InputError(f"image: expected floats in [0, 1], got {low:g} to {high:g}; scale them, or convert to uint8")
+    return image.float()

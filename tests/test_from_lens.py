@@ -1,0 +1,164 @@
+"""Designs that begin with a lens of the user: what is free gets better, everything else stays."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from examples import cooke_triplet, f64
+
+from tasklens.cli.app import main
+from tasklens.design import from_lens
+from tasklens.design.constraints import BUFFER, first_order_margins, manufacturing_margins, spaces
+from tasklens.design.ray_space import RaySpace
+from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
+from tasklens.optics.io import lens_files, zemax
+from tasklens.optics.io.lens_files import LensFile
+from tasklens.optics.io.prescription import Prescription
+from tasklens.runtime.errors import InputError
+from tasklens.study.settings import Constraints
+
+STEPS = {"descents": {"0": {"steps": 60}}}
+
+
+def saved(folder, **changes) -> LensFile:
+    """The Cooke triplet, F/5 with its stop inside, as a Zemax file in `folder`."""
+    shown = Prescription(
+        cooke_triplet(),
+        fields=("angle_deg", ((0.0, 0.0), (0.0, 20.0))),
+        wavelengths_um=(0.6563, 0.5876, 0.4861),
+        primary=1,
+    )
+    zemax.write(folder / "mine.zmx", replace(shown, **changes))
+    return lens_files.read(folder / "mine.zmx", pixel_pitch_um=8.0)
+
+
+@pytest.fixture(scope="module")
+def triplet(tmp_path_factory):
+    return saved(tmp_path_factory.mktemp("lens"))
+
+
+def improved(file: LensFile, method: str, free=None, settings=STEPS, constraints=None, **network):
+    return from_lens.design(
+        file, method, free, settings, constraints or {}, network.get("images"), network.get("classifier"), 0
+    )
+
+
+def spots(lens, view) -> float:
+    return sum(figures(lens, view, 512)["rms_centroid_um"]) / len(view.fields)
+
+
+def test_a_lens_of_spheres_in_glass_gets_sharper(triplet):
+    """By its spots: smaller by a fifth at least, at the same F-number, with its glasses, within its own limits."""
+    lens, view, notes, remarks = improved(triplet, "spot")
+    assert spots(lens, view) < 0.8 * spots(triplet.lens, view)
+    assert lens.media == triplet.lens.media and lens.stop == 4 and not lens.alpha.any()
+    before, after = (figures(each, view, 64) for each in (triplet.lens, lens))
+    assert after["f_number"] == pytest.approx(before["f_number"], rel=5e-3)
+    assert after["efl_mm"] == pytest.approx(before["efl_mm"], rel=0.021)
+    assert notes["worst_margin"]["value"] > 0 and "become its own" in remarks[0]
+    assert float(lens.thickness[6]) != 30.0 and float(lens.thickness[7]) == 1.0  # the cover glass stays
+
+
+def test_only_what_is_free_changes(triplet):
+    lens, _, _, _ = improved(triplet, "spot", {"curvature": [0, 6], "thickness": [8]}, constraints={"max_slope": 2.0})
+    moved = (lens.curvature != triplet.lens.curvature).nonzero()[:, 0].tolist()
+    assert moved == [0, 6] and (lens.thickness != triplet.lens.thickness).nonzero()[:, 0].tolist() == [8]
+    assert spots(lens, triplet.view) < spots(triplet.lens, triplet.view)
+
+
+def test_what_is_free_without_being_told():
+    """Curvatures and distances, but of plane plates; coefficients of aspheres alone, unless they are asked for."""
+    lens = cooke_triplet()
+    bent, moving = (0, 1, 2, 3, 5, 6), (0, 1, 2, 3, 5, 6, 8)
+    assert from_lens.resolved(lens, None) == {
+        "curvature": bent, "thickness": moving, "alpha_4": (), "alpha_6": (), "alpha_8": (), "alpha_10": (),
+    }  # fmt: skip
+    assert from_lens.resolved(lens, {"alpha_4": None}) == {"alpha_4": bent}
+    alpha = torch.zeros(9, 2, dtype=torch.float64)
+    alpha[6, 1] = 1e-6
+    assert from_lens.resolved(replace(lens, alpha=alpha), None)["alpha_6"] == (6,)
+    for free, words in (({"radius": [0]}, "unknown variable 'radius'"), ({"alpha_4": []}, "at least one variable")):
+        with pytest.raises(InputError, match=words):
+            from_lens.resolved(lens, free)
+
+
+def test_limits_give_way_to_the_lens(triplet):
+    """Those of a phone lens, scaled to 50 mm; where the lens breaks them, its own; what is asked for stays."""
+    limits, (remark,) = from_lens.own_limits(triplet.lens, triplet.view, Constraints(), set())
+    clear = clear_semi_diameters(triplet.lens, triplet.view, OUTLINE)
+    margins = manufacturing_margins(triplet.lens, limits, clear)
+    margins |= first_order_margins(triplet.lens, limits, triplet.view, chief_rays(triplet.lens, triplet.view))
+    assert min(float(margin.min()) for margin in margins.values()) > 0
+    assert limits.max_track == pytest.approx(4.4 * triplet.view.efl / 2.921, rel=1e-3)
+    assert limits.min_centre_thickness == pytest.approx(0.99997 - BUFFER, abs=1e-9) and "min_centre" in remark
+    kept, _ = from_lens.own_limits(
+        triplet.lens, triplet.view, Constraints(min_centre_thickness=2.0), {"min_centre_thickness"}
+    )
+    assert kept.min_centre_thickness == 2.0
+
+
+def test_a_stop_between_elements_bounds_no_space():
+    """The air between the second and the third element is one space; a stop in front has its own, in the lens none."""
+    lens = cooke_triplet()
+    front, behind, element = spaces(lens)
+    pairs = list(zip(front.tolist(), behind.tolist(), strict=True))
+    assert pairs == [(0, 1), (1, 2), (2, 3), (3, 5), (5, 6), (6, 7), (7, 8)]
+    assert element.tolist() == [True, False, True, False, True, False, True]
+    limits = Constraints(min_air_gap=0.05)
+    gap = manufacturing_margins(lens, limits, f64([6.0] * 9))["min_air_gap"].reshape(3, -1)[1] + 0.05
+    assert float(gap[0]) == pytest.approx(0.5 + 4.25041, rel=1e-12)
+
+
+def test_the_linear_model_of_a_lens_with_its_stop_inside(triplet):
+    """Without how the aim of rays moves, changes of the rays' errors are right to a tenth of them."""
+    limits, _ = from_lens.own_limits(triplet.lens, triplet.view, Constraints(), set())
+    alpha = torch.zeros(9, 5, dtype=torch.float64)
+    space = RaySpace(replace(triplet.lens, alpha=alpha), triplet.view, limits, {"curvature": (5,), "thickness": (6,)})
+    assert space.start.shape == (2,)
+    residuals, columns = space.merit.linearise(space.lens(space.start))
+    predicted = columns(space.directions)[: space.merit.rays]
+    for k, step in enumerate((1e-6, 1e-4)):
+        change = torch.zeros(2, dtype=torch.float64)
+        change[k] = step
+        moved = space.merit.residuals(space.lens(space.start + change)) - residuals
+        error = predicted[:, k] - moved[: space.merit.rays] / step
+        assert float(error.norm() / predicted[:, k].norm()) < 0.1
+
+
+COMMAND = ("design", "--start", "mine.zmx", "--pixel-pitch", "8", "--set", "descents.0.steps=20", "-o", "better.zmx")
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    """From a Zemax file to a Zemax file, by contrast; read again, also by Optiland."""
+    monkeypatch.chdir(tmp_path)
+    file = saved(tmp_path)
+    assert main([*COMMAND, "--method", "image_quality", "--free", "curvature,thickness:1+3+8"]) == 0
+    assert "design: image_quality by descents, seed 0" in capsys.readouterr().out
+    lens = zemax.read(tmp_path / "better.zmx").lens
+    assert lens.media[0].abbe() == file.lens.media[0].abbe() and float(lens.thickness[0]) == 3.25896
+    assert (lens.curvature != file.lens.curvature)[[0, 1, 2, 3, 5, 6]].all()
+    fileio = pytest.importorskip("optiland.fileio")
+    optic = fileio.load_zemax_file(str(tmp_path / "better.zmx"))
+    expected = figures(lens, file.view, 64)["efl_mm"]
+    assert float(optic.paraxial.f2()) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--elements", "COC"), "--elements, --diagonal: not with --start"),
+        (("--free", "radius"), "free: unknown variable 'radius'; expected some of curvature, thickness, alpha_4"),
+        (("--free", "curvature:4"), "free: curvature: surface 4 does not refract; expected some of 0, 1, 2, 3, 5"),
+        (("--free", "alpha_x"), "--free alpha_x: expected variables such as curvature,thickness:1+3,alpha_4..10"),
+        (("--method", "least_squares"), "least_squares"),
+        (("--wavelengths", "0.55"), "designs need three wavelengths: --wavelengths 0.65,0.55,0.47"),
+        (("--object", "400"), "designs are for objects at infinity: give --object inf"),
+    ],
+)
+def test_what_cannot_be(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    saved(tmp_path)
+    method = () if "--method" in arguments else ("--method", "spot")
+    assert main([*COMMAND, *method, *arguments]) == 2
+    assert words in capsys.readouterr().err and not (tmp_path / "better.zmx").exists()
