@@ -18,6 +18,7 @@ app = typer.Typer(no_args_is_help=True)
 
 File = Annotated[Path, typer.Argument(help="Lens: .yaml or .zmx.", show_default=False)]
 Files = Annotated[list[Path], typer.Argument(help="Lenses: .yaml or .zmx.", show_default=False)]
+_GRADE = "precision_moulding"
 Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
 
 
@@ -82,6 +83,31 @@ def draw(
     lenses = {name: read(path) for name, path in _named(files).items()}
     drawing.draw(output, {name: (lens.lens, lens.view) for name, lens in lenses.items()}, rays)
     say(f"wrote {output}")
+
+
+@lens_command(app)
+def tolerance(
+    read: Callable,
+    file: File,
+    grade: Annotated[str, typer.Option(help="precision_moulding, commercial_moulding, phone_moulding.")] = _GRADE,
+    lenses: Annotated[int, typer.Option(min=10, help="Lenses that are built in simulation.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Of their errors.")] = 0,
+    json: AsJson = False,
+) -> None:
+    """Say what a lens loses in manufacture: yields, the errors that matter, tolerances for a drawing."""
+    from tasklens.optics.tolerancing import focus, yields
+    from tasklens.report import yields as report
+    from tasklens.study.tolerance_settings import GRADES, Grade
+
+    if grade not in GRADES:
+        raise InputError(f"--grade {grade}: expected one of {', '.join(GRADES)}")
+    shown = read(file)
+    found = yields.tolerances(shown.lens, shown.view, Grade.model_validate(grade), lenses, seed)
+    summary = report.summary(found, grade, focus.frequency(shown.view))
+    if json:
+        print_json(summary)
+    else:
+        print(report.text(str(file), summary))
 
 
 @lens_command(app)

@@ -1,0 +1,107 @@
+"""Lenses as they are built: their spots and contrast, and the tolerances with which most of them are good."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, clear_semi_diameters, rms_spot_radius, trace_fields
+from tasklens.optics.apertures import with_clear_apertures
+from tasklens.optics.lens import Lens
+from tasklens.optics.tolerancing import allocation, focus
+from tasklens.optics.tolerancing.errors import Error, built, draw, errors
+from tasklens.optics.tolerancing.sensitivity import displacements
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.progress import Progress
+from tasklens.study.tolerance_settings import Grade
+
+KEPT_MTF, YIELD = 0.8, 0.95  # what tolerances of a drawing are for: share of the design's MTF, and of the lenses
+_RAYS = 512  # per field and colour
+_RIM = 1.02  # clear aperture of a surface without one, over the radius that light uses
+_ALLOCATION_SEED = 7001  # added to the seed: other lenses than those that are reported
+_TRIED = 100  # lenses that are built with each set of tolerances
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Mean and worst RMS spot radius of the fields [um], and their mean MTF at `focus.frequency`."""
+
+    rms_um: float
+    worst_rms_um: float
+    mtf: float
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What a lens loses in manufacture.
+
+    Attributes:
+        design: the lens as designed.
+        built: the lenses as built.
+        errors: P errors of a lens.
+        moved_um: (P,) RMS displacement of rays by each error as large as its tolerance [um].
+        allotted: (P,) widest tolerances, over those of the grade, with which `YIELD` of the lenses keep `KEPT_MTF` of
+            the design's MTF; None: the tightest that were tried do not suffice.
+    """
+
+    design: Quality
+    built: list[Quality]
+    errors: list[Error]
+    moved_um: Tensor
+    allotted: Tensor | None
+
+
+def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> Tolerances:
+    """Build lenses with errors of a grade, focus them, and measure spots and MTF in all quadrants of the image.
+
+    Args:
+        lens: the design.
+        view: fields, wavelengths and pixels.
+        grade: largest errors.
+        count: number of lenses.
+        seed: seed of their errors.
+
+    Raises:
+        InputError: no light arrives at some field of the design.
+    """
+    lens = with_clear_apertures(lens.detached(), _RIM * clear_semi_diameters(lens, view))
+    listed = errors(lens, grade)
+    moved_um = displacements(lens, view, listed, _RAYS)
+    if not moved_um.isfinite().all():
+        raise InputError("no light arrives at some field of the lens: give a smaller --field-of-view")
+    peak = focus.peak(lens, view)
+    progress = Progress("built lenses", count)
+    qualities = []
+    for k, fractions in enumerate(draw(listed, count, seed), 1):
+        qualities.append(_quality(_assembled(lens, view, listed, fractions, peak), view))
+        progress(k, rms_um=qualities[-1].rms_um)
+    design = _quality(lens, view)
+    drawn = draw(listed, min(count, _TRIED), seed + _ALLOCATION_SEED)
+
+    def passes(scale: Tensor) -> bool:
+        bad = 0
+        for fractions in drawn:
+            lens_built = _assembled(lens, view, listed, scale * fractions, peak)
+            bad += _quality(lens_built, view).mtf < KEPT_MTF * design.mtf
+            if bad > (1 - YIELD) * len(drawn):
+                return False
+        return True
+
+    allotted = allocation.widest(allocation.both_axes(listed, moved_um), passes)
+    return Tolerances(design, qualities, listed, moved_um, allotted)
+
+
+def _assembled(lens: Lens, view: View, listed: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
+    return focus.focused(built(lens, listed, fractions, view.reference), view, peak)[0]
+
+
+def _quality(lens: Lens, view: View) -> Quality:
+    view = view.in_all_quadrants()
+    rays = trace_fields(lens, view, sobol_disc(_RAYS, seed=0))
+    radii = 1e3 * rms_spot_radius(rays, centroid(rays))
+    mtf = torch.stack(geometric_mtf(rays, view.directions, [focus.frequency(view)]))
+    return Quality(float(radii.mean()), float(radii.max()), float(mtf.mean()))

@@ -1,0 +1,87 @@
+"""What a lens loses in manufacture, for a terminal: yields, the errors that matter, and tolerances for a drawing."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy
+import pandas
+
+from tasklens.optics.tolerancing.yields import KEPT_MTF, YIELD, Tolerances
+
+_GROWTH = (1.1, 1.25, 1.5, 2.0)  # of the mean RMS spot, up to which a lens passes
+_KEPT = (0.95, 0.9, 0.8, 0.6)  # of the mean MTF, from which a lens passes
+_SHOWN = 10  # errors by displacement
+_QUALITIES = {"rms_um": "RMS spot, mean of the fields [um]", "worst_rms_um": "RMS spot, worst field [um]", "mtf": "MTF"}
+
+
+def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, Any]:
+    """Return the numbers: of the design and built lenses, yields [%], errors by displacement, allotted tolerances.
+
+    Args:
+        tolerances: what was measured.
+        grade: name of the grade.
+        frequency: that of the MTF [cycles/mm].
+    """
+    built = {name: numpy.array([getattr(lens, name) for lens in tolerances.built]) for name in _QUALITIES}
+    design = tolerances.design
+    order = tolerances.moved_um.argsort(descending=True).tolist()
+    allotted = tolerances.allotted
+    return {
+        "grade": grade,
+        "lenses": len(tolerances.built),
+        "frequency_per_mm": frequency,
+        "design": {name: getattr(design, name) for name in _QUALITIES},
+        "median": {name: float(numpy.median(values)) for name, values in built.items()},
+        "worst_of_95_percent": {
+            name: float(numpy.quantile(values, 0.05 if name == "mtf" else 0.95)) for name, values in built.items()
+        },
+        "yield_by_rms": {factor: _share(built["rms_um"] <= factor * design.rms_um) for factor in _GROWTH},
+        "yield_by_mtf": {share: _share(built["mtf"] >= share * design.mtf) for share in _KEPT},
+        "errors": [
+            {
+                "error": tolerances.errors[k].name,
+                "tolerance": tolerances.errors[k].tolerance,
+                "unit": tolerances.errors[k].unit,
+                "moved_um": float(tolerances.moved_um[k]),
+                "allotted": None if allotted is None else tolerances.errors[k].tolerance * float(allotted[k]),
+            }
+            for k in order
+        ],
+    }
+
+
+def text(name: str, found: Mapping[str, Any]) -> str:
+    """Return a summary as lines for a terminal."""
+    lines = [
+        f"{name}: {found['lenses']} lenses built to {found['grade'].replace('_', ' ')}, each focused; MTF at "
+        f"{found['frequency_per_mm']:.0f} cycles/mm",
+        f"  {'':<36}{'design':>9}{'median':>9}{'worst of 95 %':>15}",
+    ]
+    for key, meaning in _QUALITIES.items():
+        values = (found["design"][key], found["median"][key], found["worst_of_95_percent"][key])
+        lines.append(f"  {meaning:<36}{values[0]:>9.2f}{values[1]:>9.2f}{values[2]:>15.2f}")
+    by_rms = ", ".join(f"{share:.0f} % up to {factor:g} times" for factor, share in found["yield_by_rms"].items())
+    by_mtf = ", ".join(f"{share:.0f} % keep {100 * kept:.0f} %" for kept, share in found["yield_by_mtf"].items())
+    lines += [f"  yield by RMS spot, of the design's: {by_rms}", f"  yield by MTF, of the design's: {by_mtf}", ""]
+    frame = pandas.DataFrame(found["errors"][:_SHOWN])
+    frame["tolerance"] = frame["tolerance"].map("{:.4g}".format)
+    frame["moved_um"] = frame["moved_um"].map("{:.2f}".format)
+    headings = {"moved_um": "moves rays by [um]"}
+    if frame["allotted"].isna().all():
+        frame = frame.drop(columns="allotted")
+        lines.append(
+            f"  no tolerances that were tried keep {100 * KEPT_MTF:.0f} % of the MTF in {100 * YIELD:.0f} % of lenses"
+        )
+    else:
+        frame["allotted"] = frame["allotted"].map("{:.2g}".format)
+        headings["allotted"] = "for the drawing"
+        lines.append(
+            f"  tolerances for the drawing: the cheapest with which {100 * YIELD:.0f} % of lenses keep "
+            f"{100 * KEPT_MTF:.0f} % of the MTF; the {len(frame)} that matter most (--json: all)"
+        )
+    table = frame.rename(columns=headings).to_string(index=False)
+    return "\n".join([*lines, *(f"  {line}" for line in table.splitlines())])
+
+
+def _share(good: numpy.ndarray) -> float:
+    return 100 * float(good.mean())

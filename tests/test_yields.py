@@ -1,0 +1,65 @@
+"""Lenses as they are built: yields by spot and MTF, without a network."""
+
+import json
+import math
+
+import pytest
+from examples import cooke_triplet, f64
+
+from tasklens.cli.app import main
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.tolerancing import yields
+from tasklens.optics.view import View
+from tasklens.study.tolerance_settings import GRADES, Grade
+
+VIEW = View(f64([[0.0, 0.0], [0.0, 9.0], [0.0, 18.0]]), 50.0, (0.5876,), 20.0, 51)
+FINE = Grade.model_validate({name: 0.02 * value for name, value in GRADES["precision_moulding"].items()})
+
+
+@pytest.fixture(scope="module")
+def found():
+    return yields.tolerances(cooke_triplet(), VIEW, FINE, 20, 0)
+
+
+def spread(tolerances: yields.Tolerances) -> float:
+    """RMS deviation of the built lenses' spots from the design's [um]."""
+    return math.sqrt(sum((lens.rms_um - tolerances.design.rms_um) ** 2 for lens in tolerances.built))
+
+
+def test_spots_deviate_in_proportion_to_small_errors(found):
+    """A tenth of the errors, the same otherwise: a tenth of the deviations, to the second order that is left."""
+    tenth = Grade.model_validate({name: 0.1 * getattr(FINE, name) for name in GRADES["precision_moulding"]})
+    finer = yields.tolerances(cooke_triplet(), VIEW, tenth, 20, 0)
+    assert spread(finer) == pytest.approx(0.1 * spread(found), rel=0.2) and spread(found) > 0.05
+    assert finer.moved_um.tolist() == pytest.approx((0.1 * found.moved_um).tolist(), rel=1e-6)
+    assert finer.design == found.design and len(found.built) == 20
+
+
+def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(found):
+    """For the same lens: what is allotted over the grade falls as the grade becomes coarser."""
+    coarse = yields.tolerances(cooke_triplet(), VIEW, Grade.model_validate("commercial_moulding"), 20, 0)
+    assert spread(coarse) > 10 * spread(found)
+    assert found.allotted is not None and float(found.allotted.mean()) > 1
+    assert coarse.allotted is None or float(coarse.allotted.mean()) < float(found.allotted.mean())
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    fields = ("angle_deg", ((0.0, 0.0), (0.0, 15.0)))
+    zemax.write(tmp_path / "lens.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.5876,), 0))
+    command = ["lens", "tolerance", "lens.zmx", "--lenses", "10", "--pixel-pitch", "20", "--kernel-size", "51"]
+    assert main([*command, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["lenses"] == 10 and shown["grade"] == "precision_moulding"
+    assert (
+        shown["yield_by_rms"]["2.0"] >= shown["yield_by_rms"]["1.1"]
+        and shown["median"]["rms_um"] > shown["design"]["rms_um"]
+    )
+    moved = [error["moved_um"] for error in shown["errors"]]
+    assert moved == sorted(moved, reverse=True)
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "10 lenses built to precision moulding" in text and shown["errors"][0]["error"] in text
+    assert main([*command, "--grade", "perfect"]) == 2
+    assert "--grade perfect: expected one of commercial_moulding" in capsys.readouterr().err
