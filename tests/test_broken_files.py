@@ -60,7 +60,7 @@ def damaged(text: str, generator: random.Random) -> str:
     [
         ("lens.zmx", test_zemax.TEXT, zemax.read),
         ("lens.yaml", LENS, prescription.read),
-        ("maker.agf", test_catalogues.AGF, catalogues.read),
+        ("maker.agf", test_catalogues.AGF, test_catalogues.whole_catalogue),
         ("plastics.yaml", catalogues.PLASTICS.read_text(), catalogues.read),
     ],
 )

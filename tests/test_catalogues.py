@@ -5,6 +5,7 @@ import yaml
 
 from tasklens.materials import catalogues
 from tasklens.materials.catalogues import builtin
+from tasklens.materials.library import Library
 from tasklens.materials.material import Material
 from tasklens.runtime.files import FileError
 
@@ -18,6 +19,14 @@ NM FLINT 5 0 1.62 36
 CD 1.5 0.01 0.002
 LD 3.5E-001 9.0E-001
 """
+
+
+def whole_catalogue(path) -> dict[str, Material]:
+    """All glasses of a catalogue; raises FileError for the first one that cannot be used."""
+    glasses, errors = catalogues.read_agf(path)
+    for error in errors.values():
+        raise error
+    return glasses
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
@@ -46,11 +55,12 @@ def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
         ("NM CROWN", "XX CROWN", ["line 4", "NM"]),
     ],
 )
-def test_a_broken_catalogue_is_refused_with_the_line(tmp_path, old, new, words):
+def test_a_broken_glass_is_refused_with_its_line(tmp_path, old, new, words):
+    """Where it is used: the other glass of the catalogue is read. Lines in front of the first glass refuse the file."""
     assert old in AGF
     (tmp_path / "mine.agf").write_text(AGF.replace(old, new))
     with pytest.raises(FileError) as error:
-        catalogues.read(tmp_path / "mine.agf")
+        whole_catalogue(tmp_path / "mine.agf")
     assert all(word in str(error.value) for word in ["mine.agf", *words]), error.value
 
 
@@ -64,12 +74,12 @@ def test_what_is_no_file_of_materials_is_refused(tmp_path, name, content):
         catalogues.read(tmp_path / name)
 
 
-def test_the_first_file_that_knows_a_name_defines_it(tmp_path):
-    """Before all built-in ones; other names stay known."""
+def test_the_first_file_that_has_a_name_defines_it(tmp_path):
+    """Before all built-in ones; other names stay as they are."""
     mine = builtin("PMMA").definition()
     for name, index in (("a", 1.4), ("b", 1.6)):
         entry = mine | {"formula": "conrady", "coefficients": [index, 0, 0]}
         (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump({"COC": entry, name: entry}))
-    found = catalogues.collect([tmp_path / "a.yaml", tmp_path / "b.yaml"])
-    assert found["COC"].refractive_index(0.5) == 1.4 and found["b"].refractive_index(0.5) == 1.6
-    assert found["OKP4"] == builtin("OKP4")
+    library = Library([tmp_path / "a.yaml", tmp_path / "b.yaml"])
+    assert library.glass("COC").refractive_index(0.5) == 1.4 and library.glass("b").refractive_index(0.5) == 1.6
+    assert library.glass("OKP4") == builtin("OKP4")

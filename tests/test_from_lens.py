@@ -6,8 +6,9 @@ import pytest
 import torch
 from examples import cooke_triplet, f64
 
+import tasklens
 from tasklens.cli.app import main
-from tasklens.design import from_lens
+from tasklens.design import from_lens, substitution
 from tasklens.design.constraints import BUFFER, first_order_margins, manufacturing_margins, spaces
 from tasklens.design.ray_space import RaySpace
 from tasklens.optics.analysis.datasheet import figures
@@ -162,3 +163,21 @@ def test_what_cannot_be(tmp_path, monkeypatch, capsys, arguments, words):
     method = () if "--method" in arguments else ("--method", "spot")
     assert main([*COMMAND, *method, *arguments]) == 2
     assert words in capsys.readouterr().err and not (tmp_path / "better.zmx").exists()
+
+
+def test_materials_are_chosen_from_a_list():
+    """Of a choice for each element, the combination whose brief design is the sharpest; all of them are kept."""
+    assert substitution.combinations(["COC|PMMA|COC", "OKP4"]) == [("COC", "OKP4"), ("PMMA", "OKP4")]
+    spots = {("COC", "PC"): 3.0, ("COC", "OKP4"): 1.0, ("PMMA", "PC"): 2.0, ("PMMA", "OKP4"): 4.0}
+    best, tried = substitution.sharpest(["COC|PMMA", "PC|OKP4"], lambda materials: spots[materials])
+    assert best == ("COC", "OKP4") and list(tried.items())[0] == ("COC,OKP4", 1.0) and len(tried) == 4
+    with pytest.raises(InputError, match="3125 combinations of materials; expected at most 1000"):
+        substitution.combinations(["A|B|C|D|E"] * 5)
+
+
+def test_a_design_with_a_choice_of_materials():
+    """A flint in front and behind makes worse doublets than a crown and a flint."""
+    quick = {"evaluations": 60, "starts": 3}
+    lens, _, notes = tasklens.design("least_squares", ["COC|OKP4"], settings=quick, field_of_view_deg=20, f_number=6)
+    tried = notes["origin"]["materials_tried_rms_um"]
+    assert set(tried) == {"COC", "OKP4"} and lens.media[1].name == min(tried, key=tried.get)

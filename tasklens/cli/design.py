@@ -1,8 +1,6 @@
 """`tasklens design`: one lens without a study."""
 
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +8,7 @@ import typer
 import yaml
 
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
+from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
 _SPEC, _NETWORK = "Specification", "Network and photographs, for the methods that have them"
@@ -20,7 +19,9 @@ _START = "A lens of your own"
 
 def design(
     output: Annotated[Path, typer.Option("--output", "-o", help="Lens: .yaml or .zmx.", show_default=False)],
-    elements: Annotated[str | None, typer.Option(help="Materials from front to back: COC,OKP4")] = None,
+    elements: Annotated[
+        str | None, typer.Option(help="Materials from front to back: COC,OKP4, or a choice: COC|PMMA,OKP4|PC")
+    ] = None,
     method: Annotated[str, typer.Option(help=_METHOD)] = "least_squares",
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     settings: Annotated[
@@ -115,7 +116,7 @@ def design(
     from tasklens.design.single import design as designed
     from tasklens.report import glance
 
-    with _progress():
+    with progress_bars():
         lens, view, notes = designed(
             method,
             (elements or _ELEMENTS).split(","),
@@ -177,28 +178,3 @@ def _nested(given: Sequence[str], option: str) -> dict[str, Any]:
         if not equals or not all((*outer, last)):
             raise InputError(f"{option} {each}: expected KEY=VALUE, such as descents.0.steps=200")
     return found
-
-
-@contextmanager
-def _progress() -> Iterator[None]:
-    """Show progress as a bar for each part of the design on a terminal; else lines come as from any job."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from tasklens.runtime.progress import reporting_to
-
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, TextColumn("{task.fields[values]}"), console=Console(stderr=True)) as bars:
-        tasks: dict[str, Any] = {}
-
-        def listen(label: str, step: int, total: int, values: Any) -> None:
-            if label not in tasks or bars.tasks[tasks[label]].completed >= total > step:  # the next part of this name
-                tasks[label] = bars.add_task(label, total=total, values="")
-            first = next(iter(values.items()), None)
-            bars.update(tasks[label], completed=min(step, total), values=f"{first[0]} {first[1]:.4g}" if first else "")
-
-        with reporting_to(listen):
-            yield

@@ -9,6 +9,7 @@ import typer
 
 from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, lens_command, reader
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json, say
+from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -102,7 +103,8 @@ def tolerance(
     if grade not in GRADES:
         raise InputError(f"--grade {grade}: expected one of {', '.join(GRADES)}")
     shown = read(file)
-    found = yields.tolerances(shown.lens, shown.view, Grade.model_validate(grade), lenses, seed)
+    with progress_bars():
+        found = yields.tolerances(shown.lens, shown.view, Grade.model_validate(grade), lenses, seed)
     summary = report.summary(found, grade, focus.frequency(shown.view))
     if json:
         print_json(summary)
@@ -166,7 +168,8 @@ def simulate(
     if sensor:
         pitch = found.view.pixel_pitch if true_pixels else None
         how: Any = {"colour": colour, "distortion": distortion, "illumination": illumination, "rays": rays}
-        captures = notebook.simulate_sensor(image, found.lens, found.view, pitch, **how)[None]
+        with progress_bars():
+            captures = notebook.simulate_sensor(image, found.lens, found.view, pitch, **how)[None]
         say(f"{image}: in pixels of {pitch:g} um" if pitch else f"{image}: as if it filled the sensor")
     else:
         captures = notebook.simulate(

@@ -6,7 +6,8 @@
 Arguments:
 
     method       least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end
-    elements     plastics from front to back: names of built-in ones, or of those in `materials`
+    elements     materials from front to back: names of built-in ones, or of those in `materials`; "COC|PMMA" is a
+                 choice, by the sharpest of brief designs by least squares in all combinations
     seed         of all random numbers
     settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"descents": {"0": {"steps": 200}}}
     constraints  limits that differ from a study's: {"max_track": 6.0} [mm]

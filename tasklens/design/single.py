@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tasklens.design import from_lens, methods
+from tasklens.design import from_lens, methods, substitution
 from tasklens.design.supervisors import supervisors
 from tasklens.materials.library import users_files
 from tasklens.optics.io import lens_files
@@ -17,6 +17,7 @@ from tasklens.study import single
 from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # of a folder, at most
+_BRIEF = 1000  # evaluations of least squares for each combination of materials
 
 
 def design(
@@ -39,9 +40,18 @@ def design(
     Raises:
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
+    spots: dict[str, float] = {}
     section = None if images is None else {"folder": str(images), "size": size, "train": _IMAGES, "minival": 2}
     if start is not None:
         return _from_lens(Path(start), method, free, settings, constraints, materials, section, classifier, seed, spec)
+    if any(substitution.ALTERNATIVE in element for element in elements):
+
+        def spot(chosen: Sequence[str]) -> float:
+            brief = {"constraints": constraints, "materials": materials, "seed": seed, **spec}
+            notes = design("least_squares", chosen, settings={"evaluations": _BRIEF}, **brief)[2]
+            return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
+
+        elements, spots = substitution.sharpest(elements, spot)
     files = [str(path) for path in materials]
     found = single.study(method, elements, spec, settings or {}, constraints or {}, files, section, classifier)
     for name, entry in found.lenses.items():
@@ -64,6 +74,8 @@ def design(
                 {other: (made[other], 0.0) for other in starts(found, name)},
                 {other: made[other] for other in candidates(found, name)},
             )
+    if spots:
+        notes["origin"]["materials_tried_rms_um"] = spots
     return made[name], view, notes
 
 

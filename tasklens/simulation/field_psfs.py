@@ -22,6 +22,7 @@ from tasklens.optics.psf import psf
 from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.progress import Progress
 from tasklens.simulation.blend import FieldPsfs
 
 _MOTION = 0.4  # of the light between nodes [pixels]
@@ -132,13 +133,15 @@ def trace_field_psfs(
     pupil = sobol_disc(rays, seed=0)
     halo_size = 2 * min(_HALO // 2, min(shape) // _HALO_PIXEL) + 1
     core, halo = [], []
-    for row in y:
+    progress = Progress("PSFs over the sensor", len(y))
+    for step, row in enumerate(y, 1):
         points = torch.stack([x, row.expand_as(x)], -1) * (pixel_pitch / 1e3)
         at = replace(view, fields=points * mapped.scale(points.norm(dim=-1))[:, None])
         parts = [replace(at, fields=fields) for fields in at.fields.split(_AT_ONCE)]
         each = [_core_and_halo(lens, part, pupil, pixel_pitch, halo_size) for part in parts]
         core.append(torch.cat([found[0] for found in each]))
         halo.append(torch.cat([found[1] for found in each]))
+        progress(step)
     beside = torch.stack(halo)
     halo.clear()  # a third of the memory
     negligible = bool(beside.detach().sum((-2, -1)).amax() < _NEGLIGIBLE)
