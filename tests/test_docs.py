@@ -7,6 +7,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import timm
+from examples import cooke_triplet
+from PIL import Image
+from safetensors.torch import save_file
+
+from tasklens.cli.app import main
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/reference/*.md")])
@@ -47,6 +55,38 @@ def test_commands_of_the_tutorial_run(tmp_path):
     assert done.returncode == 0, done.stderr
     for name in ("doublet.png", "capture.png", "both.png", "doublet.zmx", "mine.yaml"):
         assert (tmp_path / name).stat().st_size > 1000, name
+
+
+QUICK = {  # options that make a command of the page quick, by its beginning
+    "tasklens design --start my.zmx --method task": "--size 32 --kernel-size 11 --set rays=16 --set batch_size=2 "
+    "--set descents.0.steps=1 --force",
+    "tasklens design --start": "--set descents.0.steps=2 --force",
+    "tasklens lens tolerance": "--lenses 10",
+    "tasklens lens analyse": "--rays 64",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
+    """Those for a lens of one's own, with a Cooke triplet, few steps, and a network of random weights."""
+    monkeypatch.chdir(tmp_path)
+    fields = ("angle_deg", ((0.0, 0.0), (0.0, 20.0)))
+    zemax.write(tmp_path / "my.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.65, 0.55, 0.47), 1))
+    (tmp_path / "MAKER.AGF").write_text("NM MINE 5 0 1.5 50\nCD 1.5 0 0\nLD 0.4 0.8\n")
+    for name in ("cat", "dog"):
+        (tmp_path / "photographs" / name).mkdir(parents=True)
+        for k in range(4):
+            Image.new("RGB", (40, 40), (60 * k, 90, 120)).save(tmp_path / "photographs" / name / f"{k}.png")
+    save_file(timm.create_model("resnet18", num_classes=2).state_dict(), tmp_path / "mine.safetensors")
+    lines = [line for block in blocks(ROOT / "docs/how-to.md", "text") for line in block.splitlines()]
+    commands = [(line, quick) for line in lines for start, quick in QUICK.items() if line.startswith(start)]
+    done = set()
+    for line, quick in commands:
+        if line not in done:  # by its first, longest beginning
+            done.add(line)
+            assert main([*line.split()[1:], *quick.split()]) == 0, line
+    assert len(done) == 5 and zemax.read(tmp_path / "better.zmx").lens.stop == 4
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

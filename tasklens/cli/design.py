@@ -1,5 +1,6 @@
 """`tasklens design`: one lens without a study."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -131,6 +132,9 @@ def design(
             classifier=network,
             **{key: value for key, value in spec.items() if value is not None},
         )
+    dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
+    if dark:
+        raise InputError(f"the design has no light at {dark} of its fields, and is not written: try another --seed")
     notebook.save_lens(output, lens, view, notes)
     summary = glance.summary(lens, notes, notes["figures"])
     if json:

@@ -147,8 +147,9 @@ def users_files() -> list[Path]:
     return sorted(path for path in Path(folder).iterdir() if path.suffix.lower() in (".agf", ".yaml", ".yml"))
 
 
-def nearest(nd: float, vd: float, glasses: Sequence[Material]) -> Material:
-    """Return the glass nearest to nd and Vd: one unit of Vd counts as much as 0.005 of nd."""
+def nearest(nd: float, vd: float) -> Material:
+    """Return the glass of the makers nearest to nd and Vd: one unit of Vd counts as much as 0.005 of nd."""
+    glasses = [glass for maker in _MAKERS for glass in of_maker(maker).values()]
     return min(glasses, key=lambda glass: math.dist(_scaled(*glass.abbe()), _scaled(nd, vd)))
 
 

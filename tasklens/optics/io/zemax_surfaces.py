@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import torch
 
-from tasklens.materials.library import Library, UnknownGlassError
+from tasklens.materials.library import Library, UnknownGlassError, nearest
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.materials.zemax_text import BLANK, Line, decimal
 from tasklens.optics.io.zemax_keywords import check_aperture
@@ -200,9 +200,10 @@ def _medium(block: Block, before: list[Material], library: Library, remarks: lis
         nd, vd = (line.number(i) if len(line.words) > i else 0.0 for i in (3, 4))
         if nd <= 1 or vd <= 0:
             raise line.error(str(error)) from None
+        like = nearest(nd, vd)
         remarks.append(
             f"glass {name} is in no catalogue: taken as one of nd = {nd:g} and Vd = {vd:g}, as its line says, whose "
-            "index is right to 1e-4 in the visible (--catalogue)"
+            f"index is right to 1e-4 in the visible (--catalogue); the nearest one is {like.zemax}"
         )
         return model_glass(nd, vd, 0.0, name)
 
