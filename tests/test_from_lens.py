@@ -154,6 +154,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--free", "alpha_x"), "--free alpha_x: expected variables such as curvature,thickness:1+3,alpha_4..10"),
         (("--method", "least_squares"), "least_squares"),
         (("--wavelengths", "0.55"), "designs need three wavelengths: --wavelengths 0.65,0.55,0.47"),
+        (("--field-of-view", "0.05"), "field_of_view_deg"),
         (("--object", "400"), "designs are for objects at infinity: give --object inf"),
     ],
 )

@@ -1,5 +1,6 @@
 """Design from a lens of the user: what is free changes, its glasses and everything else stay."""
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import ValidationError
 
 from tasklens.design import methods
 from tasklens.design.constraints import BUFFER, buffer_scale, first_order_margins, manufacturing_margins
@@ -23,6 +25,7 @@ from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.study import single
 from tasklens.study.layers import laid_over
+from tasklens.study.messages import problems
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
@@ -169,12 +172,18 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
     first_order = paraxial(file.lens, file.view.reference)
     efl = float(first_order.efl)
     tangent = float(file.view.radii.max()) / file.view.efl
-    spec = Spec(
-        diagonal_mm=2 * efl * tangent,
-        field_of_view_deg=float(2 * torch.rad2deg(torch.atan(torch.tensor(tangent, dtype=torch.float64)))),
-        f_number=float(efl / (2 * first_order.entrance_pupil_radius)),
-        pixel_pitch_um=file.view.pixel_pitch,
-        kernel_size=file.view.kernel_size,
-        wavelengths_um=colours,
-    )
+    values = {
+        "diagonal_mm": 2 * efl * tangent,
+        "field_of_view_deg": 2 * math.degrees(math.atan(tangent)),
+        "f_number": float(efl / (2 * first_order.entrance_pupil_radius)),
+        "pixel_pitch_um": file.view.pixel_pitch,
+        "kernel_size": file.view.kernel_size,
+        "wavelengths_um": colours,
+    }
+    if not tangent:
+        raise InputError("the lens has no field but the axis: give its field of view in degrees, --field-of-view")
+    try:
+        spec = Spec.model_validate(values)
+    except ValidationError as error:
+        raise InputError("; ".join(problems(error, Spec))) from None
     return spec, replace(view_of_spec(spec), efl=spec.efl_mm)

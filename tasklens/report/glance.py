@@ -54,7 +54,7 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
         figures: its optical figures.
     """
     order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
-    shown = [order[0], order[len(order) // 2], order[-1]]
+    shown = list(dict.fromkeys((order[0], order[len(order) // 2], order[-1])))
     found: dict[str, Any] = {
         "materials": [
             short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and not is_plate(lens, i)
