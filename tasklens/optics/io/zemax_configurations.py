@@ -5,10 +5,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tasklens.materials.zemax_text import Line
-from tasklens.optics.io.zemax_keywords import check_configuration
+from tasklens.optics.io.zemax_keywords import check_configuration, keywords
 from tasklens.optics.io.zemax_surfaces import Block
 from tasklens.runtime.files import FileError
 
+# Operands that change rays or their use (OpticStudio user's guide, "Multi-Configuration Operands"); others are of merit
+# functions, or change neither.
+_OPERANDS = keywords(
+    "AFOC APDF APDX APDY APER APMN APMX APTP CADX CADY CAOR CATX CATY CATZ CBDX CBDY CBOR CBTX CBTY CBTZ CONN CROR CRSR "
+    "CRVT EDVA FLTP GLSS IGNM IGNR MABB MDPG MIND PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PRAM PRES PRWV SATP SDIA STPS "
+    "TELE TEMP THIC WAVE XFIE YFIE"
+)
 _WORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "GLSS": "GLAS"}  # operand, and the line of its surface
 _ROUNDING = 1e-9  # of values that are in a file twice, relative
 
@@ -56,7 +63,7 @@ def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int],
     return {
         (row.keyword, row.integer(0)): row
         for row in rows
-        if len(row.words) > 2 and row.words[0].isdigit() and row.words[1] == str(configuration)
+        if row.keyword in _OPERANDS and len(row.words) > 2 and row.words[1] == str(configuration)
     }
 
 

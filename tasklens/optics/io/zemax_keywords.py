@@ -6,25 +6,26 @@ Any other keyword of the system or of a surface is refused, so that nothing that
 from tasklens.materials.zemax_text import Line
 
 
-def _keywords(text: str) -> frozenset[str]:
+def keywords(text: str) -> frozenset[str]:
+    """Return the words of a text."""
     return frozenset(text.split())
 
 
-SYSTEM = _keywords(
+SYSTEM = keywords(
     "MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN XFLD YFLD FENF FEFD WAVM WAVL WAVN PWAV MNUM"
 )
-SURFACE = _keywords("STOP COMM TYPE CURV PARM XDAT DISZ GLAS CONI DIAM CLAP FLAP")
+SURFACE = keywords("STOP COMM TYPE CURV PARM XDAT DISZ GLAS CONI DIAM CLAP FLAP")
 
 # Vignetting factors, weights, ray aiming, polarisation, names of files, settings of analyses and displays.
-_HARMLESS_SYSTEM = _keywords(
+_HARMLESS_SYSTEM = keywords(
     "! AUTH BLNK CHZH COFN DBDT EERA FCOM FSVY FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB "
     "POLS PUSH RAIM ROPD SDMA STUD TOL VANN VCXN VCYN VDXN VDYN VERS WWGN WWGT XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
 )
 # Solves and variables (their values stand in the file), coatings, colours, drawing, mechanical radii, tolerances.
-_HARMLESS_SURFACE = _keywords(
+_HARMLESS_SURFACE = keywords(
     "! CHZH COAT EDGE FIMP FSVY MAZH MEMA MIRR OEMA POPS PPAR PZUP SCOL SLAB SSID STUD TCED TCMM TOLE VCON VDSZ VPAR"
 )
-_APERTURES = _keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither round nor clear
+_APERTURES = keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither round nor clear
 
 _CLIMATE = "only indices at 20 deg C and 1 atm are read"
 _IGNORED = "an ignored surface is not read; delete it in Zemax, or do not ignore it"
