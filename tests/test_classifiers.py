@@ -1,6 +1,7 @@
 """timm networks: built, loaded, frozen."""
 
 import copy
+import re
 from pathlib import Path
 
 import numpy
@@ -95,6 +96,27 @@ def test_weights_of_a_file_replace_all_others(tmp_path):
     assert torch.equal(first(images), second(images))
     with pytest.raises(FileError, match=r"weights\.safetensors: no weights for test_resnet with 5 outputs"):
         classifiers.build(settings, names(5), path)
+
+
+def _state() -> dict[str, torch.Tensor]:
+    return timm.create_model("test_resnet", num_classes=4).state_dict()
+
+
+@pytest.mark.parametrize(
+    "write, words",
+    [
+        (lambda path: torch.save({"state_dict": _state(), "acc": numpy.float64(0.9)}, path), "save the weights alone"),
+        (lambda path: torch.save({f"model.{k}": v for k, v in _state().items()}, path), "begin with 'model.': remove"),
+        (lambda path: path.write_bytes(b""), "the file is empty"),
+        (lambda path: path.write_text("hello"), "it is no file of weights (.safetensors, .pth, .npz)"),
+    ],
+    ids=["objects", "prefix", "empty", "text"],
+)
+def test_what_holds_no_weights_says_what_to_do(tmp_path, write, words):
+    settings = ClassifierSettings(model="test_resnet", training=TrainingSettings(epochs=1, learning_rate=1e-3))
+    write(tmp_path / "w.pth")
+    with pytest.raises(FileError, match=rf"w\.pth: no weights for test_resnet with 4 outputs: .*{re.escape(words)}"):
+        classifiers.build(settings, names(4), tmp_path / "w.pth")
 
 
 def test_weights_of_torch_are_tensors_and_nothing_else(tmp_path):

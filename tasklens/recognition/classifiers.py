@@ -1,11 +1,13 @@
 """Classifiers: timm networks for images or captures in [0, 1]."""
 
 import copy
+import re
 import socket
 import urllib.parse
 import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
+from pickle import UnpicklingError
 from textwrap import shorten
 from typing import Literal, TypeVar
 
@@ -92,7 +94,7 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         try:
             load_checkpoint(network, str(path), weights_only=True)
         except Exception as error:  # of torch, safetensors, pickle or numpy, depending on the format
-            why = shorten(str(error), _LONGEST, placeholder=" ...")
+            why = _unreadable(path, error)
             raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {why}") from error
         if path.suffix == ".npz" and torch.equal(head, before):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
@@ -100,6 +102,26 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         asked = set(outputs.tolist())
         outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in asked])])
     return Classifier(network, outputs)
+
+
+def _unreadable(path: Path, error: Exception) -> str:
+    """Return why a file holds no weights for a network, and what to do."""
+    text = str(error)
+    if not path.stat().st_size:
+        return "the file is empty"
+    if "weights_only" in text:
+        return (
+            "it holds objects beside the weights, which are not run: save the weights alone, "
+            "safetensors.torch.save_file(network.state_dict(), 'mine.safetensors')"
+        )
+    unexpected = re.findall(r'"([^"]+)"', text.partition("Unexpected key(s)")[2])
+    prefixes = {name.partition(".")[0] for name in unexpected}
+    if "Missing key(s)" in text and len(prefixes) == 1 and len(unexpected) > 1:
+        (prefix,) = prefixes
+        return f"the names of its weights begin with '{prefix}.': remove this, and save them again"
+    if isinstance(error, KeyError | EOFError | UnpicklingError):
+        return "it is no file of weights (.safetensors, .pth, .npz)"
+    return shorten(text, _LONGEST, placeholder=" ...")
 
 
 def check_published(model: str) -> None:
