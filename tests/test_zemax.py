@@ -308,6 +308,10 @@ def test_configurations(tmp_path):
     (tmp_path / "lens.zmx").write_text(text.replace("YFIE 2 2 20", "YFIE 2 2 25"))
     with pytest.raises(FileError, match=r"line \d+: YFIE: differs from configuration 1"):
         zemax.read(tmp_path / "lens.zmx", configuration=2)
+    parameters = "PRAM 1 1 0.01 0\nPRAM 1 2 0.02 0\nPRAM 1 1 0.5 0\nPRAM 1 2 0.5 0\n"
+    (tmp_path / "lens.zmx").write_text(text.replace("CRVT 4 1", f"{parameters}CRVT 4 1"))
+    with pytest.raises(FileError, match="PRAM: differs from configuration 1"):
+        zemax.read(tmp_path / "lens.zmx", configuration=2)
     with pytest.raises(FileError, match=r"THIC: the file was saved in this configuration, but its surface has 0\.3"):
         read(tmp_path, text.replace("THIC 2 1 0.3", "THIC 2 1 0.31"))
 

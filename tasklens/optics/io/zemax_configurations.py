@@ -1,6 +1,7 @@
 """Configurations of a Zemax file: what differs from the configuration in which the surfaces were saved."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -58,13 +59,16 @@ def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequ
     return chosen
 
 
-def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int], Line]:
-    """Return the rows of a configuration by operand and surface."""
-    return {
-        (row.keyword, row.integer(0)): row
-        for row in rows
-        if row.keyword in _OPERANDS and len(row.words) > 2 and row.words[1] == str(configuration)
-    }
+def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int, int], Line]:
+    """Return the rows of a configuration by operand, surface, and how often both have come before (`PRAM`, fields)."""
+    before: Counter[tuple[str, int]] = Counter()
+    operands = {}
+    for row in rows:
+        if row.keyword in _OPERANDS and len(row.words) > 2 and row.words[1] == str(configuration):
+            key = row.keyword, row.integer(0)
+            operands[*key, before[key]] = row
+            before[key] += 1
+    return operands
 
 
 def _set(block: Block, row: Line) -> None:
