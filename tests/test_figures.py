@@ -1,6 +1,7 @@
 """Figures of a lens: what must be on them, and that they are the same whenever they are drawn."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from matplotlib.figure import Figure
@@ -96,3 +97,11 @@ def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
         assert picture.width > 1000 and len(picture.convert("RGB").getcolors(1 << 24)) > 100
     assert "geometric MTF" in (tmp_path / "first" / "lens.svg").read_text()
     assert (tmp_path / "first" / "lens.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_scale_bars_of_lenses_in_one_figure_agree(panel):
+    """Those of a lens four times as long, with windows four times as wide, have the lengths of the small one's."""
+    lens, view = panel.lens.scaled(4.0), replace(panel.view, pixel_pitch=4 * panel.view.pixel_pitch)
+    large = figures.panel_of("large", lens, view, panel.psf, panel.figures)
+    small, alone, both = (bars_of(figures.drawn(panels)) for panels in ([panel], [large], [panel, large]))
+    assert sorted(both) == sorted([*small, *small]) and set(alone) != set(small)

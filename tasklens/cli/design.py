@@ -1,7 +1,9 @@
 """`tasklens design`: one lens without a study."""
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -117,7 +119,7 @@ def design(
     from tasklens.design.single import design as designed
     from tasklens.report import glance
 
-    with progress_bars():
+    with progress_bars(), _keys_as_options():
         lens, view, notes = designed(
             method,
             (elements or _ELEMENTS).split(","),
@@ -141,6 +143,17 @@ def design(
         print_json(summary | {"file": str(output)})
     else:
         print(glance.text(str(output), summary))
+
+
+@contextmanager
+def _keys_as_options() -> Iterator[None]:
+    """Name the options of this command in errors about the keys of a study."""
+    try:
+        yield
+    except InputError as error:
+        text = re.sub(r"\bconstraints\.(\w+)", r"--limit \1", str(error))
+        text = re.sub(r"\bspec\.(\w+?)(?:_deg|_mm|_um)?\b", lambda key: f"--{key[1].replace('_', '-')}", text)
+        raise InputError(text) from None
 
 
 def _free(text: str) -> dict[str, tuple[int, ...] | None]:

@@ -1,5 +1,6 @@
 """Cross-section of a lens in the plane of the diagonal, with rays of several fields."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,8 +23,10 @@ _PUPIL = 0.98  # of its radius, where the outermost rays are
 _ELEMENT: Any = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
 
 
-def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:
-    """Draw elements, stop, sensor, and a fan of rays for each of the fields `shown`, by index."""
+def cross_section(
+    axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str], narrowest_mm: float = math.inf
+) -> None:
+    """Draw elements, stop, sensor, and a fan of rays of each of the fields `shown`; a scale bar fits `narrowest_mm`."""
     vertices = lens.vertices
     edges = []
     for i in range(len(lens.media)):
@@ -58,7 +61,7 @@ def cross_section(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], 
     axes.margins(0.03, 0.08)
     axes.set_axis_off()
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=4, fontsize=8, frameon=False)
-    scale_bar(axes, "mm")
+    scale_bar(axes, "mm", narrowest=narrowest_mm)
 
 
 def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:

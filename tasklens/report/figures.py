@@ -5,8 +5,9 @@ chief ray. Colours are those of Okabe and Ito, which people without colour visio
 their dashes as well.
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,8 @@ class Panel:
         figures: optical figures of the lens, for captions.
         rays: rays of all fields on the image plane.
         centre: (F, 2) image points of the chief rays [mm].
+        narrowest_mm: length of the shortest lens of the figure, which its scale bars fit.
+        narrowest_um: width of its smallest PSF window.
     """
 
     title: str
@@ -62,6 +65,8 @@ class Panel:
     figures: Mapping
     rays: Rays
     centre: Tensor
+    narrowest_mm: float = math.inf
+    narrowest_um: float = math.inf
 
     @property
     def shown(self) -> dict[int, str]:
@@ -90,6 +95,9 @@ def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
 
 def drawn(panels: Sequence[Panel]) -> Figure:
     """Return the figure of one lens, or of several one above the other."""
+    mm = min(float(panel.lens.thickness.sum()) for panel in panels)
+    um = min(panel.view.kernel_size * panel.view.pixel_pitch for panel in panels)
+    panels = [replace(panel, narrowest_mm=mm, narrowest_um=um) for panel in panels]
     whole = Figure(figsize=(13, 11.5 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
@@ -138,17 +146,17 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the cross-section with rays."""
-    cross_section(part.subplots(), panel.lens, panel.view, panel.shown, _COLOURS)
+    cross_section(part.subplots(), panel.lens, panel.view, panel.shown, _COLOURS, panel.narrowest_mm)
 
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the spot diagrams of axis, middle and corner, with the circles of core and 80 %."""
-    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.shown)
+    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.shown, panel.narrowest_um)
 
 
 def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the PSFs of all fields, by square root and by logarithm."""
-    spot_panels.psf_strip(part, panel.psf, panel.view, panel.figures)
+    spot_panels.psf_strip(part, panel.psf, panel.view, panel.figures, panel.narrowest_um)
 
 
 def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:

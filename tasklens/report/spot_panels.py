@@ -30,12 +30,14 @@ def spots(
     view: View,
     figures: Mapping,
     shown: Mapping[int, str],
+    narrowest_um: float,
 ) -> None:
     """Draw the spots of the fields `shown`, with the circles about the chief ray of 50 % (core) and 80 %.
 
     Args:
         rays: rays of all fields on the image plane.
         centre: (F, 2) image points of the chief rays [mm].
+        narrowest_um: width that the scale bars fit.
     """
     points = 1e3 * spot_diagram(rays, centre)[:, :, :_DRAWN]
     half = view.kernel_size * view.pixel_pitch / 2
@@ -53,7 +55,7 @@ def spots(
                 axes.add_patch(circle)
         axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xticks=[], yticks=[])
-        scale_bar(axes, "um")
+        scale_bar(axes, "um", narrowest=narrowest_um)
         angle = figures["angle_deg"][field]
         axes.set_title(f"{name}, {angle:.2g}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
         radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"
@@ -74,7 +76,7 @@ def _outside(figures: Mapping, field: int) -> str:
     return f"{said}, {lost:.1%} lost" if lost >= _LEAST_SAID else said
 
 
-def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mapping) -> None:
+def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mapping, narrowest_um: float) -> None:
     """Draw the PSFs of all fields from axis to corner: square root above, logarithm of four decades below."""
     order = torch.argsort(view.radii, stable=True).tolist()
     grid = part.subplots(2, len(order), squeeze=False)
@@ -91,4 +93,4 @@ def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mappin
     for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):
         axes.set_ylabel(label, fontsize=8)
     for axes in grid[:, -1]:
-        scale_bar(axes, "um", "white")
+        scale_bar(axes, "um", "white", narrowest_um)
