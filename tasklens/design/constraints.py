@@ -65,7 +65,8 @@ def spaces(lens: Lens) -> tuple[Tensor, Tensor, Tensor]:
     """
     refracting = lens.refracting_surfaces
     pairs = list(pairwise(refracting))
-    if lens.stop < refracting[0] and float(lens.vertices[refracting[0]] - lens.vertices[lens.stop]) >= 0:
+    vertices = lens.vertices.detach()
+    if lens.stop < refracting[0] and float(vertices[refracting[0]] - vertices[lens.stop]) >= 0:
         pairs.insert(0, (lens.stop, refracting[0]))
     front, behind = torch.tensor(pairs).unbind(-1)
     return front, behind, torch.tensor([lens.media[i] != AIR for i, _ in pairs])
