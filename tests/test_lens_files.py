@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy
 import pytest
 import torch
 from examples import cooke_triplet, f64
@@ -107,3 +108,30 @@ def test_a_near_object_is_where_a_lens_file_of_ours_has_it(tmp_path):
     view = View(f64([[0.0, 0.0], [0.0, 10.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
     prescription.write(tmp_path / "lens.yaml", shown, tasklens.notebook.described(shown.lens, view, rays=64))
     assert lens_files.read(tmp_path / "lens.yaml").view.object_vergence == 1 / 300
+
+
+def test_a_laser_lens_at_its_own_wavelength(tmp_path):
+    """A plano-convex singlet at 1064 nm alone: its spot on the axis by a meridional trace in plain numbers."""
+    radius, thickness, distance, squared = 51.5, 5.0, 98.33247557546134, 1.064**2
+    terms = (
+        (1.03961212, 0.00600069867),
+        (0.231792344, 0.0200179144),
+        (1.01046945, 103.560653),
+    )  # N-BK7
+    index = math.sqrt(1 + sum(k * squared / (squared - l) for k, l in terms))
+    heights = numpy.sqrt((numpy.arange(2000) + 0.5) / 2000) * 5.0  # of equal areas of the pupil
+    turn = numpy.arcsin(heights / radius / index) - numpy.arcsin(heights / radius)
+    sag = radius - numpy.sqrt(radius**2 - heights**2)
+    behind = heights + (thickness - sag) * numpy.tan(turn)
+    image = behind + distance * numpy.tan(numpy.arcsin(index * numpy.sin(turn)))
+    expected = 1e3 * numpy.sqrt(numpy.mean(image**2))
+    surfaces = [
+        {"radius": radius, "thickness": thickness, "material": "N-BK7", "stop": True, "semi_diameter": 5.0},
+        {"radius": math.inf, "thickness": distance},
+    ]
+    lens, _ = tasklens.lens(surfaces, field_of_view_deg=2, wavelengths_um=[1.064])
+    fields = ("angle_deg", ((0.0, 0.0), (0.0, 1.0)))
+    zemax.write(tmp_path / "laser.zmx", Prescription(lens, fields=fields, wavelengths_um=(1.064,), primary=0))
+    file = lens_files.read(tmp_path / "laser.zmx")
+    assert file.view.wavelengths == (1.064,) and expected == pytest.approx(6.87, abs=0.01)
+    assert tasklens.analyse(file.lens, file.view)["rms_centroid_um"][0] == pytest.approx(expected, rel=1e-3)
