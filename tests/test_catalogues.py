@@ -56,7 +56,7 @@ def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
     ],
 )
 def test_a_broken_glass_is_refused_with_its_line(tmp_path, old, new, words):
-    """Where it is used: the other glass of the catalogue is read. Lines in front of the first glass refuse the file."""
+    """If it is used; the other glass of the catalogue is read. Lines in front of the first glass refuse the file."""
     assert old in AGF
     (tmp_path / "mine.agf").write_text(AGF.replace(old, new))
     with pytest.raises(FileError) as error:

@@ -8,7 +8,7 @@ import pytest
 from examples import make_lens
 from reference_files import SHARED, reference_files
 
-from tasklens.materials import catalogues
+from tasklens.materials import catalogues, library
 from tasklens.materials.catalogues import builtin
 from tasklens.materials.library import FOLDER, Library, UnknownGlassError, in_zemax, nearest, of_maker, users_files
 from tasklens.materials.material import C_LINE, D_LINE, F_LINE, G_LINE, Material
@@ -108,13 +108,19 @@ def test_the_order_of_search(tmp_path):
 
 def test_a_choice_between_makers_is_a_remark():
     """Unless the lens lists the catalogue, or the others have the same glass."""
-    library = Library()
-    library.glass("F2")
-    assert library.remarks == ["glass F2 of SCHOTT; others: HOYA, HIKARI, CDGM (--catalogue)"]
+    search = Library()
+    search.glass("F2")
+    assert search.remarks == ["glass F2 of SCHOTT; others: HOYA, HIKARI, CDGM (--catalogue)"]
     for listed, name in ((["SCHOTT"], "F2"), ([], "N-BK7")):
-        library = Library([], listed)
-        library.glass(name)
-        assert library.remarks == []
+        search = Library([], listed)
+        search.glass(name)
+        assert search.remarks == []
+
+
+def test_built_in_plastics_need_no_catalogue_of_a_maker(monkeypatch):
+    """A study is parsed again for every job, most of them of plastics alone."""
+    monkeypatch.setattr(library, "of_maker", lambda maker: pytest.fail(f"{maker} was read"))
+    assert Library().glass("COC") == builtin("COC")
 
 
 def test_a_glass_code_is_a_glass():

@@ -79,7 +79,7 @@ def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, m
     made = line(Grade.model_validate("commercial_moulding"))
     moved = displacements(made.lens, made.view, made.errors, 64)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
-    monkeypatch.setattr("tasklens.design.production._YIELD", 0.5)  # of two lenses, one
+    monkeypatch.setattr("tasklens.optics.tolerancing.allocation.YIELD", 0.5)  # of two lenses, one
     accuracy, calls, last = Production.accuracy, [], [math.inf]
 
     def counted(self, lens, images):

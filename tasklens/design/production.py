@@ -20,9 +20,7 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 
 _RAYS = 1024  # per field and colour of a built lens
-TRIED = 100  # lenses that are built with each set of tolerances of the allocation, at most
-_ALLOWED_POINTS, _YIELD = 1.0, 0.95  # what tolerances are allotted for
-_ALLOCATION_SEED = 7001  # added to the seed: other lenses than those that are reported
+_ALLOWED_POINTS = 1.0  # loss of accuracy that tolerances are allotted for
 
 Images = tuple[Tensor, Tensor]  # (N, 3, H, W) in [0, 1], and labels (N,)
 
@@ -147,7 +145,7 @@ def allotted(
     if not displacements.isfinite().all():
         return None
     peak = focus.peak(production.lens, production.view)
-    drawn = draw(production.errors, count, seed + _ALLOCATION_SEED)
+    drawn = draw(production.errors, count, seed + allocation.SEED)
     least = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS
     progress = Progress("allocation of tolerances", allocation.TRIALS)
     part = checkpoint.part("allocation of tolerances")
@@ -162,10 +160,10 @@ def allotted(
         for fractions in drawn:
             lens, _ = production.build(tolerances * fractions, peak)
             bad += bool(production.accuracy(lens, images)[0].mean() < least - 1e-9)
-            if bad > (1 - _YIELD) * count:
+            if bad > (1 - allocation.YIELD) * count:
                 break
         progress(step, bad=bad)
-        passed.append(bad <= (1 - _YIELD) * count)
+        passed.append(bad <= (1 - allocation.YIELD) * count)
         part.save(step, passed=passed)
         return passed[-1]
 

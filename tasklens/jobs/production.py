@@ -9,7 +9,7 @@ from tasklens.design import production
 from tasklens.design.production import Images, Production
 from tasklens.imaging import Camera
 from tasklens.optics.io import prescription, psf_files
-from tasklens.optics.tolerancing.allocation import both_axes
+from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import view_of_spec
@@ -57,8 +57,8 @@ def run(
     rows = production.built_lenses(studied, tolerances.lenses, settings.seed, shown, checkpoint)
     worst = moved_um.argsort(descending=True)[:_WORST].tolist()
     changes = production.one_at_a_time(studied, worst, rows[0]["accuracy"], shown, checkpoint)
-    tried = min(tolerances.lenses, production.TRIED)
-    by_drawing = both_axes(studied.errors, moved_um)
+    tried = min(tolerances.lenses, allocation.TRIED)
+    by_drawing = allocation.both_axes(studied.errors, moved_um)
     spared = _images(selection, tolerances.images)
     allotted = production.allotted(studied, by_drawing, tried, settings.seed, spared, checkpoint)
     error_rows = [

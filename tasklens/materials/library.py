@@ -59,10 +59,10 @@ class Library:
             FileError: its data cannot be used, or a file cannot be read.
         """
         errors: list[FileError] = []
-        matches = list(self._matches(name, errors))
-        if matches:
-            self._remark(matches)
-            return matches[0]
+        matches = self._matches(name, errors)  # makers' catalogues are read only if it comes to them
+        if (first := next(matches, None)) is not None:
+            self._remark(first, matches)
+            return first
         if errors:
             raise errors[0]
         if code := _CODE.fullmatch(name):
@@ -99,14 +99,14 @@ class Library:
             self._contents[path] = catalogues.read_agf(path) if agf else (catalogues.read(path), {})
         return self._contents[path]
 
-    def _remark(self, matches: Sequence[Material]) -> None:
+    def _remark(self, first: Material, matches: Iterator[Material]) -> None:
         """Note that another maker's glass of the same name differs, unless the lens file lists the catalogue."""
-        first = matches[0]
         catalogue = first.zemax.partition(" ")[0].upper()
-        others = [other for other in matches[1:] if other.coefficients != first.coefficients]
-        if others and catalogue in _MAKERS and catalogue not in self.listed:
-            named = ", ".join(other.zemax.partition(" ")[0] for other in others)
-            self.remarks.append(f"glass {first.name} of {catalogue}; others: {named} (--catalogue)")
+        if catalogue not in _MAKERS or catalogue in self.listed:
+            return
+        others = [other.zemax.partition(" ")[0] for other in matches if other.coefficients != first.coefficients]
+        if others:
+            self.remarks.append(f"glass {first.name} of {catalogue}; others: {', '.join(others)} (--catalogue)")
 
     def _unknown(self, name: str) -> str:
         names = {each for glasses, _ in self._sources() for each in glasses}

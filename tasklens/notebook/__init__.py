@@ -1,4 +1,4 @@
-"""What a notebook needs: `import tasklens`, and these functions.
+"""Functions for notebooks, which `import tasklens` offers.
 
 A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow through) and is looked at with a `View`
 (fields, wavelengths, pixels). Lengths are in mm, wavelengths, pixels and spots in um.

@@ -1,4 +1,4 @@
-"""What a lens loses in manufacture, for a terminal: yields, the errors that matter, and tolerances for a drawing."""
+"""Losses of a lens in manufacture, for a terminal: yields, the errors that matter, and tolerances for a drawing."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,7 +6,8 @@ from typing import Any
 import numpy
 import pandas
 
-from tasklens.optics.tolerancing.yields import KEPT_MTF, YIELD, Tolerances
+from tasklens.optics.tolerancing.allocation import YIELD
+from tasklens.optics.tolerancing.yields import KEPT_MTF, Tolerances
 
 _GROWTH = (1.1, 1.25, 1.5, 2.0)  # of the mean RMS spot, up to which a lens passes
 _KEPT = (0.95, 0.9, 0.8, 0.6)  # of the mean MTF, from which a lens passes

@@ -7,6 +7,9 @@ from torch import Tensor
 
 from tasklens.optics.tolerancing.errors import Error
 
+YIELD = 0.95  # share of the lenses that tolerances are allotted for
+TRIED = 100  # lenses that are built with each set of tolerances, at most
+SEED = 7001  # added to the seed: other lenses than those that are reported
 _LOOSEST = 4.0  # times the tolerance of the grade: looser ones save nothing
 _RANGE = (1 / 32, 8.0)  # of the common factor
 _HALVINGS = 5  # of the logarithm of the range: the factor is within 19 %

@@ -19,11 +19,9 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
 from tasklens.study.tolerance_settings import Grade
 
-KEPT_MTF, YIELD = 0.8, 0.95  # what tolerances of a drawing are for: share of the design's MTF, and of the lenses
+KEPT_MTF = 0.8  # share of the design's MTF that tolerances of a drawing are for
 _RAYS = 512  # per field and colour
 _RIM = 1.02  # clear aperture of a surface without one, over the radius that light uses
-_ALLOCATION_SEED = 7001  # added to the seed: other lenses than those that are reported
-_TRIED = 100  # lenses that are built with each set of tolerances
 
 
 @dataclass(frozen=True)
@@ -37,15 +35,15 @@ class Quality:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What a lens loses in manufacture.
+    """Loss of a lens in manufacture.
 
     Attributes:
         design: the lens as designed.
         built: the lenses as built.
         errors: P errors of a lens.
         moved_um: (P,) RMS displacement of rays by each error as large as its tolerance [um].
-        allotted: (P,) widest tolerances, over those of the grade, with which `YIELD` of the lenses keep `KEPT_MTF` of
-            the design's MTF; None: the tightest that were tried do not suffice.
+        allotted: (P,) widest tolerances, over those of the grade, with which `allocation.YIELD` of the lenses keep
+            `KEPT_MTF` of the design's MTF; None: the tightest that were tried do not suffice.
     """
 
     design: Quality
@@ -80,14 +78,14 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         qualities.append(_quality(_assembled(lens, view, listed, fractions, peak), view))
         progress(k, rms_um=qualities[-1].rms_um)
     design = _quality(lens, view)
-    drawn = draw(listed, min(count, _TRIED), seed + _ALLOCATION_SEED)
+    drawn = draw(listed, min(count, allocation.TRIED), seed + allocation.SEED)
 
     def passes(scale: Tensor) -> bool:
         bad = 0
         for fractions in drawn:
             lens_built = _assembled(lens, view, listed, scale * fractions, peak)
             bad += _quality(lens_built, view).mtf < KEPT_MTF * design.mtf
-            if bad > (1 - YIELD) * len(drawn):
+            if bad > (1 - allocation.YIELD) * len(drawn):
                 return False
         return True
 
