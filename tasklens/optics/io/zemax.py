@@ -119,11 +119,13 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
 
 
 def _library(path: Path, system: dict[str, Line], catalogues: Sequence[Path]) -> Library:
-    """Return the glasses of a lens file: of the catalogues that it lists, and of the user's."""
+    """Return the glasses of a lens file: of the catalogues that it lists, and of the user's; raises FileError."""
     listed = system["GCAT"].text.upper().split() if "GCAT" in system else []
     beside = path.with_suffix(".agf")
     own = [beside] if beside.stem.upper() in listed and beside.exists() else []
-    return Library([*own, *catalogues], listed)
+    library = Library([*own, *catalogues], listed)
+    library.check()  # a mistake in a catalogue that is given is one, whether or not a glass of it is needed
+    return library
 
 
 def _stop(inner: list[Block], path: Path) -> int:
