@@ -1,6 +1,9 @@
 """Tests that the parts of Snakemake used beyond its documented interface exist and mean what they did."""
 
 import logging
+import os
+import signal
+import threading
 from types import SimpleNamespace
 
 from examples import tiny_study
@@ -50,3 +53,22 @@ def test_the_terminal_is_taken_from_snakemake(tmp_path):
     logger = logging.Logger("snakemake.test")
     handler = logging.NullHandler()
     assert not snakemake_internals.take_terminal(handler, False, logger) and logger.handlers == [handler]
+
+
+def test_a_run_is_terminated_while_its_scheduler_has_its_lock():
+    """The handler of the signal, which takes the same lock, waits for it instead of blocking the thread that has it."""
+    lock, ended, before = threading.Lock(), threading.Event(), signal.getsignal(signal.SIGTERM)
+
+    def exit_gracefully(*_: object) -> None:
+        with lock:
+            ended.set()
+
+    try:
+        signal.signal(signal.SIGTERM, exit_gracefully)
+        snakemake_internals.terminate_safely()
+        with lock:
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert not ended.wait(0.1)
+        assert ended.wait(10)
+    finally:
+        signal.signal(signal.SIGTERM, before)
