@@ -4,8 +4,9 @@ import os
 
 import pytest
 from examples import write
+from PIL import Image
 
-from tasklens.recognition import class_folders
+from tasklens.recognition import class_folders, dataset
 from tasklens.runtime.files import FileError
 from tasklens.study.job_settings import folder_digest
 from tasklens.study.settings import ImageSettings
@@ -143,3 +144,28 @@ def test_links_in_circles_end(folder):
     first = folder_digest(folder)
     write(folder / "train/cat/2.png", "new")
     assert len({first, folder_digest(folder)}) == 2
+
+
+def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
+    """In turns between the classes, each photograph once; what is not asked for is the rest."""
+    for name in ("cat", "dog"):
+        (tmp_path / name).mkdir()
+        for k in range(6):
+            Image.new("RGB", (20, 20), (k, 0, 0)).save(tmp_path / name / f"{k}.png")
+    settings = ImageSettings(size=16, folder=tmp_path, test=4, minival=2)
+    class_folders.check(settings)
+    paths = {split: (tmp_path / f"{split}.npy", tmp_path / f"{split}.json") for split in ("train", "minival", "test")}
+    dataset.make(settings, paths)
+    splits = {name: dataset.read(*files) for name, files in paths.items()}
+    assert {name: len(split) for name, split in splits.items()} == {"train": 6, "minival": 2, "test": 4}
+    found = []
+    for split in splits.values():
+        found += zip(split.images[:, 0, 0, 0].tolist(), split.labels.tolist(), strict=True)
+    assert sorted(found) == sorted((k, label) for k in range(6) for label in (0, 1))
+    assert all(2 * int(split.labels.sum()) == len(split) for split in splits.values())
+    for wrong, words in (
+        ({"test": None}, "has neither train nor test; say by images.test or images.train"),
+        ({"test": 12}, "has 12 images; test, minival and train of `images` ask for 15"),
+    ):
+        with pytest.raises(FileError, match=words):
+            class_folders.check(settings.model_copy(update=wrong))

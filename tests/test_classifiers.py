@@ -2,6 +2,7 @@
 
 import copy
 import re
+import sys
 from pathlib import Path
 
 import numpy
@@ -9,6 +10,7 @@ import pytest
 import timm
 import torch
 from examples import changed, random_images, tiny_study, trained_network
+from safetensors.torch import save_file
 from torch import nn
 
 from tasklens.pipeline import checks
@@ -16,6 +18,7 @@ from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition import dataset as data
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+from tasklens.study import users_code
 from tasklens.study.loading import parse
 from tasklens.study.settings import ClassifierSettings, TrainingSettings
 
@@ -208,9 +211,9 @@ def test_published_weights_reproduce_their_accuracy():
     images = torch.stack([folders.read(file, 224) for file in found.files])
     dataset = data.ImageDataset(images, found.labels, found.classes)
     classifier = classifiers.build(settings, found.classes).eval()
-    correct = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline()).correct
-    assert float(correct[0].double().mean()) == pytest.approx(0.990, abs=0.0041)
-    rows = evaluation.zero_shot(classifier, dataset, evaluation.CapturePipeline())
+    found = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline())
+    assert float(found.correct[0].double().mean()) == pytest.approx(0.990, abs=0.0041)
+    rows = evaluation.zero_shot(classifier, found)
     assert [row["metric"] for row in rows] == ["zero_shot_accuracy"]
     assert rows[0]["value"] == pytest.approx(75.6, abs=0.41)
 
@@ -284,3 +287,61 @@ def test_a_hub_out_of_reach_is_said_at_once(monkeypatch):
     classifiers.check_published("resnet18.a1_in1k")
     classifiers.check_published("test_resnet")  # has none
     assert len(asked) == 1
+
+
+OWN = """
+from torch import nn
+def small(num_classes, width=8):
+    pooled = nn.Sequential(nn.Conv2d(3, width, 3, 2), nn.ReLU(), nn.AdaptiveAvgPool2d(1), nn.Flatten())
+    return nn.Sequential(pooled, nn.Linear(width, num_classes))
+def detached(num_classes):
+    class Network(nn.Module):
+        def forward(self, images):
+            return images.detach().mean((2, 3))[:, :1].expand(-1, num_classes) + 0
+    return Network()
+def features(num_classes):
+    return nn.Sequential(nn.Conv2d(3, num_classes, 3), nn.ReLU())
+def number(num_classes):
+    return 7
+"""
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch):
+    """A module of the user's in the present folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    (tmp_path / "own_networks.py").write_text(OWN)
+    yield
+    sys.modules.pop("own_networks", None)
+
+
+def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
+    """For images in [0, 1], without a normalisation; its weights are from a file, its text is in the settings."""
+    settings = ClassifierSettings(
+        model="own_networks:small", arguments={"width": 4}, weights=tmp_path / "mine.safetensors"
+    )
+    torch.manual_seed(0)
+    network = users_code.load(settings.model)(3, 4).eval()
+    save_file(network.state_dict(), settings.weights)
+    images = torch.rand(2, 3, 16, 16)
+    torch.testing.assert_close(classifiers.build(settings, names(3)).eval()(images), network(images), rtol=0, atol=1e-6)
+    with pytest.raises(FileError, match="no weights for own_networks:small with 4 outputs"):
+        classifiers.build(settings, names(4))
+    before = settings.model_dump_json()
+    (tmp_path / "own_networks.py").write_text(OWN + "\n# changed")
+    assert settings.model_dump_json() != before
+
+
+@pytest.mark.parametrize(
+    "function, words",
+    [
+        ("absent", "expected package.module:function, installed or in this folder"),
+        ("number", "expected a torch.nn.Module, got int"),
+        ("features", "answers 1 images with a tensor .1, 10, 30, 30.; expected logits .1, 10."),
+        ("detached", "has no gradient at its images"),
+    ],
+)
+def test_a_function_that_makes_no_classifier_is_refused(own_module, function, words):
+    with pytest.raises(InputError, match=rf"classifiers\.mine: own_networks:{function}: .*{words}"):
+        classifiers.check("mine", ClassifierSettings(model=f"own_networks:{function}", pretrained=True), 32)

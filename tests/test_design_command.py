@@ -1,17 +1,23 @@
 """`tasklens design`: one lens without a study, its file, and what is refused."""
 
 import json
+import shutil
 
 import numpy
 import pytest
 import timm
 import torch
 import yaml
+from examples import random_images
 from PIL import Image
 from safetensors.torch import save_file
 
 from tasklens.cli.app import main
 from tasklens.optics.io import lens_files
+from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.training import fit
+from tasklens.runtime.files import write_tensors
+from tasklens.study.settings import TrainingSettings
 
 QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
 
@@ -22,17 +28,26 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def photographs(folder):
-    """Four images of each of three classes, and weights of a network for three."""
-    generator = numpy.random.default_rng(0)
-    for name in ("cat", "dog", "owl"):
-        (folder / "photographs" / name).mkdir(parents=True)
-        for k in range(4):
-            values = generator.integers(0, 256, (40, 50, 3), dtype=numpy.uint8)
-            Image.fromarray(values).save(folder / "photographs" / name / f"{k}.png")
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Eight images of each of three classes, one brighter than the other, and weights of a network that knows them."""
+    folder, images = tmp_path_factory.mktemp("trained"), random_images(24, 40, 3, seed=0)
+    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
+        path = folder / "photographs" / ("cat", "dog", "owl")[label] / f"{k}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
     torch.manual_seed(0)
-    save_file(timm.create_model("test_resnet", num_classes=3).state_dict(), folder / "mine.safetensors")
+    network = Classifier(timm.create_model("test_resnet", num_classes=3))
+    settings = TrainingSettings(epochs=10, learning_rate=1e-2, batch_size=8)
+    fit({"network": network}, images, settings, 0, "test")
+    write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
+    return folder
+
+
+@pytest.fixture
+def photographs(folder, trained):
+    """A folder with these photographs and weights."""
+    shutil.copytree(trained, folder, dirs_exist_ok=True)
     return folder
 
 
@@ -70,6 +85,7 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
     given = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
     assert design(*given, "-o", "mine.yaml") == 0
     output = capsys.readouterr()
+    assert "recognises" in output.err and "24 sharp images (guessing: 33.3%)" in output.err
     assert "descent 2  step 2/2  loss" in output.err and "design: task by descents, seed 0" in output.out
     assert design(*given, "-o", "again.yaml") == 0
     assert design(*given, "-o", "other.yaml", "--seed", "1") == 0
@@ -101,6 +117,20 @@ def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys
     assert content["origin"]["start"] == "start.yaml" and content["origin"]["validation_loss"] > 0
     start, better = (lens_files.read(photographs / f"{name}.yaml").lens for name in ("start", "better"))
     assert better.media == start.media and not torch.equal(better.curvature, start.curvature)
+
+
+def test_a_network_that_recognises_nothing_designs_nothing(photographs, capsys):
+    """Here since it always gives the same answer; nothing is written."""
+    weights = {
+        name: torch.zeros_like(value)
+        for name, value in timm.create_model("test_resnet", num_classes=3).state_dict().items()
+    }
+    save_file(weights, photographs / "zero.safetensors")
+    given = ("--method", "task", "--classifier", "test_resnet", "--weights", "zero.safetensors")
+    assert design(*given, "--images", "photographs", "--size", "32", "--kernel-size", "11", "-o", "mine.yaml") == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "no better than guessing; check its weights, its normalisation" in message
+    assert not (photographs / "mine.yaml").exists()
 
 
 TASK = ("--method", "task", "--classifier", "test_resnet")

@@ -47,9 +47,11 @@ def fine_tune(
         pipeline = _capture_pipeline(settings, psf, restoration, group.device)
         if group.is_first:
             untrained = classifiers.frozen(network, images.images)
-            label = f"zero-shot evaluation of {name}"
-            zero_shot = evaluation.zero_shot(network, images, pipeline, label, checkpoint)
             before = evaluation.evaluate([untrained], selection, pipeline, "minival, before training", checkpoint)
+            zero_shot, on_test = [], None
+            if not settings.training.epochs or evaluation.has_more_outputs(network):
+                on_test = evaluation.evaluate([untrained], images, pipeline, "test, before training", checkpoint)
+                zero_shot = evaluation.zero_shot(network, on_test)
         training.fit(
             {name: network},
             training_images,
@@ -63,8 +65,8 @@ def fine_tune(
     if not group.is_first:
         return
     trained, after = classifiers.frozen(network, images.images), before
-    on_test = evaluation.evaluate([trained], images, pipeline, "test", checkpoint)
-    if settings.training.epochs:
+    if settings.training.epochs or on_test is None:
+        on_test = evaluation.evaluate([trained], images, pipeline, "test", checkpoint)
         after = evaluation.evaluate([trained], selection, pipeline, "minival", checkpoint)
     measured = evaluation.measure([network], images, on_test, after, pipeline.camera is not None)
     ((rows, answers),) = measured

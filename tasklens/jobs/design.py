@@ -64,9 +64,9 @@ def run(
     begun = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
     compared = dict(zip(settings.candidates, _lenses(candidates), strict=True))
     designed, notes, rows = methods.design(settings, classifier, images, begun, compared, checkpoint, task)
-    write_rows(history, rows)
-    prescription.write(lens, prescription.Prescription(designed), notes)
     view = view_of_spec(settings.spec)
+    write_rows(history, rows)
+    prescription.write(lens, prescription.Prescription(designed, object_distance_mm=view.object_distance), notes)
     designed = prescription.read(lens)[0].lens
     grid = evaluation_psf(designed, view, settings.rays)
     psfs = FieldPsfs(grid, relative_illumination(designed, view))

@@ -1,15 +1,18 @@
 """Training of a classifier on the sharp images, or its published weights."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from tasklens.recognition import classifiers, dataset, training
+from tasklens.recognition import classifiers, dataset, sharp, training
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_tensors
 from tasklens.study.settings import ClassifierSettings
+
+_SHARP = 500  # images by which published weights are checked, at most
 
 
 def run(
@@ -33,4 +36,7 @@ def run(
         training.fit(
             {settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint
         )
+    else:
+        order = torch.randperm(len(train), generator=torch.Generator().manual_seed(0))[:_SHARP]
+        print(sharp.recognised(classifiers.frozen(classifier, train.images), train.take(order)), file=sys.stderr)
     write_tensors(weights, classifier.network.state_dict(), {"model": settings.model})

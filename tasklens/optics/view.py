@@ -94,4 +94,5 @@ class View:
 def view_of_spec(spec: Spec) -> View:
     """Return the nine fields, three wavelengths and the pixels of a specification."""
     fields = torch.tensor(spec.fields_mm, dtype=torch.float64)
-    return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel_size)
+    vergence = 1 / (spec.object_distance_mm or math.inf)
+    return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel_size, vergence)

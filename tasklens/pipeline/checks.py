@@ -4,6 +4,7 @@ from tasklens.optics.tracing.trace import compile_tracer
 from tasklens.recognition import class_folders, object_splits
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
+from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.study import Study
 
 
@@ -28,9 +29,10 @@ def check(study: Study, networks: bool, weights: bool) -> None:
         from tasklens.optics.io import imported
         from tasklens.optics.view import view_of_spec
 
-        for entry in study.imported.values():
-            spec = study.spec_of(entry.elements)
-            imported.fit(entry, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+        for lens in study.lenses.values():
+            if isinstance(lens.design, ImportedLens):
+                spec = study.lens_spec(lens.name)
+                imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)
     if networks:
         _check_networks(study)
 
@@ -43,8 +45,7 @@ def _check_networks(study: Study) -> None:
         if classifier.pretrained:
             classifiers.check_published(classifier.model)
         if classifier.outputs != "classes" and study.images.folder is not None:
-            train = class_folders.split_folder(study.images.folder, class_folders.TRAIN)
-            classifiers.imagenet_outputs(class_folders.classes(train))
+            classifiers.imagenet_outputs(class_folders.training_classes(study.images.folder))
     if study.tasks.networks:
         from tasklens.recognition import task_networks
 

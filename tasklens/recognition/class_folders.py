@@ -16,6 +16,12 @@ OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # 
 TRAIN, TEST = ("train",), ("test", "val")  # possible names of the folders of the splits
 
 
+def is_split(folder: Path) -> bool:
+    """Return whether a folder has training and test images apart; otherwise it has the classes themselves."""
+    inside = {entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")}
+    return not inside or bool(inside & {*TRAIN, *TEST})
+
+
 def split_folder(folder: Path, names: Sequence[str]) -> Path:
     """Return the first of the folders `names` that is in `folder`; raises FileError if there is none."""
     if not folder.is_dir():
@@ -32,6 +38,11 @@ def classes(split: Path) -> list[str]:
     if not found:
         raise FileError(f"{split}: expected a folder per class in it, found none")
     return found
+
+
+def training_classes(folder: Path) -> list[str]:
+    """Return the names of the classes of the training images; raises FileError."""
+    return classes(split_folder(folder, TRAIN) if is_split(folder) else folder)
 
 
 def photographs(folder: Path) -> Iterator[Path]:
@@ -73,6 +84,9 @@ def check(images: ImageSettings) -> None:
     """
     if images.folder is None:
         return
+    if images.folder.is_dir() and not is_split(images.folder):
+        _check_whole(images, images.folder)
+        return
     splits = [split_folder(images.folder, names) for names in (TRAIN, TEST)]
     train, test = (classes(split) for split in splits)
     same_classes(images.folder, train, test)
@@ -91,6 +105,23 @@ def check(images: ImageSettings) -> None:
             raise FileError(
                 f"{split}: has {found} images, {keys} of `images` ask for {wanted}; ask for fewer, or null for all"
             )
+
+
+def _check_whole(images: ImageSettings, folder: Path) -> None:
+    """Check a folder of classes that is cut into test, minival and training images; raises FileError."""
+    if len(names := classes(folder)) < 2:
+        raise FileError(f"{folder}: expected two classes or more, a folder each, found only {names[0]}")
+    if images.train is None and images.test is None:
+        raise FileError(
+            f"images.folder = {folder}: has neither train nor test; say by images.test or images.train how many "
+            "photographs are for which"
+        )
+    for name in names:
+        if next(photographs(folder / name), None) is None:
+            raise no_image(folder / name)
+    needed = (images.test or 1) + images.minival + (images.train or 1)
+    if (found := count(folder, needed)) < needed:
+        raise FileError(f"{folder}: has {found} images; test, minival and train of `images` ask for {needed}")
 
 
 def count(split: Path, most: int) -> int:

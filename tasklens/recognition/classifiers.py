@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from pickle import UnpicklingError
 from textwrap import shorten
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import huggingface_hub
 import timm
@@ -20,10 +20,12 @@ from timm.models import load_checkpoint
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from tasklens.recognition import networks
 from tasklens.recognition.folding import fold_batch_norms
 from tasklens.runtime.devices import half_precision
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+from tasklens.study import users_code
 from tasklens.study.settings import ClassifierSettings
 
 _Network = TypeVar("_Network", bound=nn.Module)
@@ -32,7 +34,9 @@ _LONGEST = 300  # characters of an error of a reader of weights, some of which a
 
 
 class Classifier(nn.Module):
-    """A timm network with its normalisation of the input, which is applied after the optics.
+    """A network with its normalisation of the input, which is applied after the optics.
+
+    A network of timm has its normalisation in its configuration; any other module takes images in [0, 1] as they are.
 
     Args:
         outputs: indices of the outputs that are used, those of the images' classes first; None: all in their order.
@@ -44,7 +48,9 @@ class Classifier(nn.Module):
 
     def __init__(self, network: nn.Module, outputs: Tensor | None = None):
         super().__init__()
-        config = timm.data.resolve_model_data_config(network)
+        config: dict[str, Any] = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
+        if hasattr(network, "pretrained_cfg"):
+            config = timm.data.resolve_model_data_config(network)
         # Channels last makes convolutions train 1.4 to 2 times faster on a CPU, transformers neither faster nor slower.
         self.network = network.to(memory_format=torch.channels_last)
         self.register_buffer("mean", torch.tensor(config["mean"])[:, None, None], persistent=False)
@@ -85,23 +91,29 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
             )
     if pretrained:
         check_published(settings.model)
-    network = timm.create_model(settings.model, pretrained=pretrained, num_classes=count, **settings.arguments)
+    network = networks.create(settings.model, count, settings.arguments, pretrained)
     path = weights or settings.weights
     if path is not None:
         path.stat()  # timm's error does not name a missing file
-        head = next(iter(network.get_classifier().parameters()))  # type: ignore[operator]
-        before = head.detach().clone()
+        before = _head(network)
         try:
             load_checkpoint(network, str(path), weights_only=True)
         except Exception as error:  # of torch, safetensors, pickle or numpy, depending on the format
             why = _unreadable(path, error)
             raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {why}") from error
-        if path.suffix == ".npz" and torch.equal(head, before):  # timm's readers skip a head of another size
+        if path.suffix == ".npz" and torch.equal(_head(network), before):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
     if outputs is not None and settings.outputs == "all_imagenet":
         asked = set(outputs.tolist())
         outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in asked])])
     return Classifier(network, outputs)
+
+
+def _head(network: nn.Module) -> Tensor:
+    """Return a copy of the first parameter of the head of a network of timm, of another one of its last parameter."""
+    head = network.get_classifier() if hasattr(network, "get_classifier") else network  # type: ignore[operator]
+    parameters = list(head.parameters())
+    return parameters[0 if head is not network else -1].detach().clone()
 
 
 def _unreadable(path: Path, error: Exception) -> str:
@@ -187,24 +199,40 @@ def frozen(classifier: _Network, images: Tensor, batch_norm: Literal["stored", "
 
 
 def check(name: str, settings: ClassifierSettings, size: int) -> None:
-    """Check the model, arguments and image size [pixels] of a classifier, without memory for its weights.
+    """Check the model, arguments and image size [pixels] of a classifier; one of timm without memory for its weights.
 
     Raises:
-        InputError: timm does not know the model, or the arguments or size do not fit it; the message names the
-            classifier.
+        InputError: there is no such model, the arguments or size do not fit it, or it answers with no logits or
+            without a gradient; the message names the classifier.
     """
     arguments = f" with {settings.arguments}" if settings.arguments else ""
     try:
-        with torch.device("meta"):
-            network = timm.create_model(settings.model, num_classes=10, **settings.arguments).eval()
-            answer = network(torch.zeros(1, 3, size, size))
+        with torch.device("cpu" if users_code.is_users(settings.model) else "meta"):
+            network = networks.create(settings.model, 10, settings.arguments).eval()
+            images = torch.zeros(1, 3, size, size, requires_grad=True)
+            answer = network(images)
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
         raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from error
-    if not isinstance(answer, Tensor) or answer.shape != (1, 10):
+    try:
+        check_logits(answer, 1, 10)
+    except InputError as error:
+        raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from None
+
+
+def check_logits(answer: object, images: int, classes: int) -> None:
+    """Check that the answer of a network to some images has the logits of so many classes, and a gradient.
+
+    Raises:
+        InputError: it has not.
+    """
+    if not isinstance(answer, Tensor) or answer.shape != (images, classes) or not answer.is_floating_point():
+        got = f"a tensor {tuple(answer.shape)}" if isinstance(answer, Tensor) else type(answer).__name__
         raise InputError(
-            f"classifiers.{name}: {settings.model}{arguments} answers with no logits; expected a network that "
-            "classifies, without arguments such as features_only"
+            f"the network answers {images} images with {got}; expected logits ({images}, {classes}), from a network "
+            "that classifies (of timm, without arguments such as features_only)"
         )
+    if not answer.requires_grad:
+        raise InputError("the network's answer has no gradient at its images; a layer of it detaches them")
 
 
 def parameters_m(classifier: Classifier) -> float:

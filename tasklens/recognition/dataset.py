@@ -78,6 +78,8 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
         assert images.train is not None and images.test is not None  # rendered images need counts
         pool = _rendered(images.train + images.minival, 2 * images.seed, images)
         test = _rendered(images.test, 2 * images.seed + 1, images)
+    elif not class_folders.is_split(images.folder):
+        return _cut(images, folders.find(images.folder, (".",), None, images.seed))
     else:
         limit = None if images.train is None else images.train + images.minival
         pool = folders.find(images.folder, class_folders.TRAIN, limit, images.seed)
@@ -87,6 +89,21 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
         raise class_folders.too_few(images, len(pool))
     order = torch.randperm(len(pool), generator=torch.Generator().manual_seed(images.seed))
     return pool.take(order[images.minival :]), pool.take(order[: images.minival]), test
+
+
+def _cut(images: ImageSettings, whole: folders.Listing) -> tuple[folders.Listing, ...]:
+    """Cut photographs, in an order that takes turns between the classes, into train, minival and test."""
+    left = len(whole) - images.minival
+    test = images.test if images.test is not None else left - (images.train or 0)
+    train = images.train if images.train is not None else left - test
+    if min(test, train) < 1 or test + train > left:
+        raise FileError(
+            f"{images.folder}: has {len(whole)} images; test, minival and train of `images` ask for {test}, "
+            f"{images.minival} and {train}"
+        )
+    order = torch.arange(len(whole))
+    ends = [test + images.minival, test, 0], [test + images.minival + train, test + images.minival, test]
+    return tuple(whole.take(order[start:end]) for start, end in zip(*ends, strict=True))
 
 
 def training_images(images: ImageSettings, path: Path, *, device: torch.device = CPU) -> ImageDataset:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -57,11 +57,13 @@ class Evaluation:
 
     Attributes:
         correct: (C, F, N) whether the classification is correct, bool.
+        among_all: (C, F, N) whether it is among all outputs of the network, used or not, bool.
         losses: (C, F, N) cross-entropies.
         psnr_db: (F, N) PSNR of the captures [dB].
     """
 
     correct: Tensor
+    among_all: Tensor
     losses: Tensor
     psnr_db: Tensor
 
@@ -90,9 +92,9 @@ def evaluate(
     for step, indices in enumerate(batches[part.step :], part.step + 1):
         images, labels = dataset.batch(indices)
         captures = pipeline.all_fields(images, step)
-        correct, losses = zip(*(_answers(each, captures, labels) for each in classifiers), strict=True)
-        quality = psnr(captures, images)
-        found.append(Evaluation(torch.stack(correct).cpu(), torch.stack(losses).cpu(), quality.cpu()))
+        answers = zip(*(_answers(each, captures, labels) for each in classifiers), strict=True)
+        correct, among_all, losses = (torch.stack(each).cpu() for each in answers)
+        found.append(Evaluation(correct, among_all, losses, psnr(captures, images).cpu()))
         progress(step)
         if checkpoint.due():
             found = [_joined(found)]
@@ -102,11 +104,21 @@ def evaluate(
     return whole
 
 
-def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
-    """Return whether captures (F, B, 3, H, W) are classified correctly, (F, B) bool, and the cross-entropies (F, B)."""
-    logits = torch.stack([torch.cat([classifier(part) for part in field.split(_BATCH)]) for field in captures])
+def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, ...]:
+    """Classify captures (F, B, 3, H, W) with labels (B,).
+
+    Returns:
+        Whether each is classified correctly, among the used outputs and among all of the network, and the
+        cross-entropies, each (F, B).
+    """
+    outputs = classifier.outputs if isinstance(classifier, Classifier) else None
+    function = classifier.all_outputs if isinstance(classifier, Classifier) else classifier
+    logits = torch.stack([torch.cat([function(part) for part in field.split(_BATCH)]) for field in captures])
+    among_all = logits.argmax(-1) == (labels if outputs is None else outputs[labels])
+    if outputs is not None:
+        logits = logits[..., outputs]
     losses = F.cross_entropy(logits.flatten(0, 1), labels.repeat(len(captures)), reduction="none")
-    return logits.argmax(-1) == labels, losses.reshape(logits.shape[:2])
+    return logits.argmax(-1) == labels, among_all, losses.reshape(logits.shape[:2])
 
 
 def _joined(found: Sequence[Evaluation]) -> Evaluation:
@@ -114,27 +126,24 @@ def _joined(found: Sequence[Evaluation]) -> Evaluation:
     return Evaluation(*(torch.cat(values, -1) for values in zip(*(vars(each).values() for each in found), strict=True)))
 
 
-def zero_shot(
-    classifier: Classifier,
-    dataset: ImageDataset,
-    pipeline: CapturePipeline,
-    label: str = "zero-shot evaluation",
-    checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> list[dict]:
-    """Measure the accuracy among all outputs of a network that has more of them than are used.
+def zero_shot(classifier: Classifier, before: Evaluation) -> list[dict]:
+    """Return the accuracy among all outputs of a network that has more of them than are used.
 
     Args:
-        label, checkpoint: as of `evaluate`.
+        before: evaluation of the test images before any training.
 
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
     """
-    if classifier.outputs is None or len(classifier.outputs) == classifier.network.num_classes:
+    if not has_more_outputs(classifier):
         return []
-    among_all = replace(dataset, labels=classifier.outputs.cpu()[dataset.labels])
-    correct = evaluate([classifier.all_outputs], among_all, pipeline, label, checkpoint).correct[0]
-    values = (100 * correct.double().mean(-1)).tolist()
+    values = (100 * before.among_all[0].double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
+
+
+def has_more_outputs(classifier: Classifier) -> bool:
+    """Return whether a network has more outputs than are used, so that its zero-shot accuracy is another one."""
+    return classifier.outputs is not None and len(classifier.outputs) != classifier.network.num_classes
 
 
 @torch.no_grad()
@@ -146,7 +155,7 @@ def classify(
     Returns:
         Whether each is classified correctly, (F, N) bool, and the cross-entropy (F, N).
     """
-    correct, losses = _answers(classifier, pipeline.all_fields(images), labels)
+    correct, _, losses = _answers(classifier, pipeline.all_fields(images), labels)
     return correct.cpu(), losses.cpu()
 
 

@@ -23,7 +23,7 @@ class ProductionJob(Frozen):
         return cls(
             lens=lens,
             seed=seed,
-            spec=study.spec_of(study.lens(lens).elements),
+            spec=study.lens_spec(lens),
             capture=study.capture_of(lens),
             classifier=study.network(study.supervisor),
             tolerances=study.tolerances.model_copy(update={"designs": None}),

@@ -160,7 +160,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
                 other
                 for other in study.lenses.values()
                 if other.design_name in study.imaging_designs
-                and study.spec_of(other.elements) == study.spec_of(lens.elements)
+                and study.lens_spec(other.name) == study.lens_spec(lens.name)
             ]
             counts = sorted({len(other.plastics) for other in imaging})
             more = dict(pairwise(counts)).get(len(lens.plastics))

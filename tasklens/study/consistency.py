@@ -23,6 +23,8 @@ _TAKEN = {  # names by section, and what has them
 
 def check(study: Study) -> None:
     """Check what the sections of a study say of each other; raises ValueError with the key."""
+    if not study.lenses:
+        raise ValueError("designs: expected a design of some elements, or a lens that is `imported`")
     _check_names(study)
     for name in study.ablations:
         _check_ablation(study, name)
@@ -103,6 +105,8 @@ def _check_lenses(study: Study) -> None:
         materials = tuple(study.materials[plastic] for plastic in plastics)
         where = f"specs.{name}" if name in study.specs else "spec"
         spec = study.spec_of(name)
+        if spec.object_distance_mm is not None and study.designs:
+            raise ValueError(f"{where}.object_distance_mm: designs are for objects at infinity; import lenses alone")
         feasibility.check(name, where, materials, spec, study.constraints, study.images.size)
         if study.tasks.networks and spec.kernel_size // 2 >= study.tasks.scenes.size:
             raise ValueError(
@@ -123,7 +127,7 @@ def places(study: Study) -> list[tuple[str, LensEntry]]:
 
 def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     design = lens.design
-    kernel_size = study.spec_of(lens.elements).kernel_size
+    kernel_size = study.lens_spec(lens.name).kernel_size
     for key, size in lens.sizes.items():
         if not kernel_size // 2 < size <= study.images.size:
             raise ValueError(

@@ -68,7 +68,7 @@ class DiffractionJob(Frozen):
     @classmethod
     def of(cls, study: Study, lens: str, seed: int) -> "DiffractionJob":
         """Return the settings of the job."""
-        return cls(spec=study.spec_of(study.lens(lens).elements), rays=study.evaluation_rays)
+        return cls(spec=study.lens_spec(lens), rays=study.evaluation_rays)
 
 
 class RestorationJob(Frozen):

@@ -33,6 +33,7 @@ class ImportedLens(Frozen):
     elements: Name = Field(description="Name of its elements in the tables.")
     file: LensFile = Field(description="A Zemax file (.zmx), or a lens.yaml.")
     catalogues: tuple[LensFile, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
+    spec: dict[str, Any] = Field({}, description="Keys of `spec` that differ for this lens.")
 
     @property
     def sources(self) -> tuple[Path, ...]:

@@ -111,7 +111,7 @@ class TailsJob(SeededLenses):
     def of(cls, study: Study) -> "TailsJob":
         """Return the settings of the job."""
         lenses = paper_tables.table_lenses(study)
-        specs = {lens: study.spec_of(study.lens(lens).elements) for lens in lenses}
+        specs = {lens: study.lens_spec(lens) for lens in lenses}
         return cls(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
 
 

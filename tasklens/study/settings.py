@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from tasklens.runtime.job import JOB
+from tasklens.study import users_code
 from tasklens.study.quantities import (
     Angle,
     Batch,
@@ -63,6 +64,12 @@ class Spec(Frozen):
     wavelengths_um: tuple[Micrometres, Micrometres, Micrometres] = Field(
         (0.6563, 0.5893, 0.4861),
         description="Red, green and blue [um]; the middle one is the reference. C, D, F lines.",
+    )
+    object_distance_mm: float | None = Field(
+        None,
+        ge=1,
+        le=1e9,
+        description="Distance of the object from the first vertex [mm], for imported lenses; null: infinity.",
     )
 
     @field_validator("wavelengths_um")
@@ -128,7 +135,10 @@ RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports tor
 
 
 class ImageSettings(Frozen):
-    """Settings of labelled images: rendered, or read from `folder`: train/<class>/* and test/<class>/* (or val)."""
+    """Settings of labelled images: rendered, or read from `folder`: train/<class>/* and test/<class>/* (or val).
+
+    A folder with <class>/* alone is cut into test, minival and training images.
+    """
 
     size: Whole = Field(64, ge=16, le=8192, description="Side of the square images [pixels].")
     train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
@@ -174,8 +184,15 @@ class TrainingSettings(Frozen):
 class ClassifierSettings(Frozen):
     """Settings of a timm network: its name and tag, keywords for `timm.create_model`, and the source of its weights."""
 
-    model: str = Field(description="timm's name of the network, with the tag of its weights.")
-    arguments: dict[str, Any] = Field({}, description="Keywords for `timm.create_model`, such as a smaller width.")
+    model: str = Field(
+        description="timm's name of the network, with the tag of its weights; or `package.module:function`, a function "
+        "of your own that takes `num_classes` and returns a module for images in [0, 1]."
+    )
+    arguments: dict[str, Any] = Field(
+        {},
+        description="Keywords for `timm.create_model`, such as a smaller width, or for your function; "
+        "`pretrained_cfg_overlay: {mean: [0.5, 0.5, 0.5], std: [0.5, 0.5, 0.5]}` is another normalisation.",
+    )
     seed: Seed = Field(0, description="Seed of its first weights, and of its training on sharp images.")
     pretrained: bool = Field(False, description="Start from the weights of timm's hub.")
     weights: Path | None = Field(
@@ -195,6 +212,12 @@ class ClassifierSettings(Frozen):
         description="Size of the process group for fine-tuning on one machine; each process takes its share of every "
         "batch, and its own GPU if there are GPUs.",
     )
+
+    @computed_field
+    @property
+    def code(self) -> str | None:
+        """Digest of the file of a function of the user's."""
+        return users_code.digest(self.model)
 
     @model_validator(mode="after")
     def _one_origin(self) -> "ClassifierSettings":

@@ -70,11 +70,11 @@ class Study(Frozen):
     constraints: Constraints = Field(Constraints(), description="Limits of every design.")
     capture: CaptureSettings = Field(CaptureSettings(), description="Settings of captures.")
     evaluation_rays: Rays = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
-    elements: dict[Name, tuple[str, ...]] = Field(min_length=1, description="Plastics from front to back, by name.")
+    elements: dict[Name, tuple[str, ...]] = Field(description="Plastics from front to back, by name.")
     materials: dict[str, Material] = Field(
         default_factory=dict, validate_default=True, description="Files of further plastics (.yaml, .agf)."
     )
-    designs: dict[Name, DesignSettings] = Field(min_length=1, description="Design methods by name.")
+    designs: dict[Name, DesignSettings] = Field(description="Design methods by name.")
     imported: dict[Name, ImportedLens] = Field(default_factory=dict, description="Lenses from files, by name.")
     ablations: dict[Name, Ablation] = Field(default_factory=dict, description="Ablations by name.")
     classifiers: dict[Name, ClassifierSettings] = Field(min_length=1, description="Networks by name.")
@@ -152,6 +152,18 @@ class Study(Frozen):
             return Spec.model_validate(common | self.specs.get(elements, {}))
         except ValidationError as error:
             raise ValueError(in_words(f"specs.{elements}", error, Spec)) from None
+
+    def lens_spec(self, lens: str) -> Spec:
+        """Return the specification of a lens: that of its elements, changed by that of an imported lens."""
+        entry = self.lens(lens)
+        spec = self.spec_of(entry.elements)
+        if not isinstance(entry.design, ImportedLens) or not entry.design.spec:
+            return spec
+        common = spec.model_dump(exclude=set(Spec.model_computed_fields))
+        try:
+            return Spec.model_validate(common | entry.design.spec)
+        except ValidationError as error:
+            raise ValueError(in_words(f"imported.{entry.design_name}.spec", error, Spec)) from None
 
     def capture_of(self, lens: str) -> CaptureSettings:
         """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""

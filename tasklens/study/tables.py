@@ -112,7 +112,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
     entry = study.lens(lens)
     return LensDesign(
         entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
-        spec=study.spec_of(entry.elements),
+        spec=study.lens_spec(lens),
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
         classifier=study.network(study.supervisor) if entry.classified and not entry.other_task else None,
@@ -189,7 +189,7 @@ def verification(study: Study) -> VerificationContents:
     return VerificationContents(
         lenses=tuple(entries),
         constrained=tuple(name for name, lens in entries.items() if lens.constrained),
-        efl_mm={name: study.spec_of(lens.elements).efl_mm for name, lens in entries.items()},
+        efl_mm={name: study.lens_spec(name).efl_mm for name in entries},
         efl_tolerance=study.constraints.efl_tolerance,
         tables=tables(study),
         measured=measured,

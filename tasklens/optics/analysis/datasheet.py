@@ -37,6 +37,7 @@ def view_of(lens: Lens, content: dict, name: str) -> View:
     spec = content.get("spec")
     if not isinstance(spec, dict):
         raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel_size)")
+    near = spec.get("object_distance_mm")
     try:
         view = View(
             torch.tensor(_fields(spec["fields_mm"]), dtype=torch.float64).reshape(-1, 2),
@@ -44,6 +45,7 @@ def view_of(lens: Lens, content: dict, name: str) -> View:
             tuple(positive(value, "wavelengths_um") for value in _list(spec["wavelengths_um"], "wavelengths_um")),
             positive(spec["pixel_pitch_um"], "pixel_pitch_um"),
             _odd(spec["kernel_size"], "kernel_size"),
+            1 / positive(near, "object_distance_mm") if near is not None else 0.0,
         )
         lens.refractive_indices(view.wavelengths)
     except KeyError as error:

@@ -21,7 +21,7 @@ from tasklens.study.lens_entries import ImportedLens
 def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
     """Read a lens and fit it to a specification.
 
-    It is scaled to the focal length of `view`, its stop set to the F-number, and refocused for objects at infinity.
+    It is scaled to the focal length of `view`, its stop set to the F-number, and refocused for the object of `view`.
     Its clear apertures are scaled with it and vignette.
 
     Args:

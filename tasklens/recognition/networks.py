@@ -1,0 +1,27 @@
+"""Networks by name: of timm, or a function of the user's, `package.module:function`."""
+
+from typing import Any
+
+import timm
+from torch import nn
+
+from tasklens.runtime.errors import InputError
+from tasklens.study import users_code
+
+
+def create(name: str, outputs: int, arguments: dict[str, Any], pretrained: bool = False) -> nn.Module:
+    """Create a network with so many outputs.
+
+    Args:
+        name: name in timm, or a function that is called with `num_classes` and the arguments, and returns a module for
+            images (B, 3, H, W) in [0, 1].
+
+    Raises:
+        InputError: there is no such function, or it returns no module.
+    """
+    if not users_code.is_users(name):
+        return timm.create_model(name, pretrained=pretrained, num_classes=outputs, **arguments)
+    network = users_code.load(name)(num_classes=outputs, **arguments)
+    if not isinstance(network, nn.Module):
+        raise InputError(f"{name}: expected a torch.nn.Module, got {type(network).__name__}")
+    return network

@@ -1,0 +1,35 @@
+"""What a network recognises of sharp images, before lenses are designed by it or compared with it."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.runtime.errors import InputError
+
+_BATCH = 32
+_DEVIATIONS = 3.0  # of the accuracy of guessing
+
+
+@torch.no_grad()
+def recognised(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -> str:
+    """Return in words what a network recognises of sharp images.
+
+    Args:
+        network: function from images (B, 3, H, W) in [0, 1] to logits.
+
+    Raises:
+        InputError: that is no better than guessing.
+    """
+    batches = (dataset.batch(indices) for indices in torch.arange(len(dataset)).split(_BATCH))
+    answers = torch.cat([network(images).argmax(-1) == labels for images, labels in batches])
+    accuracy, chance, count = float(answers.double().mean()), 1 / len(dataset.classes), len(dataset)
+    text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
+    if accuracy <= chance + _DEVIATIONS * math.sqrt(chance * (1 - chance) / count):
+        raise InputError(
+            f"{text}: no better than guessing; check its weights, its normalisation (arguments: "
+            "{pretrained_cfg_overlay: {mean: [..], std: [..]}}), the order of its classes, and `outputs`"
+        )
+    return text
