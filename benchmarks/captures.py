@@ -1,4 +1,4 @@
-"""Captures by `Camera.grid` against `torch.nn.functional.conv2d`: time, and the largest differences.
+"""Captures by `PsfCamera.grid` against `torch.nn.functional.conv2d`: time, and the largest differences.
 
 51 x 51 PSFs at nine fields, reflected borders, the same veil; forward, and forward with backward to the PSFs. Two ways
 to convolve directly: `plain`, which a user would write, with the colours as groups and the fields as output channels;
@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 
 SHAPES = ((16, 64), (4, 224))  # images, pixels
 
@@ -43,7 +43,7 @@ def fastest(psf: Tensor, images: Tensor) -> Tensor:
 
 
 def camera(psf: Tensor, images: Tensor) -> Tensor:
-    return Camera(psf).grid(images)
+    return PsfCamera(psf).grid(images)
 
 
 def differences(render: Callable, other: Callable, psf: Tensor, images: Tensor, upstream: Tensor) -> str:
@@ -91,7 +91,7 @@ def bare_work(count: int, pixels: int, fields: int, kernel: int, backward: bool)
 
 
 def floors(camera_work: Callable[[], object], bare: dict[str, Callable[[], object]], rounds: int) -> tuple[str, ...]:
-    """Time captures and their least work in turn: parts, floor, Camera [ms], and Camera's time over the floor."""
+    """Time captures and their least work in turn: parts, floor, PsfCamera [ms], and PsfCamera's time over the floor."""
     times = timing.alternate({"camera": camera_work} | bare, rounds)
     transforms = [min(pair) for pair in zip(times["complex"], times["real"], strict=True)]
     floor = [sum(parts) for parts in zip(transforms, times["products"], times["memory"], strict=True)]
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> None:
         "images",
         "work",
         "conv2d",
-        "Camera [ms]",
+        "PsfCamera [ms]",
         "conv2d [ms]",
         "times faster",
         "differences: values, gradients",
@@ -153,8 +153,8 @@ def main(arguments: list[str] | None = None) -> None:
         "products [ms]",
         "memory [ms]",
         "floor [ms]",
-        "Camera [ms]",
-        "Camera over floor",
+        "PsfCamera [ms]",
+        "PsfCamera over floor",
     )
     timing.report("Floors: the least work, each part alone in the cache", columns, least, options.save)
 

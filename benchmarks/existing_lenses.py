@@ -25,7 +25,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their readers of th
 from reference_files import reference_files
 from reference_lenses import LENS_FILES, reference_lens
 
-from tasklens.imaging import Camera, psnr
+from tasklens.imaging import PsfCamera, psnr
 from tasklens.materials.material import D_LINE
 from tasklens.materials.zemax_text import read_lines
 from tasklens.optics.analysis.illumination import relative_illumination
@@ -409,7 +409,8 @@ def captures(cases: list[Case], tiny: bool) -> Iterator[tuple]:
         centre = chief_points(case.lens, case.view)
         pitch = max(1.8, _WIDEST * float(1e3 * rms_spot_radius(rays, centroid(rays)).nan_to_num().max()) / 51)
         found = [
-            Camera(psf(each, centre, pitch, 51).expand(-1, 3, -1, -1).float()).grid(images) for each in (rays, theirs)
+            PsfCamera(psf(each, centre, pitch, 51).expand(-1, 3, -1, -1).float()).grid(images)
+            for each in (rays, theirs)
         ]
         complete = (rays.valid == theirs.valid).all((1, 2))  # where one loses rays there is nothing to compare
         quality, same = (psnr(each, found[0]).mean(-1) for each in (images, found[1]))

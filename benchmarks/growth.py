@@ -25,7 +25,7 @@ from tasklens.design import descents
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
@@ -86,7 +86,7 @@ def fine_tuning(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
     dataset, batch = noise(tiny), 4 if tiny else 64
     network = Classifier(timm.create_model("resnet18", num_classes=10, **NETWORK))
     psf = torch.rand(9, 3, 51, 51)
-    pipeline = CapturePipeline(Camera(psf / psf.sum((-2, -1), keepdim=True)))
+    pipeline = CapturePipeline(PsfCamera(psf / psf.sum((-2, -1), keepdim=True)))
     training = TrainingSettings(epochs=steps * batch / len(dataset), learning_rate=1e-5, batch_size=batch)
     fit({"network": network}, dataset, training, 0, "fine-tuning", pipeline.one_field, checkpoint)
 

@@ -22,7 +22,7 @@ from tasklens.design.descent import Descent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
@@ -107,7 +107,7 @@ def fine_tuning(network: nn.Module, batch: int, size: int, rounds: int, device: 
     """Durations of a step of fine-tuning on captures, and of one of bare training."""
     classifier, dataset, clock = Classifier(network).to(device), noise(4 * batch, size, device), Clock(device)
     psf = torch.rand(FIELDS, 3, 51, 51, device=device)
-    pipeline = CapturePipeline(Camera(psf / psf.sum((-2, -1), keepdim=True)))
+    pipeline = CapturePipeline(PsfCamera(psf / psf.sum((-2, -1), keepdim=True)))
     training = TrainingSettings(epochs=(rounds + 1) / 4, learning_rate=1e-5, batch_size=batch)
     fit({"network": classifier}, dataset, training, 0, "fine-tuning", pipeline.one_field, clock)
     images, labels = dataset.batch(torch.arange(batch))

@@ -17,7 +17,7 @@ import pandas
 import torch
 from timing import arguments, report
 
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset, evaluation
 from tasklens.report import bootstrap
@@ -47,7 +47,7 @@ def accuracies(study: Study, folder: Path, lenses: Sequence[str]) -> dict[str, p
                 psfs = results / "lenses" / lens / f"seed{seed}" / f"{name}.safetensors"
                 if not psfs.exists():
                     continue
-                camera = Camera.of(study.capture_of(lens), *psf_files.read(psfs))
+                camera = PsfCamera.of(study.capture_of(lens), *psf_files.read(psfs))
             pipeline = evaluation.CapturePipeline(camera)
             correct = evaluation.evaluate([network], photographs, pipeline, f"{lens}, seed {seed}").correct[0]
             found.setdefault(lens, {})[seed] = 100 * correct.double().mean(0)

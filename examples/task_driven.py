@@ -9,7 +9,7 @@ from torch.nn.functional import cross_entropy
 import tasklens
 from tasklens.design.constraints import penalty
 from tasklens.design.start import flat
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition import scenes, training
@@ -34,7 +34,7 @@ def descend(start, view, network, batches, learning_rate=4e-3, coarsest=20.0, ra
         )
         pixels = coarsest ** max(0.0, 1 - step / (0.8 * len(batches)))
         psf = tasklens.psf(lens, replace(view, pixel_pitch=pixels * view.pixel_pitch), rays)  # (field, colour, y, x)
-        captures = Camera(psf.float()).grid(images)  # (field, image, colour, y, x)
+        captures = PsfCamera(psf.float()).grid(images)  # (field, image, colour, y, x)
         loss = cross_entropy(network(captures.flatten(0, 1)), labels.repeat(len(captures)))
         yield lens.detached(), loss.item()
         optimizer.zero_grad()

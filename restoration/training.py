@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from restoration.nafnet import NAFNet, build
-from tasklens.imaging import Camera, noise, psnr
+from tasklens.imaging import PsfCamera, noise, psnr
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import Shuffled
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
@@ -26,7 +26,7 @@ def train(
     settings: RestorationSettings,
     dataset: ImageDataset,
     minival: ImageDataset,
-    camera: Camera,
+    camera: PsfCamera,
     seed: int,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[NAFNet, list[dict[str, Any]]]:
@@ -104,7 +104,7 @@ def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, i
 
 
 @torch.no_grad()
-def _validation_psnr(network: NAFNet, minival: ImageDataset, camera: Camera) -> float:
+def _validation_psnr(network: NAFNet, minival: ImageDataset, camera: PsfCamera) -> float:
     """Compute the mean PSNR [dB] over images and fields."""
     images, _ = minival.batch(torch.arange(min(_VALIDATION_IMAGES, len(minival))))
     return float(torch.stack([psnr(network(captures), images).mean() for captures in camera.grid(images)]).mean())

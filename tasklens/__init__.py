@@ -8,12 +8,25 @@ For notebooks, with `help()` of each:
     simulate                captures of an image, each as if all of it lay at one field
     simulate_sensor         capture of an image by the whole sensor
     design                  a new lens
+    Camera                  a lens in front of a network, in a training loop of your own
 """
 
 from importlib import import_module
 from typing import Any
 
-__all__ = ["analyse", "design", "draw", "lens", "load_lens", "psf", "save_lens", "simulate", "simulate_sensor", "trace"]
+__all__ = [
+    "Camera",
+    "analyse",
+    "design",
+    "draw",
+    "lens",
+    "load_lens",
+    "psf",
+    "save_lens",
+    "simulate",
+    "simulate_sensor",
+    "trace",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -124,7 +124,7 @@ def _at_once(planes: Tensor) -> int:
     return max(1, _PLANE_BYTES * count // planes.nbytes) if planes.device.type == "cpu" else count
 
 
-class Camera:
+class PsfCamera:
     """A renderer of captures through a fixed set of PSFs, whose spectra are cached.
 
     Args:
@@ -152,7 +152,7 @@ class Camera:
         self._kernels: dict[tuple[int, int], list[Tensor]] = {}
 
     @classmethod
-    def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "Camera":
+    def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "PsfCamera":
         """Return the camera of capture settings, through PSFs and at the relative illumination of their file."""
         return cls(psf, capture.outside_window, capture.colour, capture.sensor, illumination)
 

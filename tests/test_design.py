@@ -15,7 +15,7 @@ from tasklens.design.descent import divergence
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.design.variables import Variables
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.apertures import with_open_apertures
@@ -74,7 +74,7 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_
             )
             grid.backward(upstream.double())
         else:
-            whole = whole_losses(criterion, Camera(grid, colour=colour).grid(images), images, labels)
+            whole = whole_losses(criterion, PsfCamera(grid, colour=colour).grid(images), images, labels)
             whole.mean().backward()
         gradients.append(torch.cat([values[name].grad for name in values]))
     torch.testing.assert_close(losses, whole.mean(1).detach().to(losses), rtol=1e-5, atol=0)

@@ -8,7 +8,7 @@ import torch
 from examples import random_images, trained_network
 from torch import nn
 
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.recognition import dataset as data
 from tasklens.recognition import evaluation
 
@@ -51,7 +51,7 @@ def test_evaluation_against_a_hand_count():
     assert not found
 
 
-class Dimming(Camera):
+class Dimming(PsfCamera):
     """A camera whose fields scale the brightness: no lens does, but everything can be counted by hand."""
 
     def __init__(self, factors):

@@ -12,7 +12,7 @@ from restoration import training as restoration
 from tasklens.design.criteria import JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition import evaluation, training
 from tasklens.recognition.classifiers import frozen
@@ -32,10 +32,10 @@ def data(device):
     return replace(random_images(40, 16, 3, 0), device=device)
 
 
-def camera(device) -> Camera:
+def camera(device) -> PsfCamera:
     psf = torch.rand(9, 3, 5, 5, generator=torch.Generator().manual_seed(0))
     psf = psf / psf.sum((-2, -1), keepdim=True)
-    return Camera.of(CAPTURE, psf.to(device), torch.linspace(1, 0.5, 9).to(device))
+    return PsfCamera.of(CAPTURE, psf.to(device), torch.linspace(1, 0.5, 9).to(device))
 
 
 def fine_tuning(device, start) -> list[float]:

@@ -14,7 +14,7 @@ from test_tolerancing import doublet, grade
 
 from tasklens.design import production
 from tasklens.design.production import Production
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.tolerancing import focus
 from tasklens.optics.tolerancing.errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
@@ -37,7 +37,7 @@ def contrast(captures: torch.Tensor) -> torch.Tensor:
 
 def line(tolerances: Grade) -> Production:
     lens, view = doublet()
-    return Production(lens, view, errors(lens, tolerances), Camera, contrast)
+    return Production(lens, view, errors(lens, tolerances), PsfCamera, contrast)
 
 
 def test_the_design_comes_first_and_errors_cost_sharpness():
@@ -106,7 +106,7 @@ def test_a_lens_without_light_is_counted():
     """An aperture that is decentred by more than its width: captures are grey, and the lens has failed."""
     lens, view = doublet()
     lens = replace(lens, semi_diameter=f64([0.5, 0.6, 0.6, 0.8, 0.8]))
-    made = Production(lens, view, errors(lens, grade(element_decentre_um=1000.0)), Camera, contrast)
+    made = Production(lens, view, errors(lens, grade(element_decentre_um=1000.0)), PsfCamera, contrast)
     rows = production.built_lenses(made, 20, 0, IMAGES)
     failed = [row for row in rows if row["failed"]]
     assert 0 < len(failed) < 20 and not rows[0]["failed"]

@@ -6,7 +6,7 @@ from examples import random_images
 
 from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet, build
-from tasklens.imaging import Camera, psnr
+from tasklens.imaging import PsfCamera, psnr
 from tasklens.study.settings import RestorationSettings
 
 
@@ -79,11 +79,11 @@ def test_gradient_reaches_every_parameter_after_one_step():
     assert not silent[1]
 
 
-def blurred() -> Camera:
+def blurred() -> PsfCamera:
     """Two fields, blurred by one pixel to each side."""
     grid = torch.zeros(2, 3, 5, 5)
     grid[..., 1:4, 1:4] = 1 / 9
-    return Camera(grid)
+    return PsfCamera(grid)
 
 
 TINY = RestorationSettings(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch_size=8, learning_rate=5e-3)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 
-from tasklens.imaging import Camera, expose, noise
+from tasklens.imaging import PsfCamera, expose, noise
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.study.settings import SensorSettings
 
@@ -58,7 +58,7 @@ def test_gradient_against_differences():
 
 
 def test_dim_fields_are_noisier_and_as_bright():
-    camera = Camera(point(2), sensor=SensorSettings(gain=16, **FINE), illumination=torch.tensor([1.0, 0.25]))
+    camera = PsfCamera(point(2), sensor=SensorSettings(gain=16, **FINE), illumination=torch.tensor([1.0, 0.25]))
     grey = torch.full((4, 3, 64, 64), 0.5)
     found = rgb_to_linear_rgb(camera.grid(grey).double())
     assert float(found[1].mean() / found[0].mean()) == pytest.approx(1, abs=5e-3)
@@ -69,7 +69,7 @@ def test_dim_fields_are_noisier_and_as_bright():
 
 def test_measurements_repeat_their_noise_and_training_draws_it():
     """Of each batch its own; and a share of a batch is a part of the whole, so that processes see what one would."""
-    pipeline = CapturePipeline(Camera(point(2), sensor=SensorSettings(gain=16)))
+    pipeline = CapturePipeline(PsfCamera(point(2), sensor=SensorSettings(gain=16)))
     images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(0))
     assert torch.equal(pipeline.all_fields(images), pipeline.all_fields(images))
     assert not torch.equal(pipeline.all_fields(images)[0], images)

@@ -18,7 +18,7 @@ from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor, loss_at_psf
-from tasklens.imaging import Camera, psnr
+from tasklens.imaging import PsfCamera, psnr
 from tasklens.jobs import design as design_job
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
@@ -267,7 +267,7 @@ def test_the_image_error_alone_makes_a_lens():
     def quality(lens):
         grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
         sharp = images.batch(torch.arange(12))[0]
-        return float(psnr(Camera(grid.float()).grid(sharp), sharp).mean())
+        return float(psnr(PsfCamera(grid.float()).grid(sharp), sharp).mean())
 
     steps = DescentSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
     posed = replace(problem(), dataset=images)

@@ -15,7 +15,7 @@ from torch import nn
 
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.supervision import Supervisor
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import prescription
 from tasklens.pipeline.outcome import outcome
 from tasklens.recognition import evaluation, object_scenes, object_splits, objects, task_networks, training
@@ -170,7 +170,7 @@ def test_losses_have_gradients_at_captures(given):
 def test_classification_is_a_task_too():
     """Its scores are the accuracies of `evaluation`, and the mean of its losses is its loss."""
     dataset, network = random_images(40, 16, 3, seed=2), trained_network(0)
-    pipeline = CapturePipeline(Camera(torch.full((2, 3, 1, 1), 1.0) * torch.tensor([1.0, 0.5])[:, None, None, None]))
+    pipeline = CapturePipeline(PsfCamera(torch.full((2, 3, 1, 1), 1.0) * torch.tensor([1.0, 0.5])[:, None, None, None]))
     correct = evaluation.evaluate([network], dataset, pipeline).correct
     found = evaluation.scores(network, CLASSIFICATION, dataset, pipeline)
     assert [row["value"] for row in found] == pytest.approx((100 * correct[0].double().mean(-1)).tolist())

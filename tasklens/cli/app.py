@@ -8,7 +8,7 @@ import sys
 import typer
 from typer.main import get_command
 
-from tasklens.cli import design, lens, study
+from tasklens.cli import design, lens, rank, study
 from tasklens.cli.schema import schema
 from tasklens.runtime.job import reporting_errors, user_error
 
@@ -20,6 +20,7 @@ app = typer.Typer(
 study.app.command()(schema)
 app.add_typer(lens.app, name="lens", help="Look at lenses: a lens.yaml, or Zemax's .zmx.")
 app.command()(design.design)
+app.command()(rank.rank)
 app.add_typer(study.app, name="study", help="Compare lenses, networks and seeds: a study, which `snakemake` runs.")
 
 

@@ -2,19 +2,29 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 import typer
-import yaml
 
+from tasklens.cli.network_options import (
+    Arguments,
+    Images,
+    Network,
+    Outputs,
+    Pretrained,
+    Size,
+    Weights,
+    nested,
+    network_settings,
+)
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
-_SPEC, _NETWORK = "Specification", "Network and photographs, for the methods that have them"
+_SPEC = "Specification"
 _METHOD = "least_squares, spot, image_quality, image_error, correlation; by a network: task, joint, end_to_end."
 _ELEMENTS = "COC,OKP4"
 _START = "A lens of your own"
@@ -62,24 +72,13 @@ def design(
     wavelengths: Annotated[
         str | None, typer.Option(help="0.6563,0.5893,0.4861 micrometres", rich_help_panel=_SPEC)
     ] = None,
-    images: Annotated[
-        Path | None, typer.Option(help="Folder: <class>/*, or train/<class>/*.", rich_help_panel=_NETWORK)
-    ] = None,
-    size: Annotated[int, typer.Option(help="Side of the images, pixels.", rich_help_panel=_NETWORK)] = 224,
-    classifier: Annotated[str | None, typer.Option(help="Name in timm.", rich_help_panel=_NETWORK)] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Its weights: .safetensors, .pth, .npz.", rich_help_panel=_NETWORK)
-    ] = None,
-    pretrained: Annotated[
-        bool, typer.Option("--pretrained", help="Weights from timm's hub.", rich_help_panel=_NETWORK)
-    ] = False,
-    outputs: Annotated[
-        Literal["classes", "imagenet", "all_imagenet"],
-        typer.Option(help="Of the network: the folder's classes, or ImageNet's.", rich_help_panel=_NETWORK),
-    ] = "classes",
-    argument: Annotated[
-        list[str] | None, typer.Option(help="Of timm's create_model: img_size=64.", rich_help_panel=_NETWORK)
-    ] = None,
+    images: Images = None,
+    size: Size = 224,
+    classifier: Network = None,
+    weights: Weights = None,
+    pretrained: Pretrained = False,
+    outputs: Outputs = "classes",
+    argument: Arguments = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -106,15 +105,10 @@ def design(
         "configuration": configuration,
         "object_distance_mm": object_distance,
     }
-    network: dict[str, Any] | None = None
+    network = None
     if classifier is not None:
-        network = {"model": classifier, "outputs": outputs, "arguments": _nested(argument or (), "--argument")}
-        network |= {"weights": weights, "pretrained": pretrained}
-        if (weights is None) != pretrained:
-            raise InputError(f"--classifier {classifier}: expected its --weights FILE, or --pretrained")
-        if weights is not None and not weights.is_file():
-            raise InputError(f"{weights}: no such file of weights")
-    changed, limited = _nested(settings or (), "--set"), _nested(limits or (), "--limit")
+        network = network_settings(classifier, weights, pretrained, outputs, argument)
+    changed, limited = nested(settings or (), "--set"), nested(limits or (), "--limit")
     from tasklens import notebook
     from tasklens.design.single import design as designed
     from tasklens.report import glance
@@ -173,25 +167,3 @@ def _free(text: str) -> dict[str, tuple[int, ...] | None]:
             raise InputError(f"--free {part}: expected variables such as curvature,thickness:1+3,alpha_4..10") from None
         free |= dict.fromkeys([f"alpha_{order}" for order in orders] or [name], surfaces)
     return free
-
-
-def _nested(given: Sequence[str], option: str) -> dict[str, Any]:
-    """Return settings KEY=VALUE as nested mappings: a.b=1 is {"a": {"b": 1}}; raises InputError."""
-    found: dict[str, Any] = {}
-    for each in given:
-        key, equals, text = each.partition("=")
-        *outer, last = key.split(".")
-        inner = found
-        for name in outer:
-            inner = inner.setdefault(name, {})
-            if not isinstance(inner, dict):
-                raise InputError(f"{option} {each}: {name} has the value {inner} by another {option}")
-        if isinstance(inner.get(last), dict):
-            raise InputError(f"{option} {each}: {last} has the values {inner[last]} by another {option}")
-        try:
-            inner[last] = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError):  # no date of the calendar
-            equals = ""
-        if not equals or not all((*outer, last)):
-            raise InputError(f"{option} {each}: expected KEY=VALUE, such as descents.0.steps=200")
-    return found

@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -16,7 +15,7 @@ from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
-from tasklens.design.variables import ORDERS
+from tasklens.design.variables import with_coefficients
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
@@ -115,9 +114,7 @@ def design(
 
 def _begun(lens: Lens, keep_apertures: bool) -> Lens:
     """Return a lens to begin with: all coefficients of a design; without clear apertures, unless they are kept."""
-    missing = max(0, ORDERS[-1] // 2 - lens.alpha.shape[1])
-    begun = lens if keep_apertures else with_open_apertures(lens)
-    return replace(begun, alpha=torch.nn.functional.pad(lens.alpha, (0, missing)))
+    return with_coefficients(lens if keep_apertures else with_open_apertures(lens))
 
 
 def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
@@ -40,7 +40,7 @@ class Production:
     lens: Lens
     view: View
     errors: Sequence[Error]
-    camera: Callable[[Tensor], Camera]
+    camera: Callable[[Tensor], PsfCamera]
     classifier: Callable[[Tensor], Tensor]
 
     def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:

@@ -17,7 +17,7 @@ from torchvision.transforms.v2.functional import resize
 
 from tasklens.design.criteria import CaptureCriterion, Contrast, Criterion, SpotRadius
 from tasklens.design.problem import Problem
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
@@ -64,7 +64,7 @@ def loss_at_psf(
         Loss of each field (F,), whose mean is the loss L, and dL/dPSF like `grid`; on its device and of its dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
-    camera = Camera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
+    camera = PsfCamera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
     captures = camera.grid(images, torch.Generator().manual_seed(seed))
     inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
     parts = math.ceil(len(inputs) / micro_batch)
@@ -236,7 +236,7 @@ class Supervisor:
         assert isinstance(criterion, CaptureCriterion)
         images, labels = self.images(self.fixed_images(part), augment=False)
         capture = self.capture
-        camera = Camera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
+        camera = PsfCamera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
         losses = []
         # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
         at_once = max(1, self.micro_batch // len(grid))

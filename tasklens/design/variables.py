@@ -121,6 +121,12 @@ class Variables:
         return replace(lens, semi_diameter=semi_diameter)
 
 
+def with_coefficients(lens: Lens) -> Lens:
+    """Return a lens with places for all coefficients of a design, zero where it has none."""
+    missing = max(0, ORDERS[-1] // 2 - lens.alpha.shape[1])
+    return replace(lens, alpha=torch.nn.functional.pad(lens.alpha, (0, missing)))
+
+
 def _f_number(lens: Lens, view: View) -> tuple[float, float] | None:
     """Return the F-number of a lens and its wavelength, if its stop is inside; one in front keeps its radius."""
     if not stop_is_inside(lens):

@@ -9,7 +9,7 @@ from timm.data import ImageNetInfo
 from torch import Tensor
 
 from restoration import nafnet
-from tasklens.imaging import Camera, psnr
+from tasklens.imaging import PsfCamera, psnr
 from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset
 from tasklens.recognition.classifiers import Classifier
@@ -50,7 +50,7 @@ def run(
     captures: dict[tuple[str, bool], Tensor] = {(SHARP, False): sharp[:, None]}  # (image, field, 3, H, W)
     for lens, psf in zip(settings.captures, psfs, strict=True):
         of_fields = (tensor[list(FIELDS)].to(device) for tensor in psf_files.read(psf))
-        captures[lens, False] = Camera.of(settings.captures[lens], *of_fields).grid(sharp).transpose(0, 1)
+        captures[lens, False] = PsfCamera.of(settings.captures[lens], *of_fields).grid(sharp).transpose(0, 1)
     for lens, path in zip(settings.restored, restorations, strict=True):
         assert settings.restoration is not None  # of the networks
         network = nafnet.load(settings.restoration, path).to(device)

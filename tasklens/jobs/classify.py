@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from restoration import nafnet
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset, evaluation, training
 from tasklens.recognition.evaluation import CapturePipeline
@@ -102,7 +102,7 @@ def _capture_pipeline(
     camera = network = None
     if settings.capture is not None:
         assert psf is not None  # captures are of a lens
-        camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+        camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
     if settings.restoration is not None:
         assert restoration is not None  # of the network
         network = nafnet.load(settings.restoration, restoration).to(device)

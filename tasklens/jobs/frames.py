@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.jobs.comparison import compared
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription, psf_files
@@ -104,4 +104,4 @@ def _disagreements(
 def _single(settings: CaptureSettings, psf: Path, images: Tensor) -> Tensor:
     """Return the capture (3, H, W) of one image at the middle field."""
     of_field = (tensor[[_FIELD]] for tensor in psf_files.read(psf))
-    return Camera.of(settings, *of_field).grid(images)[0, 0]
+    return PsfCamera.of(settings, *of_field).grid(images)[0, 0]

@@ -7,7 +7,7 @@ import torch
 
 from tasklens.design import production
 from tasklens.design.production import Images, Production
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import errors
@@ -49,7 +49,7 @@ def run(
         nominal,
         view,
         errors(nominal, tolerances.grade),
-        lambda grid: Camera.of(settings.capture, grid.to(device), illumination),
+        lambda grid: PsfCamera.of(settings.capture, grid.to(device), illumination),
         classifier,
     )
     shown = _images(images, tolerances.images)

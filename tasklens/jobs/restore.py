@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from restoration import training
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import psf_files
 from tasklens.recognition import dataset
 from tasklens.runtime.checkpoints import Checkpoint
@@ -24,7 +24,7 @@ def run(
 ) -> None:
     """Write the weights, and the history of the training."""
     device = claim()
-    camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+    camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
     images, selection = (dataset.read(*split, device=device) for split in (train, minival))
     network, rows = training.train(settings.restoration, images, selection, camera, settings.seed, checkpoint)
     write_rows(history, rows)

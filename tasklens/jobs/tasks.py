@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from tasklens.imaging import Camera
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import psf_files
 from tasklens.recognition import object_tasks, objects, task_networks, training
 from tasklens.recognition.evaluation import CapturePipeline, scores
@@ -47,7 +47,7 @@ def fine_tune(
     camera = None
     if settings.capture is not None:
         assert psf is not None  # captures are of a lens
-        camera = Camera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+        camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
     pipeline = CapturePipeline(camera)
     training_task, test_task = (
         object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)

@@ -12,10 +12,12 @@ A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow thro
 
 import warnings
 
+from tasklens.notebook.camera import Camera
 from tasklens.notebook.captures import simulate, simulate_sensor
 from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
 
 __all__ = [
+    "Camera",
     "analyse",
     "described",
     "draw",

@@ -52,11 +52,10 @@ def simulate(
     Example:
         >>> captures = tasklens.simulate("cat.jpg", lens, view, fields=[(0, 0), (1.7, 1.0)])
     """
-    from tasklens.imaging import Camera
+    from tasklens.imaging import PsfCamera
 
     source = image_tensor(image)
-    _one_of(colour, "srgb", "linear")
-    _one_of(outside_window, "veil", "renormalise")
+    check_choices(colour, outside_window)
     if fields is not None:
         view = replace(view, fields=_on_sensor(fields, view))
     if view.kernel_size // 2 >= min(source.shape[-2:]):
@@ -70,7 +69,7 @@ def simulate(
         x, y = view.fields[int((~light).nonzero()[0])].tolist()
         raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
     grid = psf(lens, view, rays, diffraction)
-    camera = Camera(grid, outside_window, colour, sensor, relative_illumination(lens.detached(), view))
+    camera = PsfCamera(grid, outside_window, colour, sensor, relative_illumination(lens.detached(), view))
     return camera.grid(source[None])[:, 0]
 
 
@@ -106,15 +105,17 @@ def simulate_sensor(
     """
     from tasklens.simulation import sensor
 
-    _one_of(colour, "srgb", "linear")
+    check_choices(colour)
     return sensor.simulate(
         lens, view.in_colours(), image_tensor(image), pixel_pitch_um, rays, colour, distortion, illumination
     )
 
 
-def _one_of(value: str, *known: str) -> None:
-    if value not in known:
-        raise InputError(f"expected {' or '.join(known)}, got {value!r}")
+def check_choices(colour: str, outside_window: str = "veil") -> None:
+    """Raise InputError for an unknown kind of colours, or of light outside the window."""
+    for value, choices in ((colour, ("srgb", "linear")), (outside_window, ("veil", "renormalise"))):
+        if value not in choices:
+            raise InputError(f"expected {' or '.join(choices)}, got {value!r}")
 
 
 def _on_sensor(fields: Sequence[tuple[float, float]], view: View) -> Tensor:

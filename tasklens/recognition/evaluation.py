@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.imaging import Camera, noise, psnr
+from tasklens.imaging import PsfCamera, noise, psnr
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
@@ -24,7 +24,7 @@ _BATCH = 64  # images per rendering, and captures per forward pass
 class CapturePipeline:
     """Optional camera, then optional restoration, applied to images before a classifier."""
 
-    camera: Camera | None = None
+    camera: PsfCamera | None = None
     restoration: nn.Module | None = None
 
     def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:

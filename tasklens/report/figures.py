@@ -5,6 +5,7 @@ chief ray. Colours are those of Okabe and Ito, which people without colour visio
 their dashes as well.
 """
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -71,8 +72,13 @@ class Panel:
     @property
     def shown(self) -> dict[int, str]:
         """Names by index of the fields that are drawn: nearest to the axis, in the middle, and in the corner."""
-        order = self.view.radii.argsort(stable=True).tolist()
-        return dict(zip(dict.fromkeys((order[0], order[len(order) // 2], order[-1])), _NAMES, strict=False))
+        return shown_fields(self.view)
+
+
+def shown_fields(view: View) -> dict[int, str]:
+    """Return the names by index of the fields nearest to the axis, in the middle, and in the corner."""
+    order = view.radii.argsort(stable=True).tolist()
+    return dict(zip(dict.fromkeys((order[0], order[len(order) // 2], order[-1])), _NAMES, strict=False))
 
 
 def panel(title: str, path: Path, psf: Path) -> Panel:
@@ -142,6 +148,15 @@ def _draw(part: SubFigure, panel: Panel) -> None:
     figures = panel.figures
     near = f", object at {figures['object_distance_mm']:g} mm" if "object_distance_mm" in figures else ""
     part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}{near}", weight="bold")
+
+
+def section_svg(lens: Lens, view: View) -> str:
+    """Return the cross-section of a lens with rays as SVG."""
+    figure, text = Figure(figsize=(5.2, 3.4), layout="constrained"), io.StringIO()
+    cross_section(figure.subplots(), lens, view, shown_fields(view), _COLOURS)
+    with matplotlib.rc_context(_VECTOR):
+        figure.savefig(text, format="svg", metadata=_METADATA["svg"])
+    return text.getvalue()
 
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:

@@ -223,7 +223,8 @@ class ClassifierSettings(Frozen):
     def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:
             raise ValueError("take either `pretrained` or `weights`, not both")
-        if not (self.pretrained or self.weights or (self.training and self.training.epochs)):
+        trained = self.pretrained or self.weights or (self.training and self.training.epochs)
+        if not trained and not users_code.is_users(self.model):  # a function may return a trained network
             raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network classifies nothing")
         return self
 
@@ -263,6 +264,15 @@ class SensorSettings(Frozen):
     gain: Magnification = Field(1, description="Gain: white is at full_well / gain electrons; about 16 indoors.")
     read_noise: float = Field(2, ge=0, le=1e6, description="Standard deviation of the read noise [electrons].")
     bits: Annotated[Whole, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
+
+
+class RankingSettings(Frozen):
+    """What `tasklens rank` knows of the lenses of a study beside their files."""
+
+    titles: dict[str, str] = Field({}, description="How lenses are called, by lens.")
+    left_out: dict[str, str] = Field({}, description="Lenses that are not measured, and why.")
+    mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which a sieve has chosen them.")
+    built: tuple[str, ...] = Field((), description="Lenses that are built in simulation.")
 
 
 class CaptureSettings(Frozen):

@@ -26,6 +26,7 @@ from tasklens.study.settings import (
     Constraints,
     Frozen,
     ImageSettings,
+    RankingSettings,
     RestorationSettings,
     Spec,
     TrainingSettings,
@@ -93,6 +94,7 @@ class Study(Frozen):
     tasks: TasksSettings = Field(
         TasksSettings(), description="Tasks beside classification: segmentation and detection of objects."
     )
+    ranking: RankingSettings = Field(RankingSettings(), description="The ranking of lenses by `tasklens rank`.")
     sweep: Sweep = Field(
         {}, description="Values of keys such as `spec.f_number`: a study for each, below results/<name>."
     )

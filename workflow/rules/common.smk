@@ -12,6 +12,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
 from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError
 
 

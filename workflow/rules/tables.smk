@@ -160,6 +160,37 @@ rule effort_table:
         "../scripts/job.py"
 
 
+rule ranking_table:
+    """Rank lenses by what the supervisor recognises through them: a table, and a page."""
+    input:
+        lenses=lambda w: paths(rules.design.output.lens, study_of(w), RankingJob.of(study_of(w)).lens_keys),
+        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), RankingJob.of(study_of(w)).measured_keys),
+        predicted=lambda w: paths(
+            rules.fine_tune.output.predictions, study_of(w), RankingJob.of(study_of(w)).measured_keys
+        ),
+        built=lambda w: paths(rules.production.output.lenses, study_of(w), RankingJob.of(study_of(w)).built_keys),
+    output:
+        csv=report(
+            "results/{study}/tables/ranking.csv",
+            caption="../report/ranking.rst",
+            category="Tables",
+            labels={"study": "{study}", "table": "ranking"},
+        ),
+        md="results/{study}/tables/ranking.md",
+        page="results/{study}/ranking.html",
+    log:
+        "results/{study}/logs/ranking_table.log",
+    benchmark:
+        "results/{study}/benchmarks/ranking_table.tsv"
+    resources:
+        **needs("ranking_table"),
+    params:
+        **call("tasklens.report.ranking.make"),
+        settings=settings(RankingJob.of),
+    script:
+        "../scripts/job.py"
+
+
 rule merit_function_table:
     """Make the table and figure of what each classifier wants of a lens: its loss as a function of the MTF."""
     input:

@@ -98,6 +98,13 @@ rule regimes:
     localrule: True
 
 
+rule ranking:
+    """All lenses in the order of what the supervisor recognises through them."""
+    input:
+        at_points(rules.ranking_table.output.csv),
+    localrule: True
+
+
 rule merit_function:
     """What each classifier wants of a PSF."""
     input:

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from tasklens.optics.rays import Rays, passing
 
+_HALF_NYQUIST = 0.25  # [cycles per pixel]
+
 
 def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) -> tuple[Tensor, Tensor]:
     """Compute the polychromatic geometric MTF, tangential and sagittal.
@@ -39,6 +41,18 @@ def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) 
         return torch.hypot(*parts) / passing(rays)[:, None]
 
     return modulus(ex * x + ey * y), modulus(ex * y - ey * x)
+
+
+def mean_mtf(psf: Tensor) -> Tensor:
+    """Compute the mean over fields, colours, directions and frequencies of the MTF of PSFs (F, W, K, K).
+
+    Frequencies are those up to half of Nyquist's, a quarter of a cycle per pixel. Light outside the window counts as
+    light without contrast.
+    """
+    side = 2 * psf.shape[-1]
+    frequency = torch.hypot(torch.fft.fftfreq(side)[:, None], torch.fft.fftfreq(side))
+    passed = (frequency > 0) & (frequency <= _HALF_NYQUIST)
+    return torch.fft.fft2(psf, (side, side)).abs()[..., passed].mean()
 
 
 def diffraction_cutoff(f_number: float, wavelength: float) -> float:

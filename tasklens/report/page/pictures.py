@@ -34,6 +34,6 @@ def _data(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def of_text(text: str) -> str:
-    """Return a YAML text as a data link."""
-    return _data("application/yaml", text.encode())
+def of_text(text: str, suffix: str = ".yaml") -> str:
+    """Return a text, of YAML or SVG by the suffix, as a data link."""
+    return _data(_TYPES[suffix], text.encode())

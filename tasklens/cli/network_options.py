@@ -1,0 +1,66 @@
+"""Options of the commands that have a network and photographs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+import yaml
+
+from tasklens.runtime.errors import InputError
+from tasklens.study.users_code import is_users
+
+_PANEL = "Network and photographs"
+
+Images = Annotated[
+    Path | None, typer.Option(help="Folder: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL)
+]
+Size = Annotated[int, typer.Option(help="Side of the images, pixels.", rich_help_panel=_PANEL)]
+Network = Annotated[
+    str | None,
+    typer.Option("--classifier", "--network", help="Name in timm, or package.module:function.", rich_help_panel=_PANEL),
+]
+Weights = Annotated[Path | None, typer.Option(help="Its weights: .safetensors, .pth, .npz.", rich_help_panel=_PANEL)]
+Pretrained = Annotated[bool, typer.Option("--pretrained", help="Weights from timm's hub.", rich_help_panel=_PANEL)]
+Outputs = Annotated[
+    Literal["classes", "imagenet", "all_imagenet"],
+    typer.Option(help="Of the network: the folder's classes, or ImageNet's.", rich_help_panel=_PANEL),
+]
+Arguments = Annotated[
+    list[str] | None,
+    typer.Option("--argument", help="Of timm's create_model, or of the function: img_size=64.", rich_help_panel=_PANEL),
+]
+
+
+def network_settings(
+    name: str, weights: Path | None, pretrained: bool, outputs: str, arguments: Sequence[str] | None
+) -> dict[str, Any]:
+    """Return the section of a study for a network; raises InputError for one without weights."""
+    if (weights is None) != pretrained and not is_users(name):
+        raise InputError(f"--classifier {name}: expected its --weights FILE, or --pretrained")
+    if weights is not None and not weights.is_file():
+        raise InputError(f"{weights}: no such file of weights")
+    network = {"model": name, "outputs": outputs, "arguments": nested(arguments or (), "--argument")}
+    return network | {"weights": None if weights is None else str(weights), "pretrained": pretrained}
+
+
+def nested(given: Sequence[str], option: str) -> dict[str, Any]:
+    """Return settings KEY=VALUE as nested mappings: a.b=1 is {"a": {"b": 1}}; raises InputError."""
+    found: dict[str, Any] = {}
+    for each in given:
+        key, equals, text = each.partition("=")
+        *outer, last = key.split(".")
+        inner = found
+        for name in outer:
+            inner = inner.setdefault(name, {})
+            if not isinstance(inner, dict):
+                raise InputError(f"{option} {each}: {name} has the value {inner} by another {option}")
+        if isinstance(inner.get(last), dict):
+            raise InputError(f"{option} {each}: {last} has the values {inner[last]} by another {option}")
+        try:
+            inner[last] = yaml.safe_load(text)
+        except (yaml.YAMLError, ValueError):  # no date of the calendar
+            equals = ""
+        if not equals or not all((*outer, last)):
+            raise InputError(f"{option} {each}: expected KEY=VALUE, such as descents.0.steps=200")
+    return found

@@ -1,0 +1,101 @@
+"""`tasklens rank`: which lens for a network."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tasklens.cli.lens_options import Catalogues
+from tasklens.cli.network_options import (
+    Arguments,
+    Images,
+    Network,
+    Outputs,
+    Pretrained,
+    Size,
+    Weights,
+    network_settings,
+)
+from tasklens.cli.outputs import say
+from tasklens.cli.progress_bars import progress_bars
+from tasklens.runtime.errors import InputError
+
+_SENSOR, _MORE = "Sensor and object", "More than the lenses as designed, and the network as it is"
+
+
+def rank(
+    lenses: Annotated[
+        list[Path], typer.Argument(help="Lenses, .zmx or .yaml, and folders of them.", show_default=False)
+    ],
+    images: Images = None,
+    classifier: Network = None,
+    weights: Weights = None,
+    pretrained: Pretrained = False,
+    outputs: Outputs = "classes",
+    argument: Arguments = None,
+    size: Size = 224,
+    photographs: Annotated[int, typer.Option(min=10, help="Photographs, at most.")] = 500,
+    diagonal: Annotated[float, typer.Option(help="Diagonal, millimetres.", rich_help_panel=_SENSOR)] = 4.0,
+    pixel_pitch: Annotated[float, typer.Option(help="Micrometres.", rich_help_panel=_SENSOR)] = 1.8,
+    kernel_size: Annotated[int, typer.Option(help="Width of PSFs, pixels, odd.", rich_help_panel=_SENSOR)] = 51,
+    object_distance: Annotated[
+        float | None, typer.Option("--object", help="Distance in millimetres; else infinity.", rich_help_panel=_SENSOR)
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option(help="Electrons of a pixel at white: shot noise.", rich_help_panel=_SENSOR)
+    ] = None,
+    scale: Annotated[
+        bool, typer.Option("--scale", help="Scale lenses to the sensor: patents, no products.", rich_help_panel=_SENSOR)
+    ] = False,
+    sieve: Annotated[
+        int | None,
+        typer.Option(min=3, help="Measure only so many, those of the most MTF.", rich_help_panel=_MORE),
+    ] = None,
+    diffraction: Annotated[bool, typer.Option("--diffraction", help="PSFs with it.", rich_help_panel=_MORE)] = False,
+    fine_tune: Annotated[
+        float, typer.Option(min=0, help="Epochs in which the network gets used to each lens.", rich_help_panel=_MORE)
+    ] = 0.0,
+    as_built: Annotated[
+        int, typer.Option(min=0, help="Build so many of the first lenses in simulation.", rich_help_panel=_MORE)
+    ] = 0,
+    grade: Annotated[str, typer.Option(help="How well they are made.", rich_help_panel=_MORE)] = "precision_moulding",
+    catalogue: Catalogues = None,
+    name: Annotated[str, typer.Option(help="Results are in results/NAME.")] = "ranking",
+    cores: Annotated[int, typer.Option("--cores", "-j", min=1, help="Jobs at once.")] = 2,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results of other options.")] = False,
+) -> None:
+    """Rank lenses by what a network recognises through them: a table, and one page. It goes on where it was stopped.
+
+    tasklens rank catalogue/ --images photographs --classifier resnet18 --weights mine.safetensors --diagonal 6
+    """
+    if images is None or classifier is None:
+        raise InputError("expected --images FOLDER and --classifier NAME with --weights FILE (or --pretrained)")
+    network = network_settings(classifier, weights, pretrained, outputs, argument)
+    from tasklens.materials.library import users_files
+    from tasklens.pipeline import ranking
+
+    spec = {
+        "diagonal_mm": diagonal,
+        "pixel_pitch_um": pixel_pitch,
+        "kernel_size": kernel_size,
+        "object_distance_mm": object_distance,
+    }
+    shown = ranking.image_settings(images, size, photographs, fine_tune > 0)
+    capture = {"diffraction": diffraction, "sensor": None if noise is None else {"full_well": noise}}
+    tolerances = {"grade": grade}
+    paths = ranking.lens_paths(lenses)
+    with progress_bars():
+        screened = ranking.screen(paths, spec, [*(catalogue or ()), *users_files()], scale)
+
+    def study(built: list[str]) -> dict:
+        return ranking.study(name, screened, spec, shown, network, capture, fine_tune, sieve, tolerances, built)
+
+    content = study([])
+    count = len(content["imported"])
+    say(f"{count} of {len(paths)} lenses are measured with {shown['test']} photographs at nine fields")
+    folder = ranking.run(content, ["ranking"], cores, overwrite)
+    if as_built:
+        content = study(ranking.first_lenses(folder, content["ranking"]["titles"], as_built))
+        folder = ranking.run(content, ["ranking"], cores, overwrite)
+    print((folder / "tables" / "ranking.md").read_text(encoding="utf-8"))
+    say(f"the page: {folder / 'ranking.html'}")

@@ -1,0 +1,222 @@
+"""Ranking of lenses for a network: from lens files to a study of imported lenses, and its run."""
+
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas
+import yaml
+
+from tasklens.optics.analysis.mtf import mean_mtf
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.spots import evaluation_psf, lit
+from tasklens.optics.io import imported, lens_files
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline.digest import ROOT
+from tasklens.recognition import class_folders
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError, write_text
+from tasklens.runtime.progress import Progress
+from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.loading import parse
+from tasklens.study.settings import Spec
+
+ELEMENTS = "lens"  # their name in the study
+_SUFFIXES = (".zmx", ".yaml", ".yml")
+_RAYS = 4096  # per field and colour
+_COVERAGE = 0.99  # of the field that a lens has in its file, to which the corner of the sensor may come
+_LONGEST = 30  # characters of a name
+_MINIVAL, _TRAIN = 2, 1  # photographs that a study needs beside those of the ranking
+
+
+@dataclass
+class Screened:
+    """Lenses that can be measured, by name, and what is known of all.
+
+    Attributes:
+        entries: the lenses as a study imports them.
+        titles: names of their files, by name.
+        mtf: mean MTF, by name.
+        left_out: files that cannot be measured, and why.
+    """
+
+    entries: dict[str, dict[str, Any]] = field(default_factory=dict)
+    titles: dict[str, str] = field(default_factory=dict)
+    mtf: dict[str, float] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def lens_paths(given: Sequence[Path]) -> list[Path]:
+    """Return lens files, and those in folders; raises FileError for one that is not there."""
+    found: list[Path] = []
+    for path in given:
+        if path.is_dir():
+            inside = (file for file in sorted(path.rglob("*")) if file.suffix.lower() in _SUFFIXES)
+            found += [file for file in inside if not file.name.startswith(".")]
+        elif path.is_file():
+            found.append(path)
+        else:
+            raise FileError(f"{path}: no such lens file or folder")
+    if not found:
+        raise FileError(f"{', '.join(map(str, given))}: no lens file in it, {', '.join(_SUFFIXES)}")
+    return list(dict.fromkeys(found))
+
+
+def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool) -> Screened:
+    """Read lenses, and see which of them can be used at a sensor.
+
+    Args:
+        spec: keys of `Spec`: the sensor and the distance of the object.
+        catalogues: further glass catalogues.
+        scaled: scale lenses so that their field fills the sensor; otherwise they keep their size.
+    """
+    found = Screened()
+    progress = Progress("reading lenses", len(paths))
+    for step, path in enumerate(paths, 1):
+        title = _title(path, paths)
+        try:
+            entry, mtf = _screened(path, Spec.model_validate(dict(spec)), catalogues, scaled)
+        except (InputError, OSError) as error:
+            found.left_out[title] = str(error).removeprefix(f"{path}: ")
+        else:
+            name = _name(path, found.entries)
+            found.entries[name], found.titles[name], found.mtf[name] = entry, title, mtf
+        progress(step)
+    return found
+
+
+def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool) -> tuple[dict[str, Any], float]:
+    """Return the entry of a lens in a study, and its mean MTF; raises InputError."""
+    file = lens_files.read(path, catalogues)
+    first_order = paraxial(file.lens, sensor.wavelengths_um[1])
+    efl = float(first_order.efl)
+    tangent, half = float(file.view.radii.max()) / file.view.efl, sensor.diagonal_mm / 2
+    if not scaled:
+        covered = efl * tangent
+        if covered < _COVERAGE * half:
+            raise InputError(
+                f"covers {2 * covered:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale: it fits)"
+            )
+        tangent = half / efl
+    own = {
+        "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
+        "f_number": efl / float(2 * first_order.entrance_pupil_radius),
+    }
+    entry = {"elements": ELEMENTS, "file": str(path), "catalogues": [str(each) for each in catalogues], "spec": own}
+    spec = Spec.model_validate(sensor.model_dump(exclude=set(Spec.model_computed_fields)) | own)
+    view = view_of_spec(spec)
+    lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
+    if not (light := lit(lens, view)).all():
+        raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
+    return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS)))
+
+
+def _title(path: Path, paths: Sequence[Path]) -> str:
+    """Return the name of a file, with its folder if another one has the same."""
+    alike = [other for other in paths if other.stem == path.stem]
+    return path.stem if len(alike) == 1 else str(path)
+
+
+def _name(path: Path, taken: Iterable[str]) -> str:
+    """Return a name for a study that is not taken yet."""
+    base = re.sub("[^a-z0-9]+", "_", path.stem.lower()).strip("_")[:_LONGEST] or "lens"
+    names = [base, *(f"{base}_{k}" for k in range(2, 10_000))]
+    return next(name for name in names if name not in set(taken))
+
+
+def study(
+    name: str,
+    screened: Screened,
+    spec: Mapping[str, Any],
+    images: Mapping[str, Any],
+    classifier: Mapping[str, Any],
+    capture: Mapping[str, Any],
+    epochs: float,
+    keep: int | None,
+    tolerances: Mapping[str, Any],
+    built: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Return the study that measures lenses, of which the sieve keeps those of the most MTF.
+
+    Raises:
+        InputError: no lens can be measured, or a value is wrong.
+    """
+    order = sorted(screened.entries, key=lambda lens: -screened.mtf[lens])
+    kept = order if keep is None else order[:keep]
+    if not kept:
+        reasons = "; ".join(f"{title}: {why}" for title, why in screened.left_out.items())
+        raise InputError(f"none of the lenses can be measured: {reasons}")
+    content = {
+        "format": 3,
+        "name": name,
+        "tables": ["table1"],
+        "images": dict(images),
+        "spec": dict(spec),
+        "capture": dict(capture),
+        "elements": {},
+        "designs": {},
+        "imported": {lens: screened.entries[lens] for lens in kept},
+        "supervisor": "network",
+        "classifiers": {"network": dict(classifier)},
+        "fine_tuning": {"epochs": epochs, "learning_rate": 1e-4, "batch_size": 16},
+        "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
+        "tolerances": dict(tolerances),
+        "ranking": {
+            "titles": {f"{ELEMENTS}-{lens}": screened.titles[lens] for lens in kept},
+            "left_out": screened.left_out,
+            "mtf": {f"{ELEMENTS}-{lens}": screened.mtf[lens] for lens in order},
+            "built": list(built),
+        },
+    }
+    parse(content)  # raises StudyError
+    return content
+
+
+def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> dict[str, Any]:
+    """Return the images of a ranking: up to so many photographs; all others for training, if there is one.
+
+    Raises:
+        FileError: the folder has no photographs by class, or too few.
+    """
+    if not folder.is_dir():
+        raise FileError(f"--images {folder}: no such folder")
+    images = {"folder": str(folder), "size": size, "minival": _MINIVAL}
+    if class_folders.is_split(folder):
+        test = class_folders.count(class_folders.split_folder(folder, class_folders.TEST), photographs)
+    else:
+        test = class_folders.count(folder, photographs + _MINIVAL + _TRAIN) - _MINIVAL - _TRAIN
+    if test < 1:
+        raise FileError(f"--images {folder}: too few photographs for a ranking")
+    return images | {"test": test} | ({} if trained else {"train": _TRAIN})
+
+
+def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrite: bool) -> Path:
+    """Run the study by Snakemake; return the folder of its results.
+
+    Raises:
+        SystemExit: Snakemake fails, which has said why.
+        InputError: the workflow is not installed.
+    """
+    snakefile = ROOT / "Snakefile"
+    if not snakefile.is_file():
+        raise InputError("the workflow is not installed: clone the repository, and install it by `pip install -e .`")
+    folder = Path("results", str(content["name"]))
+    path = folder / "ranking.yaml"
+    write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--cores", str(cores), *targets]
+    command += ["--configfile", str(path), *(["--config", "overwrite=true"] if overwrite else [])]
+    if status := subprocess.run(command).returncode:
+        raise SystemExit(status)
+    return folder
+
+
+def first_lenses(folder: Path, titles: Mapping[str, str], count: int) -> list[str]:
+    """Return the names in the study of the first lenses of a finished ranking."""
+    names = {title: lens for lens, title in titles.items()}
+    table = pandas.read_csv(folder / "tables" / "ranking.csv")
+    return [names[str(title)] for title in table["lens"][:count]]

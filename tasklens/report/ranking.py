@@ -1,0 +1,250 @@
+"""Ranking of lenses by what a network recognises through them: order, intervals, groups, and a page."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy
+import pandas
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from scipy.stats import spearmanr
+
+from tasklens.optics.analysis.datasheet import view_of
+from tasklens.optics.io import prescription
+from tasklens.recognition.metrics import mean_metrics
+from tasklens.report import predictions
+from tasklens.report.bootstrap import holm, interval, p_value, resampled_means
+from tasklens.report.figures import section_svg
+from tasklens.report.page import pictures
+from tasklens.report.publish import publish, rounded
+from tasklens.report.tolerance_page import distribution
+from tasklens.runtime.files import read_table, write_text
+from tasklens.study.names import SHARP
+from tasklens.study.ranking import RankingJob
+
+SIGNIFICANCE = 0.05
+_NOTE = """\
+Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Accuracy [%] and its 95 % interval
+over the photographs; `behind`: points behind the first lens, on the same photographs, with the interval of that. Lenses
+of a `group` cannot be told apart from its first one (paired, Holm's correction, 5 %)."""
+
+
+@dataclass(frozen=True)
+class Rank:
+    """One lens in a ranking; accuracies [%], differences [points].
+
+    Attributes:
+        group: number of the group, from 1.
+        low, high: interval of the accuracy.
+        behind: difference to the first lens, and its interval.
+        by_field: accuracy at each field.
+    """
+
+    lens: str
+    group: int
+    accuracy: float
+    low: float
+    high: float
+    behind: float
+    behind_low: float
+    behind_high: float
+    by_field: tuple[float, ...]
+
+
+def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
+    """Rank lenses by accuracy, and group those that the photographs cannot tell apart.
+
+    A group begins with the best lens that is in none yet, and ends before the first one that is less accurate: by
+    paired differences over resampled photographs, after Holm's correction for all lenses that are compared with it.
+
+    Args:
+        correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
+    """
+    names = sorted(correct, key=lambda name: -correct[name].to_numpy().mean())
+    for name in names[1:]:
+        predictions.same_images(correct[names[0]], correct[name], f"{names[0]} and {name}")
+    values = 100 * numpy.stack([correct[name].mean(axis=1).to_numpy() for name in names], 1)
+    means, observed = resampled_means(values), values.mean(0)
+    groups = _groups(means)
+    found = []
+    for k, name in enumerate(names):
+        behind = interval(means[:, 0] - means[:, k])
+        by_field = tuple(predictions.accuracy_by_field(correct[name]))
+        own = interval(means[:, k])
+        found.append(Rank(name, groups[k], observed[k], *own, observed[0] - observed[k], *behind, by_field))
+    return found
+
+
+def _groups(means: numpy.ndarray) -> list[int]:
+    """Return the group of each lens from resampled means (R, L) in the order of the accuracies."""
+    groups: list[int] = []
+    while len(groups) < means.shape[1]:
+        first = len(groups)
+        others = range(first + 1, means.shape[1])
+        corrected = holm([p_value(means[:, first] - means[:, k], 1) for k in others])
+        less = [k for k, p in zip(others, corrected, strict=True) if p < SIGNIFICANCE]
+        end = less[0] if less else means.shape[1]
+        groups += [groups[-1] + 1 if groups else 1] * (end - first)
+    return groups
+
+
+def sentences(ranks: Sequence[Rank], titles: Mapping[str, str]) -> list[str]:
+    """Say which lenses are equal, and how far the others are behind, group by group."""
+    said = []
+    for number in range(1, ranks[-1].group + 1):
+        group = [rank for rank in ranks if rank.group == number]
+        names = _and([titles.get(rank.lens, rank.lens) for rank in group])
+        if number > 1:
+            low, high = min(rank.behind_low for rank in group), max(rank.behind_high for rank in group)
+            said.append(f"{names}: {low:.1f} to {high:.1f} points behind the first.")
+        elif len(group) == 1:
+            said.append(f"{names} is the best.")
+        else:
+            most = max(rank.behind_high for rank in group)
+            said.append(f"{names} cannot be told apart by these photographs: they are equal within {most:.1f} points.")
+    return said
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]) -> str | None:
+    """Say what the sieve by the MTF has left out, and whether a better lens may be among them; None without one.
+
+    A lens is above the order of the MTF by as much as its accuracy exceeds the largest one of all measured lenses with
+    no more MTF.
+    """
+    if not sieved or len(ranks) < 3:
+        return None
+    order = sorted(ranks, key=lambda rank: mtf[rank.lens])
+    best, surprise = order[0].accuracy, 0.0
+    for rank in order[1:]:
+        surprise = max(surprise, best - rank.accuracy)
+        best = max(best, rank.accuracy)
+    correlation = float(spearmanr([mtf[rank.lens] for rank in ranks], [rank.accuracy for rank in ranks]).statistic)
+    needed = ranks[0].accuracy - order[0].accuracy
+    least = max(mtf[name] for name in sieved)
+    hope = "would be a surprise" if needed > surprise else "cannot be excluded"
+    return (
+        f"The sieve has left out {len(sieved)} lenses, with a mean MTF of at most {least:.2f}. Of those measured, "
+        f"accuracy follows the MTF with a rank correlation of {correlation:.2f}; a lens of less MTF was better by "
+        f"{surprise:.1f} points at most. The measured lens of the least MTF is {needed:.1f} points behind the first: a "
+        f"better lens among those left out {hope}."
+    )
+
+
+def make(
+    settings: RankingJob,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predicted: Sequence[Path],
+    built: Sequence[Path],
+    csv: Path,
+    md: Path,
+    page: Path,
+) -> None:
+    """Write the table as CSV and Markdown, and the page.
+
+    Args:
+        lenses: files of `settings.lens_keys`.
+        metrics, predicted: measurements of `settings.measured_keys`.
+        built: built lenses of `settings.built_keys`.
+    """
+    measured = dict(zip((SHARP, *settings.lenses), predicted, strict=True))
+    correct = {lens: predictions.read(path) for lens, path in measured.items()}
+    sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
+    ranks = ranked(correct)
+    files = dict(zip(settings.lenses, lenses, strict=True))
+    contents = {lens: prescription.read(path) for lens, path in files.items()}
+    means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
+    made = {lens: _built(path) for lens, path in zip(settings.built, built, strict=True)}
+    rows = [_row(rank, settings, contents[rank.lens][1], means[rank.lens], made.get(rank.lens, {})) for rank in ranks]
+    table = pandas.DataFrame(rows)
+    digits = {"": ".1f", "group": "d", "f_number": ".2f", "mtf": ".2f", "rms": ".1f"}
+    tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
+    count = len(next(iter(correct.values())))
+    note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count)
+    said = sentences(ranks, settings.titles)
+    said += [text for text in [sieve(ranks, settings.mtf, settings.sieved)] if text is not None]
+    left_out = [f"- {name}: {why}" for name, why in settings.left_out.items()]
+    below = "\n\n".join([*said, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
+    publish(csv, md, "Which lens for this network?", table, rounded(table, digits), below)
+    drawn = {}
+    for lens, (prescribed, content) in contents.items():
+        svg = section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
+        drawn[lens] = pictures.of_text(svg, ".svg")
+    _write_page(page, settings, ranks, rows, drawn, said, sharp, count, tuned)
+
+
+def _row(
+    rank: Rank,
+    settings: RankingJob,
+    content: Mapping[str, Any],
+    metrics: Mapping[str, float],
+    built: Mapping[str, float],
+) -> dict[str, Any]:
+    """Return the row of a lens in the table."""
+    figures = content["figures"]
+    row = {
+        "lens": settings.titles.get(rank.lens, rank.lens),
+        "group": rank.group,
+        "accuracy": rank.accuracy,
+        "low": rank.low,
+        "high": rank.high,
+        "behind": rank.behind,
+        "behind_low": rank.behind_low,
+        "behind_high": rank.behind_high,
+        "axis": rank.by_field[0],
+        "corner": rank.by_field[-1],
+    }
+    if "zero_shot_accuracy" in metrics:
+        row["among_all"] = metrics["zero_shot_accuracy"]
+    row |= built
+    row |= {
+        "f_number": figures["f_number"],
+        "field_of_view": content["spec"]["field_of_view_deg"],
+        "rms_um": float(numpy.mean(figures["rms_centroid_um"])),
+    }
+    return row | ({"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {})
+
+
+def _built(path: Path) -> dict[str, float]:
+    """Return what built lenses lose of the accuracy of their design: in the mean, and 95 of 100 at most [points]."""
+    found = distribution([{str(k): v for k, v in row.items()} for row in read_table(path).to_dict("records")])
+    return {"built_lose": found["lost"], "built_lose_95": found["accuracy_design"] - found["accuracy_5th"]}
+
+
+def _write_page(
+    path: Path,
+    settings: RankingJob,
+    ranks: Sequence[Rank],
+    rows: Sequence[Mapping[str, Any]],
+    drawn: Mapping[str, str],
+    said: Sequence[str],
+    sharp: float,
+    images: int,
+    tuned: str,
+) -> None:
+    css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
+    environment = Environment(
+        loader=PackageLoader("tasklens.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    entries = [
+        {"rank": rank, "row": row, "drawing": drawn[rank.lens], "fields": rank.by_field}
+        for rank, row in zip(ranks, rows, strict=True)
+    ]
+    html = environment.get_template("ranking.html").render(
+        settings=settings,
+        entries=entries,
+        said=said,
+        sharp=sharp,
+        images=images,
+        tuned=tuned,
+        css=css,
+        scale_low=5 * (min(rank.low for rank in ranks) // 5),
+        scale_high=100.0,
+    )
+    write_text(path, html)

@@ -1,0 +1,122 @@
+"""A lens in front of a network of one's own: captures, gradients, limits, training."""
+
+import pytest
+import torch
+from examples import difference, f64
+from torch import nn
+
+import tasklens
+from tasklens.runtime.errors import InputError
+from tasklens.study.settings import SensorSettings
+
+SMALL = [  # the stop is in front, so that the aim of rays does not depend on the lens
+    {"radius": float("inf"), "thickness": 0.1, "stop": True},
+    {"radius": 1.6, "thickness": 0.7, "material": "COC"},
+    {"radius": -4.0},
+]
+
+
+@pytest.fixture(scope="module")
+def lens():
+    return tasklens.lens(SMALL, field_of_view_deg=30, f_number=4, pixel_pitch_um=4.0, kernel_size=15)
+
+
+@pytest.fixture
+def images():
+    return torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+
+
+def test_captures_are_those_of_simulate(lens, images):
+    """Of one field each, and of all fields."""
+    camera = tasklens.Camera(*lens, rays=4096)
+    grid = camera.all_fields(images)
+    assert grid.shape == (9, 4, 3, 32, 32)
+    torch.testing.assert_close(grid[:, 1], tasklens.simulate(images[1], *lens), rtol=0, atol=1e-6)
+    single = camera(images, torch.tensor([8, 0, 3, 8]))
+    for k, field in enumerate((8, 0, 3, 8)):
+        torch.testing.assert_close(single[k], grid[field, k], rtol=0, atol=1e-5)
+
+
+def test_fields_are_drawn_by_torch(lens, images):
+    """The same after the same seed, and not always the same."""
+    camera = tasklens.Camera(*lens, rays=64)
+    found = []
+    for seed in (0, 0, 1):
+        torch.manual_seed(seed)
+        found.append(camera(images).detach())
+    assert torch.equal(found[0], found[1]) and not torch.equal(found[0], found[2])
+
+
+def test_gradients_at_the_parameters_are_differences(lens, images):
+    """Of the contrast of captures, by each curvature; a change of pixels from ray to ray averages out over many."""
+    camera = tasklens.Camera(*lens, {"curvature": None}, rays=4096)
+    ((name, parameter),) = camera.named_parameters()
+    assert name == "variables.curvature" and parameter.shape == (2,)
+
+    def loss(values):
+        with torch.no_grad():
+            parameter.copy_(values)
+        return camera.all_fields(images[:1]).double().var((-2, -1)).mean()
+
+    start = parameter.detach().clone()
+    loss(start).backward()
+    expected = difference(lambda values: loss(values).detach(), start, 1e-4)
+    torch.testing.assert_close(parameter.grad, expected.reshape(2), rtol=1e-2, atol=0)
+
+
+def test_what_is_not_free_stays(lens, images):
+    """And a camera without anything free has no parameters."""
+    camera = tasklens.Camera(*lens, {"thickness": [2]}, rays=64)
+    optimizer = torch.optim.AdamW(camera.parameters(), lr=1e-2, weight_decay=0.1)
+    camera(images).square().mean().backward()
+    optimizer.step()
+    moved, start = camera.lens, lens[0]
+    assert torch.equal(moved.curvature, start.curvature) and torch.equal(moved.thickness[:2], start.thickness[:2])
+    assert moved.thickness[2] != start.thickness[2]
+    assert not list(tasklens.Camera(*lens, {}).parameters())
+    with pytest.raises(InputError, match="free: unknown variable 'radius'"):
+        tasklens.Camera(*lens, {"radius": None})
+
+
+def test_a_camera_is_saved_and_loaded(lens, images):
+    """By its state_dict, as any module."""
+    first, second = (tasklens.Camera(*lens, rays=64) for _ in range(2))
+    with torch.no_grad():
+        first.variables["curvature"] += 0.01
+    assert not torch.equal(first.all_fields(images), second.all_fields(images))
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(first.all_fields(images), second.all_fields(images))
+    assert torch.equal(first.lens.curvature, second.lens.curvature)
+
+
+def test_a_lens_and_a_network_are_trained_together(lens, images):
+    """By one optimiser: the loss falls, the lens moves, and its penalty, zero at first, keeps it within its limits."""
+    torch.manual_seed(0)
+    network = nn.Sequential(nn.Conv2d(3, 4, 3, 2), nn.ReLU(), nn.Flatten(), nn.Linear(900, 2))
+    camera = tasklens.Camera(*lens, rays=128)
+    assert camera.penalty() < 1e-12
+    optimizer = torch.optim.Adam([*camera.parameters(), *network.parameters()], lr=1e-3)
+    labels = torch.tensor([0, 1, 0, 1])
+    losses = []
+    for _ in range(20):
+        loss = nn.functional.cross_entropy(network(camera(images)), labels)
+        optimizer.zero_grad()
+        (loss + 100 * camera.penalty()).backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.8 * losses[0]
+    assert not torch.equal(camera.lens.curvature, lens[0].curvature)
+    focal = tasklens.analyse(camera.lens.detached(), camera.view)["efl_mm"]
+    assert focal == pytest.approx(lens[1].efl, rel=0.03)
+
+
+def test_noise_and_wrong_images(lens, images):
+    """A sensor's noise differs from capture to capture; images without batch are refused."""
+    camera = tasklens.Camera(*lens, rays=64, sensor=SensorSettings(full_well=100))
+    fields = torch.zeros(4, dtype=torch.long)
+    assert not torch.equal(camera(images, fields), camera(images, fields))
+    with pytest.raises(InputError, match=r"images: expected .B, 3, H, W. in .0, 1., got .3, 32, 32."):
+        camera(images[0])
+    with pytest.raises(InputError, match="expected srgb or linear, got 'rgb'"):
+        tasklens.Camera(*lens, colour="rgb")
+    assert f64(camera.view.fields).shape == (9, 2)
