@@ -8,6 +8,7 @@ For notebooks, with `help()` of each:
     simulate                captures of an image, each as if all of it lay at one field
     simulate_sensor         capture of an image by the whole sensor
     design                  a new lens
+    rank                    which lens for a network
     Camera                  a lens in front of a network, in a training loop of your own
 """
 
@@ -22,6 +23,7 @@ __all__ = [
     "lens",
     "load_lens",
     "psf",
+    "rank",
     "save_lens",
     "simulate",
     "simulate_sensor",

@@ -30,15 +30,15 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """Eight images of each of three classes, one brighter than the other, and weights of a network that knows them."""
-    folder, images = tmp_path_factory.mktemp("trained"), random_images(24, 40, 3, seed=0)
+    """Forty images of each of three classes, one brighter than the other, and weights of a network that knows them."""
+    folder, images = tmp_path_factory.mktemp("trained"), random_images(120, 40, 3, seed=0)
     for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
         path = folder / "photographs" / ("cat", "dog", "owl")[label] / f"{k}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
     torch.manual_seed(0)
     network = Classifier(timm.create_model("test_resnet", num_classes=3))
-    settings = TrainingSettings(epochs=10, learning_rate=1e-2, batch_size=8)
+    settings = TrainingSettings(epochs=4, learning_rate=1e-2, batch_size=8)
     fit({"network": network}, images, settings, 0, "test")
     write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
     return folder
@@ -85,7 +85,7 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
     given = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
     assert design(*given, "-o", "mine.yaml") == 0
     output = capsys.readouterr()
-    assert "recognises" in output.err and "24 sharp images (guessing: 33.3%)" in output.err
+    assert "recognises" in output.err and "96 sharp images (guessing: 33.3%)" in output.err
     assert "descent 2  step 2/2  loss" in output.err and "design: task by descents, seed 0" in output.out
     assert design(*given, "-o", "again.yaml") == 0
     assert design(*given, "-o", "other.yaml", "--seed", "1") == 0

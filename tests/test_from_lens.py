@@ -40,9 +40,11 @@ def triplet(tmp_path_factory):
 
 
 def improved(file: LensFile, method: str, free=None, settings=STEPS, constraints=None, **network):
-    return from_lens.design(
+    """The lens, its view, its notes, and remarks."""
+    found, remarks = from_lens.design(
         file, method, free, settings, constraints or {}, network.get("images"), network.get("classifier"), 0
     )
+    return found.lens, found.view, found.notes, remarks
 
 
 def spots(lens, view) -> float:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,6 +28,7 @@ _SPEC = "Specification"
 _METHOD = "least_squares, spot, image_quality, image_error, correlation; by a network: task, joint, end_to_end."
 _ELEMENTS = "COC,OKP4"
 _START = "A lens of your own"
+_VERDICT = "What it is worth"
 
 
 def design(
@@ -79,6 +80,9 @@ def design(
     pretrained: Pretrained = False,
     outputs: Outputs = "classes",
     argument: Arguments = None,
+    verdict: Annotated[
+        bool, typer.Option(help="Compare the lens of `task` with those for image quality.", rich_help_panel=_VERDICT)
+    ] = True,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -108,13 +112,18 @@ def design(
     network = None
     if classifier is not None:
         network = network_settings(classifier, weights, pretrained, outputs, argument)
+    specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}
     changed, limited = nested(settings or (), "--set"), nested(limits or (), "--limit")
     from tasklens import notebook
-    from tasklens.design.single import design as designed
+    from tasklens.design import single
     from tasklens.report import glance
 
+    unused, page = None, output.with_suffix(".html")
+    if verdict and method == "task" and images is not None and network is not None:
+        new_file(page, force, ".html")
+        unused = single.unused_images(images, size)
     with progress_bars(), _keys_as_options():
-        lens, view, notes = designed(
+        made = single.designs(
             method,
             (elements or _ELEMENTS).split(","),
             seed=seed,
@@ -126,17 +135,28 @@ def design(
             images=images,
             size=size,
             classifier=network,
-            **{key: value for key, value in spec.items() if value is not None},
+            baselines=() if unused is None else single.BASELINES,
+            **specified,
         )
+    lens, view, notes = made.lens, made.view, made.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:
         raise InputError(f"the design has no light at {dark} of its fields, and is not written: try another --seed")
     notebook.save_lens(output, lens, view, notes)
-    summary = glance.summary(lens, notes, notes["figures"])
+    summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
+    if unused is not None:
+        from tasklens.notebook.verdict import verdict as judged
+
+        with progress_bars():
+            answer, ranking = judged(made, unused)
+        ranking.save(page, "What is the lens worth?", [answer])
+        summary |= {"verdict": answer, "page": str(page)}
     if json:
-        print_json(summary | {"file": str(output)})
-    else:
-        print(glance.text(str(output), summary))
+        print_json(summary)
+        return
+    print(glance.text(str(output), summary))
+    if unused is not None:
+        print(f"\n{summary['verdict']}\nThe page: {page}")
 
 
 @contextmanager

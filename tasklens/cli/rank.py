@@ -73,6 +73,7 @@ def rank(
     network = network_settings(classifier, weights, pretrained, outputs, argument)
     from tasklens.materials.library import users_files
     from tasklens.pipeline import ranking
+    from tasklens.study import loading
 
     spec = {
         "diagonal_mm": diagonal,
@@ -91,7 +92,9 @@ def rank(
         return ranking.study(name, screened, spec, shown, network, capture, fine_tune, sieve, tolerances, built)
 
     content = study([])
-    count = len(content["imported"])
+    parsed = loading.parse(content)
+    say(ranking.check_network(parsed.classifier(parsed.supervisor), parsed.images))
+    count = len(parsed.imported)
     say(f"{count} of {len(paths)} lenses are measured with {shown['test']} photographs at nine fields")
     folder = ranking.run(content, ["ranking"], cores, overwrite)
     if as_built:

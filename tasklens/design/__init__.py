@@ -12,9 +12,12 @@ Arguments:
     settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"descents": {"0": {"steps": 200}}}
     constraints  limits that differ from a study's: {"max_track": 6.0} [mm]
     materials    files of further plastics (.yaml, .agf)
-    images       folder of photographs: <class>/*, or train/<class>/*; by default rendered textures
+    images       folder of photographs: <class>/*, or train/<class>/*; or a data set of torch, or pairs (image, label);
+                 by default rendered textures
     size         side of the photographs [pixels]
     classifier   the network: {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}
+    network      a trained torch.nn.Module in its place, from images (B, 3, H, W) in [0, 1] to logits
+    loss         loss(network(captures), labels) in place of cross-entropy: a number, or one for each image
     start        file of a lens to improve (.zmx, lens.yaml), in place of `elements`: its glasses stay, and limits that
                  it breaks are its own values
     free         of that lens: {"curvature": [0, 1], "thickness": None}, surfaces numbered from 0, None: all; also

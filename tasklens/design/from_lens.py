@@ -14,7 +14,7 @@ from tasklens.design import methods
 from tasklens.design.constraints import BUFFER, buffer_scale, first_order_margins, manufacturing_margins
 from tasklens.design.merit import Merit
 from tasklens.design.ray_space import MARGINAL_RAYS
-from tasklens.design.supervisors import supervisors
+from tasklens.design.supervisors import OF_STUDY, Designs, Supervisors, supervisors
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
@@ -60,7 +60,9 @@ def design(
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     seed: int,
-) -> tuple[Lens, View, dict[str, Any], list[str]]:
+    own: Supervisors = OF_STUDY,
+    baselines: Sequence[str] = (),
+) -> tuple[Designs, list[str]]:
     """Improve a lens by a method.
 
     Args:
@@ -71,9 +73,11 @@ def design(
         constraints: limits that differ from those of a study, and are kept; the others give way to the lens.
         images, classifier: sections of a study file.
         seed: seed of all random numbers.
+        own: images, network and task of a user.
+        baselines: criteria that each improve the lens with the same effort, for a comparison.
 
     Returns:
-        The lens, its view, the notes for its file, and what was assumed, in words.
+        The lenses from the start to that of the method; and what was assumed, in words.
 
     Raises:
         InputError: an object at a finite distance, wavelengths that are not three, a variable that the lens does not
@@ -85,23 +89,37 @@ def design(
         settings = laid_over(_SPOT, settings)
     pixels = {"kernel_size": spec.kernel_size, "pixel_pitch_um": spec.pixel_pitch_um}
     changed = {**settings, "free": {name: list(each) for name, each in free.items()}, "keep_apertures": True}
-    study = single.study(method, ("COC",), pixels, changed, {}, (), images, classifier, alone=True)
-    (name,) = study.lenses
+    study = single.study(
+        method,
+        ("COC",),
+        pixels,
+        changed,
+        {},
+        (),
+        images,
+        classifier,
+        alone=True,
+        baselines=baselines,
+        network_given=own.network is not None,
+    )
     limits, remarks = own_limits(file.lens, view, Constraints.model_validate(constraints), set(constraints))
-    wanted = lens_design(study, name, seed)
     plastics = tuple(dict.fromkeys(file.lens.media))
-    entry = wanted.entry.model_copy(update={"plastics": plastics})
-    wanted = wanted.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
+    made, notes = {"start": file.lens}, dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
-        dataset, network = supervisors(study, Path(folder))
-        lens, notes, _ = methods.design(
-            wanted,
-            network if wanted.entry.classified else None,
-            dataset if wanted.entry.supervised else None,
-            {"start": (file.lens, 0.0)},
-            {},
-        )
-    return lens, view, notes, remarks
+        by = supervisors(study, Path(folder), own)
+        for name in study.lenses:
+            wanted = lens_design(study, name, seed)
+            entry = wanted.entry.model_copy(update={"plastics": plastics})
+            wanted = wanted.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
+            made[entry.design_name], notes, _ = methods.design(
+                wanted,
+                by.network if entry.classified else None,
+                by.images if entry.supervised else None,
+                {"start": (file.lens, 0.0)},
+                {},
+                task=by.task if entry.classified else None,
+            )
+    return Designs(made, view, notes, by), remarks
 
 
 def resolved(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:

@@ -76,19 +76,19 @@ def design(
     @cache
     def frozen_loss(temperature: float) -> TaskLoss:
         assert classifier is not None and dataset is not None  # they supervise
-        if task is not None:
+        if wanted.task is not None and task is not None:
             from tasklens.recognition import task_networks  # torchvision's detectors, which other designs do without
 
             return TaskLoss(task_networks.frozen(classifier), task)
         network = frozen(classifier, dataset.images, settings.batch_norm)
-        return TaskLoss(network, Classification(temperature))
+        return TaskLoss(network, task or Classification(temperature))
 
     def criterion(part: DescentSettings) -> Criterion:
         match part.criterion:
             case "task" if part.network_learning_rate is not None:
                 trained, rate = copy.deepcopy(classifier), part.network_learning_rate
                 assert trained is not None
-                return JointTaskLoss(trained, rate, part.steps, part.final, Classification(part.temperature))
+                return JointTaskLoss(trained, rate, part.steps, part.final, task or Classification(part.temperature))
             case "task":
                 return frozen_loss(part.temperature)
             case "spot":

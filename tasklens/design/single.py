@@ -6,21 +6,40 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from torch import nn
+
 from tasklens.design import from_lens, methods, substitution
-from tasklens.design.supervisors import supervisors
+from tasklens.design.supervisors import Designs, Loss, Supervisors, UsersTask, supervisors
 from tasklens.materials.library import users_files
 from tasklens.optics.io import lens_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
+from tasklens.recognition import class_folders, users_images
+from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError
 from tasklens.study import single
 from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # of a folder, at most
+_UNUSED, _LEAST = 500, 20  # photographs for a verdict, at most and at least
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
+BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
 
 def design(
+    method: str = "least_squares", elements: Sequence[str] = ("COC", "OKP4"), **settings: Any
+) -> tuple[Lens, View, dict[str, Any]]:
+    """Design one lens; see `help(tasklens.design)`.
+
+    Raises:
+        InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
+    """
+    made = designs(method, elements, **settings)
+    return made.lens, made.view, made.notes
+
+
+def designs(
     method: str = "least_squares",
     elements: Sequence[str] = ("COC", "OKP4"),
     *,
@@ -28,22 +47,30 @@ def design(
     settings: Mapping[str, Any] | None = None,
     constraints: Mapping[str, Any] | None = None,
     materials: Sequence[str | Path] = (),
-    images: str | Path | None = None,
+    images: Any = None,
     size: int = 224,
     classifier: Mapping[str, Any] | None = None,
+    network: nn.Module | None = None,
+    loss: Loss | None = None,
     start: str | Path | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
+    baselines: Sequence[str] = (),
     **spec: Any,
-) -> tuple[Lens, View, dict[str, Any]]:
-    """Design one lens; see `help(tasklens.design)`.
+) -> Designs:
+    """Design one lens, and those that it begins with and is compared with.
 
-    Raises:
-        InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
+    Args:
+        baselines: criteria of image quality: a lens by each, with the same start and the same effort; photographs are
+            left out for the comparison, `unused_images`.
     """
-    spots: dict[str, float] = {}
-    section = None if images is None else {"folder": str(images), "size": size, "train": _IMAGES, "minival": 2}
+    section, dataset = _images(images, size, held_out=bool(baselines))
+    own = Supervisors(dataset, network, None if loss is None else UsersTask(loss))
+    files = [str(path) for path in materials]
     if start is not None:
-        return _from_lens(Path(start), method, free, settings, constraints, materials, section, classifier, seed, spec)
+        return _from_lens(
+            Path(start), method, free, settings, constraints, files, section, classifier, seed, own, baselines, spec
+        )
+    spots: dict[str, float] = {}
     if any(substitution.ALTERNATIVE in element for element in elements):
 
         def spot(chosen: Sequence[str]) -> float:
@@ -52,8 +79,18 @@ def design(
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)
-    files = [str(path) for path in materials]
-    found = single.study(method, elements, spec, settings or {}, constraints or {}, files, section, classifier)
+    found = single.study(
+        method,
+        elements,
+        spec,
+        settings or {},
+        constraints or {},
+        files,
+        section,
+        classifier,
+        baselines=baselines,
+        network_given=network is not None,
+    )
     for name, entry in found.lenses.items():
         if len(first := starts(found, name)) > 1:
             raise InputError(
@@ -64,19 +101,54 @@ def design(
     made: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        dataset, network = supervisors(found, Path(folder))
+        by = supervisors(found, Path(folder), own)
         for name in found.lenses:
             entry = found.lens(name)
             made[name], notes, _ = methods.design(
                 lens_design(found, name, seed),
-                network if entry.classified else None,
-                dataset if entry.supervised else None,
+                by.network if entry.classified else None,
+                by.images if entry.supervised else None,
                 {other: (made[other], 0.0) for other in starts(found, name)},
                 {other: made[other] for other in candidates(found, name)},
+                task=by.task if entry.classified else None,
             )
     if spots:
         notes["origin"]["materials_tried_rms_um"] = spots
-    return made[name], view, notes
+    return Designs({found.lens(name).design_name: lens for name, lens in made.items()}, view, notes, by)
+
+
+def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
+    """Return the section of a study for images, and those of a user in Python."""
+    if images is None:
+        return None, None
+    if not isinstance(images, str | Path):
+        dataset = users_images.of_pairs(images)
+        count = max(len(dataset), 10)
+        return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
+    return {"folder": str(images), "size": size, "train": _train(Path(images), held_out), "minival": 2}, None
+
+
+def _train(folder: Path, held_out: bool) -> int:
+    """Return the number of photographs for a design: of a folder without splits four fifths, if some are held out."""
+    if not held_out or not folder.is_dir() or class_folders.is_split(folder):
+        return _IMAGES
+    return max(1, 4 * class_folders.count(folder, _IMAGES * 5 // 4) // 5)
+
+
+def unused_images(folder: Path, size: int) -> ImageDataset:
+    """Return photographs that a design with baselines does not use, at most 500; raises FileError for less than 20."""
+    if not folder.is_dir():
+        raise FileError(f"{folder}: no such folder of images")
+    if class_folders.is_split(folder):
+        found = users_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
+    else:
+        found = users_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
+    if len(found) < _LEAST:
+        raise FileError(
+            f"{folder}: {len(found)} photographs are left for a verdict on the lens, expected {_LEAST} or more (a "
+            "fifth of <class>/*, or test/<class>/*); add some, or leave it out: --no-verdict"
+        )
+    return found
 
 
 def _from_lens(
@@ -85,18 +157,20 @@ def _from_lens(
     free: Mapping[str, Sequence[int] | None] | None,
     settings: Mapping[str, Any] | None,
     constraints: Mapping[str, Any] | None,
-    catalogues: Sequence[str | Path],
+    catalogues: Sequence[str],
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     seed: int,
+    own: Supervisors,
+    baselines: Sequence[str],
     spec: Mapping[str, Any],
-) -> tuple[Lens, View, dict[str, Any]]:
+) -> Designs:
     """Improve the lens of a file."""
     file = lens_files.read(start, [*(Path(path) for path in catalogues), *users_files()], **spec)
-    lens, view, notes, remarks = from_lens.design(
-        file, method, free, settings or {}, constraints or {}, images, classifier, seed
+    made, remarks = from_lens.design(
+        file, method, free, settings or {}, constraints or {}, images, classifier, seed, own, baselines
     )
     for remark in (*file.remarks, *remarks):
         print(f"tasklens: {start}: {remark}", file=sys.stderr)
-    notes["origin"] |= {"start": str(start)}
-    return lens, view, notes
+    made.notes["origin"] |= {"start": str(start)}
+    return made

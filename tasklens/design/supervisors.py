@@ -1,34 +1,131 @@
-"""Images and network that supervise the designs of a study."""
+"""Images and network that supervise the designs of a study, or of a user in Python."""
 
 import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
+from tasklens.runtime.errors import InputError
 from tasklens.study.study import Study
 
 _SHARP = 500  # images that show what the network recognises, at most
 
+Loss = Callable[[Tensor, Tensor], Tensor]
 
-def supervisors(study: Study, folder: Path) -> tuple[ImageDataset | None, nn.Module | None]:
-    """Return the images and the network that designs of the study need; images are converted to a file in `folder`."""
-    entries = study.lenses.values()
-    if not any(entry.supervised for entry in entries):
-        return None, None
+
+@dataclass(frozen=True)
+class Supervisors:
+    """Images, network, and its task if that is not classification; None for what a design does not need."""
+
+    images: ImageDataset | None = None
+    network: nn.Module | None = None
+    task: Task | None = None
+
+
+OF_STUDY = Supervisors()  # all are those of the study
+
+
+@dataclass(frozen=True)
+class Designs:
+    """A lens with those that it begins with and is compared with, by name of their designs; it is the last one.
+
+    Attributes:
+        notes: notes for its file.
+        supervisors: images and network of the design.
+    """
+
+    lenses: Mapping[str, Lens]
+    view: View
+    notes: dict[str, Any]
+    supervisors: Supervisors
+
+    @property
+    def lens(self) -> Lens:
+        """The lens that was asked for."""
+        return list(self.lenses.values())[-1]
+
+
+class UsersTask(Task):
+    """A task by its loss alone, loss(answer of the network, labels)."""
+
+    def __init__(self, loss: Loss):
+        self.function = loss
+
+    def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
+        """Compute the mean loss; a label is the same for a flipped image."""
+        return self.function(network(captures), labels).mean()
+
+    def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
+        """Return what the network answers."""
+        return list(network(captures).detach().cpu())
+
+    def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
+        """Return the loss."""
+        return {"loss": float(self.function(torch.stack(list(answers)), labels.cpu()).mean())}
+
+
+def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supervisors:
+    """Return what supervises the designs of a study; a network is tried on sharp images first.
+
+    Args:
+        folder: folder for a file of converted images.
+        own: images, network and task of a user, in place of those of the study.
+
+    Raises:
+        InputError: the network cannot be built, recognises nothing, or has an answer or a loss that cannot be used.
+    """
     from tasklens.recognition import classifiers, dataset, sharp
 
+    entries = study.lenses.values()
+    classified = any(entry.classified for entry in entries)
+    if not any(entry.supervised for entry in entries):
+        return Supervisors()
     settings = study.classifier(study.supervisor)
-    if any(entry.classified for entry in entries):
+    if classified and own.network is None:
         classifiers.check(study.supervisor, settings, study.images.size)
     device = claim()
-    images = dataset.training_images(study.images, folder / "images.npy", device=device)
-    if not any(entry.classified for entry in entries):
-        return images, None
+    if own.images is not None:
+        images = replace(own.images, device=device)
+    else:
+        images = dataset.training_images(study.images, folder / "images.npy", device=device)
+    if not classified:
+        return Supervisors(images)
     torch.manual_seed(0)
-    network = classifiers.build(settings, images.classes).to(device)
-    shown = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
-    print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), shown)}", file=sys.stderr)
-    return images, network
+    network: nn.Module
+    if own.network is None:
+        network = classifiers.build(settings, images.classes).to(device)
+    else:
+        of_timm = hasattr(own.network, "pretrained_cfg")  # with its normalisation
+        as_classifier = own.task is None or of_timm
+        network = (classifiers.Classifier(own.network) if as_classifier else own.network).to(device)
+        _check(network, images, own.task)
+    if own.task is None:
+        shown = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
+        print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), shown)}", file=sys.stderr)
+    return Supervisors(images, network, own.task)
+
+
+def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None:
+    """Check that the answer of a user's network, or its loss, can be used; raises InputError."""
+    from tasklens.recognition.classifiers import check_logits, frozen
+
+    images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
+    images.requires_grad_()
+    checked = frozen(network, dataset.images)
+    if task is None:
+        check_logits(checked(images), len(images), len(dataset.classes))
+        return
+    loss = task.loss(checked, images, labels, torch.zeros(len(images), dtype=torch.bool))
+    if not (loss.numel() == 1 and loss.is_floating_point() and bool(loss.isfinite())):
+        raise InputError(f"loss: expected a finite number, or one for each image, got {loss}")
+    if not loss.requires_grad or not torch.autograd.grad(loss, images)[0].any():
+        raise InputError("loss: has no gradient at the images; the network or the loss detaches them")

@@ -12,7 +12,7 @@ from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_tensors
 from tasklens.study.settings import ClassifierSettings
 
-_SHARP = 500  # images by which published weights are checked, at most
+_SHARP, _ENOUGH = 500, 30  # images by which published weights are checked, at most and at least
 
 
 def run(
@@ -36,7 +36,7 @@ def run(
         training.fit(
             {settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint
         )
-    else:
+    elif len(train) >= _ENOUGH:
         order = torch.randperm(len(train), generator=torch.Generator().manual_seed(0))[:_SHARP]
         print(sharp.recognised(classifiers.frozen(classifier, train.images), train.take(order)), file=sys.stderr)
     write_tensors(weights, classifier.network.state_dict(), {"model": settings.model})

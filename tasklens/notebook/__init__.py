@@ -15,15 +15,18 @@ import warnings
 from tasklens.notebook.camera import Camera
 from tasklens.notebook.captures import simulate, simulate_sensor
 from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
+from tasklens.notebook.ranking import Ranking, rank
 
 __all__ = [
     "Camera",
+    "Ranking",
     "analyse",
     "described",
     "draw",
     "lens",
     "load_lens",
     "psf",
+    "rank",
     "save_lens",
     "simulate",
     "simulate_sensor",

@@ -129,7 +129,9 @@ def durations_of(study: Study) -> Durations:
     """Return the durations of a study; where nothing is known of a rule, of a study with images like its own."""
     similar = "small"
     if study.images.size >= LARGE:
-        similar = "photographs_fine_tuned" if study.fine_tuning.epochs else "photographs"
+        similar = (
+            "photographs_fine_tuned" if study.fine_tuning.epochs else "photographs" if study.designs else "ranking"
+        )
     return Durations(
         study.name, f"results/{study.name}", similar if _training_images(study.images) <= COMPARABLE else ""
     )

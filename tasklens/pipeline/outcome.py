@@ -32,7 +32,7 @@ def _lens(path: Path) -> str:
     words = [f"RMS spot {mean(content['figures']['rms_centroid_um']):.1f} um"]
     if "validation_loss" in content["origin"]:
         words.append(f"loss {content['origin']['validation_loss']:.3g}")
-    if content["worst_margin"]["value"] < -ROUNDING:
+    if content["worst_margin"]["value"] < -ROUNDING and content["origin"]["method"] != "file":
         words.append(f"violates {content['worst_margin']['limit']}")
     return ", ".join(words)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas
+import torch
 import yaml
 
 from tasklens.optics.analysis.mtf import mean_mtf
@@ -23,14 +24,14 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.runtime.progress import Progress
 from tasklens.study.lens_entries import ImportedLens
-from tasklens.study.loading import parse
-from tasklens.study.settings import Spec
+from tasklens.study.settings import ClassifierSettings, ImageSettings, Spec
 
 ELEMENTS = "lens"  # their name in the study
 _SUFFIXES = (".zmx", ".yaml", ".yml")
 _RAYS = 4096  # per field and colour
 _COVERAGE = 0.99  # of the field that a lens has in its file, to which the corner of the sensor may come
 _LONGEST = 30  # characters of a name
+_SHOWN = 200  # sharp photographs that a network is tried on
 _MINIVAL, _TRAIN = 2, 1  # photographs that a study needs beside those of the ranking
 
 
@@ -144,7 +145,7 @@ def study(
     """Return the study that measures lenses, of which the sieve keeps those of the most MTF.
 
     Raises:
-        InputError: no lens can be measured, or a value is wrong.
+        InputError: no lens can be measured.
     """
     order = sorted(screened.entries, key=lambda lens: -screened.mtf[lens])
     kept = order if keep is None else order[:keep]
@@ -173,7 +174,6 @@ def study(
             "built": list(built),
         },
     }
-    parse(content)  # raises StudyError
     return content
 
 
@@ -193,6 +193,24 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> 
     if test < 1:
         raise FileError(f"--images {folder}: too few photographs for a ranking")
     return images | {"test": test} | ({} if trained else {"train": _TRAIN})
+
+
+def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
+    """Return in words what a network recognises of some of the sharp photographs.
+
+    Raises:
+        InputError: it cannot be built or read, or recognises nothing.
+    """
+    from tasklens.recognition import classifiers, dataset, folders, sharp
+
+    assert images.folder is not None
+    names = class_folders.TEST if class_folders.is_split(images.folder) else (".",)
+    listing = folders.find(images.folder, names, _SHOWN, images.seed)
+    classifiers.check("network", settings, images.size)
+    network = classifiers.build(settings, listing.classes)
+    shown = torch.stack([folders.read(file, images.size) for file in listing.files])
+    photographs = dataset.ImageDataset(shown, listing.labels, listing.classes)
+    return sharp.recognised(classifiers.frozen(network, shown), photographs)
 
 
 def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrite: bool) -> Path:

@@ -25,6 +25,8 @@ from tasklens.study.names import SHARP
 from tasklens.study.ranking import RankingJob
 
 SIGNIFICANCE = 0.05
+_FIELD = "field_of_view_deg"  # key of a specification
+_SCALE = 5.0  # of the accuracies on the page [%]
 _NOTE = """\
 Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Accuracy [%] and its 95 % interval
 over the photographs; `behind`: points behind the first lens, on the same photographs, with the interval of that. Lenses
@@ -161,7 +163,14 @@ def make(
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
     made = {lens: _built(path) for lens, path in zip(settings.built, built, strict=True)}
-    rows = [_row(rank, settings, contents[rank.lens][1], means[rank.lens], made.get(rank.lens, {})) for rank in ranks]
+    rows = []
+    for rank in ranks:
+        content = contents[rank.lens][1]
+        found = row(rank, settings.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
+        if "zero_shot_accuracy" in means[rank.lens]:
+            found["among_all"] = means[rank.lens]["zero_shot_accuracy"]
+        found |= {"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
+        rows.append(found | made.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
     digits = {"": ".1f", "group": "d", "f_number": ".2f", "mtf": ".2f", "rms": ".1f"}
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
@@ -172,24 +181,19 @@ def make(
     left_out = [f"- {name}: {why}" for name, why in settings.left_out.items()]
     below = "\n\n".join([*said, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
     publish(csv, md, "Which lens for this network?", table, rounded(table, digits), below)
-    drawn = {}
-    for lens, (prescribed, content) in contents.items():
-        svg = section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
-        drawn[lens] = pictures.of_text(svg, ".svg")
-    _write_page(page, settings, ranks, rows, drawn, said, sharp, count, tuned)
+    drawings = {
+        lens: section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
+        for lens, (prescribed, content) in contents.items()
+    }
+    words = {"title": f"Which lens for {settings.model}?", "images": count, "sharp": sharp, "tuned": tuned}
+    words |= {"left_out": settings.left_out, "grade": settings.grade.replace("_", " ")}
+    write_text(page, render(ranks, rows, drawings, said, **words))
 
 
-def _row(
-    rank: Rank,
-    settings: RankingJob,
-    content: Mapping[str, Any],
-    metrics: Mapping[str, float],
-    built: Mapping[str, float],
-) -> dict[str, Any]:
+def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: float) -> dict[str, Any]:
     """Return the row of a lens in the table."""
-    figures = content["figures"]
-    row = {
-        "lens": settings.titles.get(rank.lens, rank.lens),
+    return {
+        "lens": title,
         "group": rank.group,
         "accuracy": rank.accuracy,
         "low": rank.low,
@@ -199,16 +203,10 @@ def _row(
         "behind_high": rank.behind_high,
         "axis": rank.by_field[0],
         "corner": rank.by_field[-1],
-    }
-    if "zero_shot_accuracy" in metrics:
-        row["among_all"] = metrics["zero_shot_accuracy"]
-    row |= built
-    row |= {
         "f_number": figures["f_number"],
-        "field_of_view": content["spec"]["field_of_view_deg"],
+        "field_of_view": field_of_view_deg,
         "rms_um": float(numpy.mean(figures["rms_centroid_um"])),
     }
-    return row | ({"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {})
 
 
 def _built(path: Path) -> dict[str, float]:
@@ -217,34 +215,31 @@ def _built(path: Path) -> dict[str, float]:
     return {"built_lose": found["lost"], "built_lose_95": found["accuracy_design"] - found["accuracy_5th"]}
 
 
-def _write_page(
-    path: Path,
-    settings: RankingJob,
+def render(
     ranks: Sequence[Rank],
     rows: Sequence[Mapping[str, Any]],
-    drawn: Mapping[str, str],
+    drawings: Mapping[str, str],
     said: Sequence[str],
-    sharp: float,
-    images: int,
-    tuned: str,
-) -> None:
-    css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
+    **words: Any,
+) -> str:
+    """Return the page as HTML.
+
+    Args:
+        rows: of the table, in the order of `ranks`.
+        drawings: cross-sections by lens, as SVG.
+        said: the answer, a sentence each.
+        words: `title`; `images`, their number; `sharp`, the accuracy on them [%]; `tuned`, how the network got used to
+            a lens; `left_out` with reasons by lens; `grade` of built lenses.
+    """
     environment = Environment(
         loader=PackageLoader("tasklens.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     entries = [
-        {"rank": rank, "row": row, "drawing": drawn[rank.lens], "fields": rank.by_field}
+        {"rank": rank, "row": row, "drawing": pictures.of_text(drawings[rank.lens], ".svg")}
         for rank, row in zip(ranks, rows, strict=True)
     ]
-    html = environment.get_template("ranking.html").render(
-        settings=settings,
-        entries=entries,
-        said=said,
-        sharp=sharp,
-        images=images,
-        tuned=tuned,
-        css=css,
-        scale_low=5 * (min(rank.low for rank in ranks) // 5),
-        scale_high=100.0,
+    low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in ranks) // _SCALE))
+    css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
+    return environment.get_template("ranking.html").render(
+        entries=entries, said=said, css=css, low=low, width=100 - low, **words
     )
-    write_text(path, html)

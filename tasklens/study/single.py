@@ -34,6 +34,8 @@ def study(
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     alone: bool = False,
+    baselines: Sequence[str] = (),
+    network_given: bool = False,
 ) -> Study:
     """Return a study of the lens and those that it begins with, in the order of their designs.
 
@@ -44,6 +46,9 @@ def study(
         materials: files of further plastics.
         images, classifier: sections of a study file; None: rendered textures, no network.
         alone: without the lenses that it begins with; the start is a lens of the user.
+        baselines: criteria without a network, each of which designs a lens with the same start and the same effort, of
+            its own name; before that of the method.
+        network_given: the network is a module of the user.
 
     Raises:
         StudyError: a wrong key or value.
@@ -53,6 +58,8 @@ def study(
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
     changed = laid_over(methods()[method], settings)
     designs = {method: changed | {"start": "flat"}} if alone else _with_starts(method, changed)
+    last = designs.pop(method)
+    designs |= {criterion: _by(criterion, last) for criterion in baselines} | {method: last}
     side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
     found = parse(
         {
@@ -70,9 +77,16 @@ def study(
             "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
         }
     )
-    if classifier is None and any(lens.classified for lens in found.lenses.values()):
+    if classifier is None and not network_given and any(lens.classified for lens in found.lenses.values()):
         raise InputError(f"method {method}: needs a network: --classifier NAME --weights FILE, in Python `classifier`")
     return found
+
+
+def _by(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a design by another criterion, with the same start, steps and images."""
+    of_network = ("criterion", "network_learning_rate", "temperature")
+    descents = [{k: v for k, v in each.items() if k not in of_network} for each in settings["descents"]]
+    return {**settings, "descents": [each | {"criterion": criterion} for each in descents]}
 
 
 def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

@@ -1,0 +1,130 @@
+"""Which lens for a network, in a notebook: accuracies on the same photographs, with intervals and groups."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import atan, degrees
+from pathlib import Path
+from typing import Any
+
+import pandas
+import torch
+from torch import nn
+
+from tasklens.imaging import PsfCamera
+from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.spots import clear_semi_diameters, evaluation_psf
+from tasklens.optics.apertures import with_clear_apertures
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.recognition import classifiers, evaluation, users_images
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.report import ranking as report
+from tasklens.report.figures import section_svg
+from tasklens.report.publish import rounded
+from tasklens.report.ranking import Rank
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import write_text
+
+_RIM = 1.02  # of a surface without clear aperture, over the radius that light uses
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Lenses in the order of what a network recognises through them; a notebook shows its page.
+
+    Attributes:
+        table: a row for each lens.
+        ranks: accuracies, intervals and groups.
+        correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
+        drawings: cross-sections by lens, as SVG.
+        sharp: accuracy on the sharp images [%].
+    """
+
+    table: pandas.DataFrame
+    ranks: Sequence[Rank]
+    correct: Mapping[str, pandas.DataFrame]
+    drawings: Mapping[str, str]
+    sharp: float
+
+    @property
+    def sentences(self) -> list[str]:
+        """Which lenses are equal, and how far the others are behind."""
+        return report.sentences(self.ranks, {})
+
+    def save(self, path: str | Path, title: str = "Which lens for this network?", said: Sequence[str] = ()) -> None:
+        """Write the page, one HTML file, with sentences of one's own in front of those of the ranking."""
+        rows = [{str(key): value for key, value in row.items()} for row in self.table.to_dict("records")]
+        words: dict[str, Any] = {"title": title, "images": len(next(iter(self.correct.values()))), "sharp": self.sharp}
+        words |= {"tuned": ", as it is", "left_out": {}, "grade": ""}
+        page = report.render(self.ranks, rows, self.drawings, [*said, *self.sentences], **words)
+        write_text(Path(path), page)
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{sentence}</p>" for sentence in self.sentences) + rounded(
+            self.table, {"": ".1f", "group": "d", "f_number": ".2f"}
+        ).to_html(index=False)
+
+
+def rank(
+    lenses: Mapping[str, tuple[Lens, View]],
+    images: Any,
+    network: nn.Module,
+    *,
+    size: int = 224,
+    limit: int = 500,
+    rays: int = 4096,
+) -> Ranking:
+    """Rank lenses by what a network recognises through them, at the nine fields of each.
+
+    Args:
+        lenses: lenses with their views, by name: {"mine": tasklens.load_lens("mine.zmx")}.
+        images: folder of photographs, test/<class>/* or <class>/*; or a data set of torch, or pairs (image, label).
+        network: a module from images (B, 3, H, W) in [0, 1] to logits; one of timm has its own normalisation.
+        size: side of the photographs of a folder [pixels].
+        limit: number of the photographs of a folder, at most.
+        rays: number of rays of each field and colour.
+
+    Raises:
+        InputError: images that cannot be read, or a network that does not answer with logits.
+
+    Example:
+        >>> tasklens.rank({name: tasklens.load_lens(f"{name}.zmx") for name in ("a", "b")}, "photographs", network)
+    """
+    if isinstance(images, str | Path):
+        dataset = users_images.test_images(Path(images), size, limit)
+    else:
+        dataset = users_images.of_pairs(images)
+    if not lenses or not len(dataset):
+        raise InputError("rank: expected lenses and images")
+    classifier = classifiers.frozen(classifiers.Classifier(network), dataset.images)
+    with torch.no_grad():
+        answer = classifier(dataset.batch(torch.arange(1))[0])
+    if answer.dim() != 2 or answer.shape[1] < max(len(dataset.classes), 2):
+        raise InputError(
+            f"rank: the network answers one image with a tensor {tuple(answer.shape)}; expected logits of the "
+            f"{len(dataset.classes)} classes"
+        )
+    sharp = float(100 * evaluation.evaluate([classifier], dataset, CapturePipeline()).correct.double().mean())
+    correct = {name: _correct(classifier, dataset, *shown, rays, name) for name, shown in lenses.items()}
+    ranks = report.ranked(correct)
+    rows, drawings = [], {}
+    for each in ranks:
+        lens, view = lenses[each.lens]
+        field_of_view = 2 * degrees(atan(float(view.radii.max()) / view.efl))
+        rows.append(report.row(each, each.lens, figures(lens, view, rays), field_of_view))
+        rimmed = with_clear_apertures(lens.detached(), _RIM * clear_semi_diameters(lens.detached(), view))
+        drawings[each.lens] = section_svg(rimmed, view)
+    return Ranking(pandas.DataFrame(rows), ranks, correct, drawings, sharp)
+
+
+def _correct(
+    classifier: nn.Module, dataset: ImageDataset, lens: Lens, view: View, rays: int, name: str
+) -> pandas.DataFrame:
+    """Return the predictions through a lens: a row per image, a column per field."""
+    lens, view = lens.detached(), view.in_colours()
+    camera = PsfCamera(evaluation_psf(lens, view, rays), illumination=relative_illumination(lens, view))
+    found = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
+    frame = pandas.DataFrame(evaluation.by_image(found.int(), dataset))
+    return frame.set_index(["image", "label"])

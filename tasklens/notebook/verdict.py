@@ -1,0 +1,42 @@
+"""What a lens for a task is worth, compared with the best lens for image quality of the same start and effort."""
+
+import torch
+
+from tasklens.design.single import BASELINES
+from tasklens.design.supervisors import Designs
+from tasklens.notebook.ranking import Ranking, rank
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.report.bootstrap import interval, resampled_means
+
+_CHOICE = 200  # images of the design by which the best lens for image quality is chosen, at most
+
+
+def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
+    """Compare a lens with those that it begins with and those for image quality, on images that no design has used.
+
+    Args:
+        designs: lenses, images and network of a design with baselines.
+        unused: images that were not used.
+
+    Returns:
+        The verdict in words, and the ranking of all lenses.
+    """
+    by = designs.supervisors
+    assert by.network is not None and by.images is not None  # of a design by a network
+    *_, name = designs.lenses
+    shown = {each: (lens, designs.view) for each, lens in designs.lenses.items()}
+    order = torch.randperm(len(by.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
+    choice = rank({each: shown[each] for each in BASELINES}, by.images.take(order), by.network)
+    best = choice.ranks[0].lens
+    found = rank(shown, unused, by.network)
+    task, baseline = (100 * found.correct[each].mean(axis=1).to_numpy() for each in (name, best))
+    low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
+    gain = float((task - baseline).mean())
+    answer = "better" if low > 0 else "worse" if high < 0 else "not shown to be better or worse"
+    words = (
+        f"On {len(unused)} photographs that no design has used, the network recognises {task.mean():.1f} % through "
+        f"this lens, and {baseline.mean():.1f} % through the best lens for image quality of the same start and effort "
+        f"({best}, chosen on photographs of the design): {gain:+.1f} points ({low:+.1f} to {high:+.1f}), {answer}. "
+        "The interval is over the photographs; it is one design of each kind."
+    )
+    return words, found

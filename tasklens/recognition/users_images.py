@@ -1,0 +1,75 @@
+"""Labelled images of a user in Python: a data set of torch, or any sequence of pairs."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from tasklens.recognition import class_folders, folders
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.image_tensor import image_tensor
+from tasklens.runtime.errors import InputError
+
+
+def of_pairs(pairs: Any) -> ImageDataset:
+    """Return a data set from pairs (image, label) of any length, as torch's data sets have them.
+
+    An image is what `image_tensor` takes; all have one size, and keep 8 bits. A label is a whole number, or a number or
+    tensor for a loss of one's own. Names of the classes are those of `pairs.classes`, or the labels.
+
+    Raises:
+        InputError: no pairs, images of several sizes, or one that cannot be read, with its number.
+    """
+    if isinstance(pairs, ImageDataset):
+        return pairs
+    images, labels = [], []
+    for number, pair in enumerate(_items(pairs)):
+        try:
+            image, label = pair
+            images.append((255 * image_tensor(image)).round().byte())
+        except (InputError, TypeError, ValueError) as error:
+            raise InputError(f"images: number {number}: expected a pair (image, label): {error}") from None
+        labels.append(torch.as_tensor(label))
+    if not images:
+        raise InputError("images: expected pairs (image, label), got none")
+    if len(sizes := {tuple(image.shape) for image in images}) > 1:
+        raise InputError(f"images: expected one size, got {', '.join(map(str, sorted(sizes)))}; resize them")
+    found = torch.stack(labels)
+    names = getattr(pairs, "classes", None)
+    if names is None:
+        names = () if found.is_floating_point() else range(int(found.max()) + 1)
+    return ImageDataset(torch.stack(images), found, tuple(map(str, names)))
+
+
+def _items(pairs: Any) -> Iterable[Any]:
+    """Return the items of a data set; one of torch need not be iterable."""
+    if hasattr(pairs, "__len__") and hasattr(pairs, "__getitem__"):
+        return (pairs[k] for k in range(len(pairs)))
+    if not isinstance(pairs, Iterable):
+        raise InputError(f"images: expected a folder, or pairs (image, label), got {type(pairs).__name__}")
+    return pairs
+
+
+def of_folder(folder: Path, names: Sequence[str], size: int, start: int, limit: int) -> ImageDataset:
+    """Read photographs of a folder, from number `start` in their random order on, at most `limit`.
+
+    Args:
+        names: possible names of the folder of the classes in it, "." for itself.
+
+    Raises:
+        FileError: as of `folders.find`, and `folders.read`.
+    """
+    listing = folders.find(folder, names, start + limit, 0)
+    listing = listing.take(torch.arange(len(listing))[start:])
+    if not len(listing):
+        return ImageDataset(torch.zeros(0, 3, size, size, dtype=torch.uint8), listing.labels, listing.classes)
+    return ImageDataset(
+        torch.stack([folders.read(file, size) for file in listing.files]), listing.labels, listing.classes
+    )
+
+
+def test_images(folder: Path, size: int, limit: int) -> ImageDataset:
+    """Read at most `limit` test photographs of a folder: test/<class>/* (or val), or <class>/*; raises FileError."""
+    names = class_folders.TEST if class_folders.is_split(folder) else (".",)
+    return of_folder(folder, names, size, 0, limit)
