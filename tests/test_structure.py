@@ -248,9 +248,10 @@ READ_IMAGES = {
     *TASKS,
 }
 JUDGE = {"verdicts_table", "regimes_table", "ablation", "report_page"}
-TABLES = {f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "tolerances", "tasks")}
+RESAMPLED = JUDGE | {"ranking_table", "tolerances_table"}
+TABLES = {f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances", "tasks")}
 TABLES |= {"table", "certificate", "production"}
-FIGURES = {"certificate", "comparison", "frames", "tasks_table"}
+FIGURES = {"certificate", "comparison", "frames", "ranking_table", "tasks_table"}
 MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function_table", "tolerances_table", *JUDGE}
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail_table", "production", *FIGURES}
@@ -295,7 +296,12 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail_table", *FIGURES}),
         ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
         ("tasklens/report/page/words.py", '"hold"', '"are true"', {"report_page"}),
-        ("tasklens/report/bootstrap.py", "RESAMPLES = 10_000", "RESAMPLES = 10", JUDGE | {"tolerances_table"}),
+        (
+            "tasklens/report/bootstrap.py",
+            "RESAMPLES = 10_000",
+            "RESAMPLES = 10",
+            JUDGE | {"ranking_table", "tolerances_table"},
+        ),
         ("tasklens/study/settings.py", "Field(68.8,", "Field(68.9,", set()),  # such a value is in the slice
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",

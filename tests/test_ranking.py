@@ -1,0 +1,229 @@
+"""Which lens for a network: order, groups and intervals; the sieve; the command, the page, and Python."""
+
+import shutil
+
+import numpy
+import pandas
+import pytest
+import timm
+import torch
+import yaml
+from examples import random_images
+from PIL import Image
+from safetensors.torch import load_file
+
+import tasklens
+from tasklens.cli.app import main
+from tasklens.pipeline import ranking as pipeline
+from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.training import fit
+from tasklens.report import ranking
+from tasklens.report.ranking import Rank
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import write_tensors
+from tasklens.study.settings import TrainingSettings
+
+TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
+
+
+def singlet(front: float = 1.6, **changes) -> tuple:
+    """A lens of one element; typed without a last thickness, it is in focus."""
+    surfaces = [{"radius": front, "thickness": 0.7, "material": "COC", "stop": True}, {"radius": -4.0}]
+    return tasklens.lens(surfaces, **(TYPED | changes))
+
+
+def predictions(count: int, seed: int, *accuracies: float) -> dict[str, pandas.DataFrame]:
+    """Independent answers through lenses a, b, .. at two fields."""
+    generator = numpy.random.default_rng(seed)
+    index = pandas.MultiIndex.from_tuples([(k, "cat") for k in range(count)], names=["image", "label"])
+    return {
+        chr(ord("a") + k): pandas.DataFrame((generator.random((count, 2)) < p).astype(int), index, ["field0", "field1"])
+        for k, p in enumerate(accuracies)
+    }
+
+
+def test_the_order_is_that_of_the_accuracies():
+    """With the accuracy at each field, and the difference to the first lens."""
+    correct = predictions(400, 0, 0.5, 0.9, 0.7)
+    ranks = ranking.ranked(correct)
+    assert [rank.lens for rank in ranks] == ["b", "c", "a"] and [rank.group for rank in ranks] == [1, 2, 3]
+    for rank in ranks:
+        assert rank.accuracy == pytest.approx(100 * correct[rank.lens].to_numpy().mean())
+        assert rank.by_field == pytest.approx((100 * correct[rank.lens].mean()).tolist())
+        assert rank.low < rank.accuracy < rank.high
+        assert rank.behind == pytest.approx(ranks[0].accuracy - rank.accuracy)
+    assert ranks[0].behind == ranks[0].behind_low == ranks[0].behind_high == 0
+    assert ranks[2].behind_low < ranks[2].behind < ranks[2].behind_high
+
+
+def test_equal_lenses_are_in_one_group():
+    """In 20 draws of five equally good lenses, all are in one group in at least 17: 5 % of groups are split wrongly."""
+    split = [max(rank.group for rank in ranking.ranked(predictions(200, seed, *5 * [0.8]))) > 1 for seed in range(20)]
+    assert sum(split) <= 3
+
+
+def test_differences_are_of_the_same_photographs():
+    """A lens that fails in a few photographs more is behind, however different the photographs are."""
+    correct = predictions(300, 0, 0.5)
+    worse = correct["a"].copy()
+    worse.iloc[(worse.sum(axis=1) == 2).to_numpy().nonzero()[0][:12]] = 0
+    ranks = ranking.ranked({**correct, "b": worse})
+    assert [rank.group for rank in ranks] == [1, 2]
+    assert ranks[1].behind_high - ranks[1].behind_low < 0.7 * (ranks[1].high - ranks[1].low)
+
+
+def rank(lens: str, group: int, accuracy: float, low: float, high: float) -> Rank:
+    return Rank(lens, group, accuracy, 0, 0, 0, low, high, ())
+
+
+def test_the_answer_in_words():
+    ranks = [rank("a", 1, 90, 0, 0), rank("b", 1, 89.5, -0.2, 1.2), rank("c", 2, 85, 4, 7)]
+    assert ranking.sentences(ranks, {"a": "A", "b": "B"}) == [
+        "A and B cannot be told apart by these photographs: they are equal within 1.2 points.",
+        "c: 4.0 to 7.0 points behind the first.",
+    ]
+    assert ranking.sentences(ranks[:1], {}) == ["a is the best."]
+
+
+def test_what_the_sieve_may_have_missed():
+    """A lens of less MTF was better by 5 points; the measured lens of the least MTF is 20 behind, then 3."""
+    mtf = {"a": 0.9, "b": 0.8, "c": 0.5, "left": 0.4, "out": 0.3}
+    ranks = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 70, 0, 0)]
+    said = ranking.sieve(ranks, mtf, ["left", "out"])
+    assert "left out 2 lenses, with a mean MTF of at most 0.40" in said and "by 5.0 points at most" in said
+    assert "20.0 points behind the first" in said and "would be a surprise" in said
+    close = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 87, 0, 0)]
+    assert "cannot be excluded" in ranking.sieve(close, mtf, ["left", "out"])
+    assert ranking.sieve(ranks, mtf, []) is None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Five lenses, two of which cannot be used; sixty photographs of three classes; a network that knows them."""
+    folder = tmp_path_factory.mktemp("rank")
+    images = random_images(60, 32, 3, seed=0)
+    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
+        path = folder / "photographs" / ("cat", "dog", "owl")[label] / f"{k}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
+    torch.manual_seed(0)
+    network = Classifier(timm.create_model("test_resnet", num_classes=3))
+    fit({"network": network}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
+    write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
+    (folder / "lenses").mkdir()
+    for name, lens in {
+        "sharp": singlet(),
+        "Fast.2": singlet(f_number=2.8),
+        "narrow": singlet(field_of_view_deg=10),
+    }.items():
+        tasklens.save_lens(folder / "lenses" / f"{name}.yaml", *lens)
+    tasklens.save_lens(folder / "lenses" / "sharp_too.zmx", *singlet())
+    (folder / "lenses" / "notes.yaml").write_text("no: lens\n")
+    (folder / "lenses" / ".hidden.yaml").write_text("no: lens\n")
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+COMMAND = (
+    "rank",
+    "lenses",
+    "--images",
+    "photographs",
+    "--classifier",
+    "test_resnet",
+    "--size",
+    "32",
+    "--kernel-size",
+    "15",
+)
+SENSOR = ("--weights", "mine.safetensors", "--diagonal", "1.0", "--pixel-pitch", "4", "--photographs", "40")
+
+
+def test_the_command_ranks_a_folder_of_lenses(here, capfd):
+    """A table, a page, and reasons for what is not measured; two lenses that are the same are equal."""
+    assert main([*COMMAND, *SENSOR]) == 0
+    output = capfd.readouterr()
+    assert "the network recognises" in output.err and "3 of 5 lenses are measured with 40 photographs" in output.err
+    table = pandas.read_csv("results/ranking/tables/ranking.csv").set_index("lens")
+    assert set(table.index) == {"sharp", "sharp_too", "Fast.2"} and (table["accuracy"] > 40).all()
+    assert table.loc["sharp", "accuracy"] == pytest.approx(table.loc["sharp_too", "accuracy"], abs=1e-9)
+    assert table["group"].min() == 1
+    assert "narrow: covers 0." in output.out and "mm of the sensor's diagonal of 1 mm" in output.out
+    assert "notes: no lens" in output.out and "hidden" not in output.out
+    page = (here / "results/ranking/ranking.html").read_text()
+    assert page.count("<article") == 3 and "Not measured" in page and "covers 0." in page
+    assert "://" not in page and "data:image/svg+xml" in page
+
+    assert main([*COMMAND, *SENSOR]) == 0
+    assert "Nothing to be done" in capfd.readouterr().err
+
+
+def test_built_lenses_and_a_sieve(here, capfd):
+    """The two lenses of the most MTF are measured, and the first one is built in simulation."""
+    kept = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale")
+    assert main([*COMMAND, *SENSOR, *kept]) == 0
+    output = capfd.readouterr().out
+    table = pandas.read_csv("results/built/tables/ranking.csv")
+    assert len(table) == 3 and table["built_lose"].notna().tolist() == [True, False, False]
+    assert "The sieve has left out 1 lenses" in output
+    study = yaml.safe_load((here / "results/built/study.yaml").read_text())
+    left = set(study["ranking"]["mtf"]) - {f"lens-{name}" for name in study["imported"]}
+    assert len(left) == 1 and study["capture"]["sensor"]["full_well"] == 500
+    assert all(study["ranking"]["mtf"][name] <= min(table["mtf"]) for name in left)
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (COMMAND[:2], "expected --images FOLDER and --classifier NAME"),
+        (COMMAND, "expected its --weights FILE, or --pretrained"),
+        ((*COMMAND[:1], "nowhere", *COMMAND[2:], *SENSOR), "nowhere: no such lens file or folder"),
+        ((*COMMAND[:1], "photographs", *COMMAND[2:], *SENSOR), "photographs: no lens file in it"),
+        (
+            (*COMMAND[:1], "lenses/narrow.yaml", *COMMAND[2:], *SENSOR),
+            "none of the lenses can be measured: narrow: covers",
+        ),
+        ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
+    ],
+)
+def test_mistakes_are_one_line(here, capsys, arguments, words):
+    assert main(list(arguments)) == 2
+    assert words in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_network_that_recognises_nothing_ranks_nothing(here, capsys):
+    weights = timm.create_model("test_resnet", num_classes=3).state_dict()
+    write_tensors(here / "zero.safetensors", {name: torch.zeros_like(value) for name, value in weights.items()}, {})
+    assert main([*COMMAND, *SENSOR, "--weights", "zero.safetensors"]) == 2
+    assert "no better than guessing" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_names_of_lenses_in_a_study(tmp_path):
+    """Of small letters, digits and underscores, each once; files of one name have their folder in the title."""
+    paths = [tmp_path / "a" / "Lens 1.zmx", tmp_path / "b" / "Lens 1.zmx", tmp_path / "c.zmx"]
+    assert pipeline._name(paths[0], []) == "lens_1" and pipeline._name(paths[1], ["lens_1"]) == "lens_1_2"
+    assert pipeline._title(paths[2], paths) == "c" and pipeline._title(paths[0], paths).endswith("a/Lens 1.zmx")
+
+
+def test_ranking_in_python_agrees_with_the_command(here):
+    """The same accuracies of the same photographs, with a module as the network."""
+    network = timm.create_model("test_resnet", num_classes=3)
+    network.load_state_dict(load_file("mine.safetensors"))
+    lenses = {name: tasklens.load_lens(f"lenses/{name}.yaml") for name in ("sharp", "Fast.2")}
+    found = tasklens.rank(lenses, "photographs", network, size=32, limit=30)
+    assert set(found.table["lens"]) == set(lenses) and (found.table["accuracy"] > 40).all()
+    assert "<table" in found._repr_html_() and found.sentences
+    found.save("ranking.html", said=["Mine."])
+    assert "Mine." in (here / "ranking.html").read_text()
+    pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
+    assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
+    with pytest.raises(InputError, match="answers one image with a tensor"):
+        tasklens.rank(lenses, pairs, torch.nn.Conv2d(3, 2, 3))
+    with pytest.raises(InputError, match="images: number 1: expected a pair"):
+        tasklens.rank(lenses, [pairs[0], 3], network)
+    shutil.rmtree("results", ignore_errors=True)
