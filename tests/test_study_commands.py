@@ -5,8 +5,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import timm
+import torch
 import yaml
 from examples import changed, tiny_study, write
+from safetensors.torch import save_file
 from typer.testing import CliRunner
 
 from tasklens.cli.app import app, main
@@ -109,6 +112,23 @@ def test_a_new_study_of_photographs(place):
     assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
     own = load("mine.yaml").classifiers["resnet18_a1_in1k"]
     assert (own.model, str(own.weights), own.pretrained) == ("resnet18.a1_in1k", "mine.safetensors", False)
+    assert own.training is None and own.outputs == "classes"  # it is used as it is
+    options += ["--outputs", "imagenet", "--argument", "drop_rate=0.1"]
+    assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
+    own = load("mine.yaml").classifiers["resnet18_a1_in1k"]
+    assert own.outputs == "imagenet" and own.arguments == {"drop_rate": 0.1}
+
+
+def test_a_check_of_networks_reads_their_weights(place, capsys):
+    """As the first job would: weights of another network are refused before it."""
+    torch.manual_seed(0)
+    save_file(timm.create_model("test_resnet", num_classes=10).state_dict(), "mine.safetensors")
+    classifiers = {"small": {"model": "test_resnet", "weights": "mine.safetensors"}}
+    write("mine.yaml", yaml.safe_dump(tiny_study() | {"classifiers": classifiers}))
+    assert study("check", "mine.yaml", "--networks") == 0
+    save_file(timm.create_model("test_resnet", num_classes=7).state_dict(), "mine.safetensors")
+    assert study("check", "mine.yaml") == 0 and study("check", "mine.yaml", "--networks") == 2
+    assert "no weights for test_resnet with 10 outputs" in capsys.readouterr().err
 
 
 def test_the_least_study_of_photographs_has_fewer_of_them(place):

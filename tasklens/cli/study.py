@@ -4,10 +4,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
+from tasklens.cli.network_options import nested
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.forecast import Durations, duration, durations_of
@@ -30,7 +31,12 @@ def new(
     images: Annotated[str | None, typer.Option(help="Folder of photographs, or `built-in`.")] = None,
     size: Annotated[int | None, typer.Option(help="Side of the images [pixels].")] = None,
     networks: Annotated[str | None, typer.Option(help="Such as resnet,vit, or of timm; the first supervises.")] = None,
-    weights: Annotated[Path | None, typer.Option(help="Weights of the first network, of timm.")] = None,
+    weights: Annotated[Path | None, typer.Option(help="Weights of the first network; it is not trained again.")] = None,
+    outputs: Annotated[
+        Literal["classes", "imagenet", "all_imagenet"],
+        typer.Option(help="Of it: the folder's, or ImageNet's."),
+    ] = "classes",
+    argument: Annotated[list[str] | None, typer.Option(help="Of its model: img_size=64.")] = None,
     elements: Annotated[str | None, typer.Option(help="Such as doublet,triplet or mine=COC+OKP4.")] = None,
     f_number: Annotated[float | None, typer.Option(help="F-number of the lenses.")] = None,
     field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal [degrees].")] = None,
@@ -63,7 +69,11 @@ def new(
         field_of_view_deg=asked(field_of_view, "Full field of view [degrees]", 68.8),
         seeds=asked(seeds, "Seeds", 1),
         weights=weights,
+        outputs=outputs,
+        arguments=nested(argument or (), "--argument"),
     )
+    if weights is None and (outputs != "classes" or argument):
+        raise InputError("--outputs, --argument: only with --weights FILE, of a network of your own")
     if weights is not None and not weights.is_file():
         raise FileError(f"--weights {weights}: no such file")
     minutes = asked(minutes, "Time to spend [minutes]", 30.0)

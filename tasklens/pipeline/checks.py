@@ -5,6 +5,7 @@ from tasklens.recognition import class_folders, object_splits
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
 from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
 
@@ -12,9 +13,9 @@ def check(study: Study, networks: bool, weights: bool) -> None:
     """Check what a study reads, and compile the tracer where it is not yet.
 
     Args:
-        networks: build every network once, without weights; and check that the folders of classes are named by
-            WordNet ids where a network has ImageNet's outputs.
-        weights: look for the files of weights of all classifiers.
+        networks: build every network once; and check that the folders of classes are named by WordNet ids if a network
+            has ImageNet's outputs.
+        weights: look for the files of weights of all classifiers, and with `networks` read them.
 
     Raises:
         InputError: names what cannot be used.
@@ -34,18 +35,22 @@ def check(study: Study, networks: bool, weights: bool) -> None:
                 spec = study.lens_spec(lens.name)
                 imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)
     if networks:
-        _check_networks(study)
+        _check_networks(study, weights)
 
 
-def _check_networks(study: Study) -> None:
+def _check_networks(study: Study, weights: bool) -> None:
     from tasklens.recognition import classifiers
 
+    folder = study.images.folder
+    classes = [str(k) for k in range(RENDERED_CLASSES)] if folder is None else class_folders.training_classes(folder)
     for name, classifier in study.classifiers.items():
         classifiers.check(name, classifier, study.images.size)
+        if weights and classifier.weights is not None:
+            classifiers.build(classifier, classes)
         if classifier.pretrained:
             classifiers.check_published(classifier.model)
-        if classifier.outputs != "classes" and study.images.folder is not None:
-            classifiers.imagenet_outputs(class_folders.training_classes(study.images.folder))
+        if classifier.outputs != "classes" and folder is not None:
+            classifiers.imagenet_outputs(classes)
     if study.tasks.networks:
         from tasklens.recognition import task_networks
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,8 @@ class Wish:
         networks: names of networks of the default study, or of timm, which start from published weights; the first one
             supervises the designs.
         elements: plastics from front to back by name.
-        weights: weights of the first network, if it is one of timm, in place of published ones.
+        weights: weights of the first network, if it is one of timm, in place of published ones; it is not trained.
+        outputs, arguments: of this network, as in `ClassifierSettings`.
     """
 
     name: str
@@ -69,6 +70,8 @@ class Wish:
     field_of_view_deg: float
     seeds: int
     weights: Path | None = None
+    outputs: str = "classes"
+    arguments: Mapping[str, Any] = field(default_factory=dict)
 
 
 def content(wish: Wish, cut: Cut) -> dict[str, Any]:
@@ -134,9 +137,10 @@ def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
 def _network(networks: Mapping[str, Any], wish: Wish, name: str) -> dict[str, Any]:
     """Return a network of the default study for images of a size, or one of timm with weights and a new head."""
     if name not in networks:
-        own = wish.weights is not None and name == wish.networks[0]
-        weights = {"weights": str(wish.weights)} if own else {"pretrained": True}
-        return {"model": name, **weights, "training": {"epochs": 1, "learning_rate": 3e-4}}
+        if wish.weights is None or name != wish.networks[0]:
+            return {"model": name, "pretrained": True, "training": {"epochs": 1, "learning_rate": 3e-4}}
+        used = {"outputs": wish.outputs, "arguments": dict(wish.arguments)}
+        return {"model": name, "weights": str(wish.weights), **used}  # as it is, without further training
     network = dict(networks[name])
     if "img_size" in network.get("arguments", {}):
         network["arguments"] = network["arguments"] | {"img_size": wish.size}

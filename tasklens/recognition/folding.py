@@ -8,6 +8,7 @@ from timm.layers import BatchNormAct2d, Conv2dSame
 from torch import Tensor, nn
 from torch.nn.utils import fuse_conv_bn_eval
 
+_NORMS = (nn.BatchNorm2d, BatchNormAct2d)
 _CONVOLUTIONS = (nn.Conv2d, Conv2dSame)  # others may change their weights when they are called
 
 
@@ -16,11 +17,15 @@ def fold_batch_norms(network: nn.Module, images: Tensor) -> None:
 
     W' = s W,  b' = s (b - mean) + shift,  s = scale / sqrt(variance + eps)
 
+    A network whose answer is no tensor is left as it is.
+
     Args:
         network: network in `eval()` without parameter gradients.
         images: (B, 3, H, W) images for one pass, which shows what is read by what; their content does not matter.
     """
     names = {module: name for name, module in network.named_modules()}
+    if not any(type(module) in _NORMS for module in names):
+        return
     for convolution, norm in _pairs(network, images):
         network.set_submodule(names[convolution], fuse_conv_bn_eval(convolution, norm).requires_grad_(False))
         rest = (norm.get_submodule(name) for name in ("drop", "act") if isinstance(norm, BatchNormAct2d))
@@ -46,12 +51,14 @@ def _pairs(network: nn.Module, images: Tensor) -> list[tuple[nn.Conv2d, nn.Batch
     for module in network.modules():
         if type(module) in _CONVOLUTIONS:
             hooks.append(module.register_forward_hook(after))
-        elif type(module) in (nn.BatchNorm2d, BatchNormAct2d):
+        elif type(module) in _NORMS:
             hooks.append(module.register_forward_pre_hook(before))
     with torch.enable_grad():
         answer = network(images.detach().to(next(network.parameters())).requires_grad_())
     for hook in hooks:
         hook.remove()
+    if not isinstance(answer, Tensor):
+        return []
     readers = _readers(answer.grad_fn)
     places = Counter(module for _, module in network.named_modules(remove_duplicate=False))  # by which it may be called
     once = {module for module, count in calls.items() if count == places[module] == 1}

@@ -23,9 +23,13 @@ def recognised(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -> st
     Raises:
         InputError: that is no better than guessing.
     """
-    batches = (dataset.batch(indices) for indices in torch.arange(len(dataset)).split(_BATCH))
-    answers = torch.cat([network(images).argmax(-1) == labels for images, labels in batches])
-    accuracy, chance, count = float(answers.double().mean()), 1 / len(dataset.classes), len(dataset)
+    correct, outputs = [], len(dataset.classes)
+    for indices in torch.arange(len(dataset)).split(_BATCH):
+        images, labels = dataset.batch(indices)
+        logits = network(images)
+        outputs = logits.shape[-1]
+        correct.append(logits.argmax(-1) == labels)
+    accuracy, chance, count = float(torch.cat(correct).double().mean()), 1 / outputs, len(dataset)
     text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
     if accuracy <= chance + _DEVIATIONS * math.sqrt(chance * (1 - chance) / count):
         raise InputError(

@@ -1,0 +1,121 @@
+"""A lens designed in Python for a module, images and a loss of one's own."""
+
+import pytest
+import timm
+import torch
+from examples import random_images, small_network
+from torch import nn
+
+import tasklens
+from tasklens.design.single import BASELINES, designs
+from tasklens.notebook.verdict import verdict
+from tasklens.recognition.training import fit
+from tasklens.runtime.errors import InputError
+from tasklens.study.settings import TrainingSettings
+
+PLATES = {"start": "flat", "batch_size": 4, "rays": 16}
+QUICK = PLATES | {"descents": [{"steps": 2, "pixels": [20, 5]}, {"steps": 2, "pixels": [5, 1]}]}
+SPEC = {"kernel_size": 11}
+
+
+@pytest.fixture(scope="module")
+def images():
+    return random_images(60, 32, 3, seed=0)
+
+
+@pytest.fixture(scope="module")
+def network(images):
+    torch.manual_seed(0)
+    found = small_network(0)
+    fit({"network": found}, images, TrainingSettings(epochs=6, learning_rate=1e-2, batch_size=10), 0, "test")
+    found.zero_grad()
+    return found
+
+
+def pairs(images):
+    """As a data set of torch has them, in floating point."""
+    return [(image.float() / 255, label) for image, label in zip(images.images, images.labels.tolist(), strict=True)]
+
+
+def test_a_module_and_pairs_of_images_design_a_lens(images, network, capsys):
+    """The same lens as for a data set of ours; the module and its gradients are as before."""
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    made = [
+        tasklens.design("task", ["COC"], images=given, network=network, settings=QUICK, **SPEC)[0]
+        for given in (pairs(images), images)
+    ]
+    assert torch.equal(made[0].curvature, made[1].curvature) and made[0].curvature.any()
+    assert all(torch.equal(before[name], value) for name, value in network.state_dict().items())
+    assert all(parameter.grad is None for parameter in network.parameters())
+    assert "of 60 sharp images (guessing: 33.3%)" in capsys.readouterr().err
+
+
+def test_a_loss_of_ones_own(images):
+    """Regression of the brightness, by a network that is no classifier; the loss falls."""
+
+    class Mean(nn.Module):
+        def forward(self, captures):
+            return captures.mean((1, 2, 3)), captures.std((1, 2, 3))
+
+    def blur(answer, labels):
+        return -answer[1]
+
+    lens, _, notes = tasklens.design(
+        "task", ["COC"], images=pairs(images), network=Mean(), loss=blur, settings=QUICK, **SPEC
+    )
+    assert lens.curvature.any() and notes["origin"]["validation_loss"] < 0
+
+
+@pytest.mark.parametrize(
+    "network, loss, words",
+    [
+        (nn.Conv2d(3, 3, 3), None, r"answers 2 images with a tensor \(2, 3, 30, 30\); expected logits \(2, 3\)"),
+        (nn.Flatten(), lambda answer, labels: answer.detach().sum(), "loss: has no gradient at the images"),
+        (nn.Flatten(), lambda answer, labels: answer.sum() / 0, "loss: expected a finite number"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_before_the_first_step(images, network, loss, words):
+    with pytest.raises(InputError, match=words):
+        tasklens.design("task", ["COC"], images=images, network=network, loss=loss, settings=QUICK, **SPEC)
+
+
+def test_wrong_pairs_are_refused(network):
+    good = (torch.rand(3, 32, 32), 0)
+    for given, words in (
+        ([good, (torch.rand(3, 30, 30), 1)], "images: expected one size"),
+        ([good, (torch.rand(1, 32, 32), 1)], "images: number 1: expected a pair"),
+        ([], "got none"),
+        (7, "images: expected a folder, or pairs"),
+    ):
+        with pytest.raises(InputError, match=words):
+            tasklens.design("task", ["COC"], images=given, network=network, settings=QUICK, **SPEC)
+
+
+def test_a_network_of_timm_keeps_its_normalisation(images):
+    """As a module, as well as by its name."""
+    from tasklens.recognition.classifiers import Classifier
+
+    made = timm.create_model("test_resnet", num_classes=3)
+    found = Classifier(made)
+    assert found.mean.flatten().tolist() == pytest.approx(made.pretrained_cfg["mean"])
+    assert Classifier(small_network(0)).std.flatten().tolist() == [1, 1, 1]
+
+
+def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
+    """Of the same start and number of steps; better or worse only if the interval says so."""
+    made = designs(
+        "task",
+        ["COC"],
+        images=images,
+        network=network,
+        settings=QUICK,
+        baselines=("log_image_error", "correlation"),
+        **SPEC,
+    )
+    assert list(made.lenses) == ["log_image_error", "correlation", "task"]
+    assert not torch.equal(made.lenses["task"].curvature, made.lenses["correlation"].curvature)
+    words, ranking = verdict(made, random_images(30, 32, 3, seed=1))
+    assert {rank.lens for rank in ranking.ranks} == set(made.lenses)
+    accuracy = {rank.lens: rank.accuracy for rank in ranking.ranks}
+    assert f"recognises {accuracy['task']:.1f} % through this lens" in words and "On 30 photographs" in words
+    assert any(f"({name}, chosen on photographs" in words for name in BASELINES)
