@@ -12,8 +12,12 @@ For notebooks, with `help()` of each:
     Camera                  a lens in front of a network, in a training loop of your own
 """
 
+import warnings
 from importlib import import_module
 from typing import Any
+
+# torch causes this warning itself, at the first forward-mode derivative of a process.
+warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
 
 __all__ = [
     "Camera",

@@ -1,6 +1,10 @@
 """Examples: what a reader is shown first does what the driver does."""
 
 import importlib.util
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -51,3 +55,34 @@ def test_the_task_driven_example_makes_a_lens(monkeypatch, tmp_path, capsys):
     example("task_driven").main(steps=60)
     widths = [float(line.split()[-2]) for line in capsys.readouterr().out.splitlines() if line.startswith("step")]
     assert widths[-1] < 0.5 * widths[0] and (tmp_path / "task_driven.yaml").exists()
+
+
+NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
+
+
+def cells(notebook: Path) -> list[str]:
+    """The code of a notebook, cell by cell; nothing is stored of what came out of it."""
+    content = json.loads(notebook.read_text(encoding="utf-8"))
+    code = [cell for cell in content["cells"] if cell["cell_type"] == "code"]
+    assert content["nbformat"] == 4 and all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
+    return ["".join(cell["source"]) for cell in code]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_without_the_repository(notebook, tmp_path):
+    """Cell after cell, in an empty folder, in less than three minutes; its cells say what they find."""
+    (tmp_path / "cells.py").write_text("\n\n".join(cells(notebook)))
+    variables = os.environ | {"MPLBACKEND": "agg"}
+    done = subprocess.run(
+        [sys.executable, "cells.py"], cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=400
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") >= 3 and "Warning" not in done.stderr
+    last = {"which_lens": "ranking.html", "own_network": "own_network.html", "trace_and_differentiate": "triplet.zmx"}
+    assert (tmp_path / last[notebook.stem]).exists()
+
+
+def test_there_are_notebooks():
+    assert [path.stem for path in NOTEBOOKS] == ["own_network", "trace_and_differentiate", "which_lens"]
+    assert all(cells(path) for path in NOTEBOOKS)

@@ -10,8 +10,6 @@ A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow thro
     captures = tasklens.simulate("photograph.jpg", lens, view)
 """
 
-import warnings
-
 from tasklens.notebook.camera import Camera
 from tasklens.notebook.captures import simulate, simulate_sensor
 from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
@@ -32,6 +30,3 @@ __all__ = [
     "simulate_sensor",
     "trace",
 ]
-
-# torch causes this warning itself, at the first forward-mode derivative of a process.
-warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)

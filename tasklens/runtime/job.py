@@ -6,7 +6,6 @@ import hashlib
 import os
 import subprocess
 import sys
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
@@ -87,8 +86,6 @@ def reporting_errors(log: Path | None) -> Iterator[None]:
 
     It ends without freeing every object, which takes longer than some jobs; all files are complete then.
     """
-    # torch causes this warning itself, at the first forward-mode derivative of a process.
-    warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     if log is not None and "RANK" not in os.environ:  # a process of a group has the log of the one that started it
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
