@@ -1,12 +1,13 @@
 """Folders of photographs before the first job: what is wrong is said, and little of them is looked at."""
 
 import os
+import unicodedata
 
 import pytest
 from examples import write
 from PIL import Image
 
-from tasklens.recognition import class_folders, dataset
+from tasklens.recognition import class_folders, dataset, folders
 from tasklens.runtime.files import FileError
 from tasklens.study.job_settings import folder_digest
 from tasklens.study.settings import ImageSettings
@@ -144,6 +145,20 @@ def test_links_in_circles_end(folder):
     first = folder_digest(folder)
     write(folder / "train/cat/2.png", "new")
     assert len({first, folder_digest(folder)}) == 2
+
+
+def test_names_of_classes_in_two_compositions(folder):
+    """Those of a copy from macOS, where letters and their marks are apart, are the same classes; two of one are not."""
+    for split in ("train", "test"):
+        (folder / split / "cat").rename(
+            folder / split / unicodedata.normalize({"train": "NFC", "test": "NFD"}[split], "käse")
+        )
+    class_folders.check(images(folder))
+    names = [folders.find(folder, (split,), None, 0).classes for split in ("train", "test")]
+    assert names[0] == names[1] == ("dog", "käse")
+    (folder / "train" / unicodedata.normalize("NFD", "käse")).mkdir()
+    with pytest.raises(FileError, match="letters composed in two ways; merge them"):
+        class_folders.check(images(folder))
 
 
 def test_a_folder_of_classes_is_cut_into_splits(tmp_path):

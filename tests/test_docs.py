@@ -2,19 +2,23 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import timm
-from examples import cooke_triplet
+from examples import cooke_triplet, random_images
 from PIL import Image
-from safetensors.torch import save_file
 
 from tasklens.cli.app import main
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
+from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.training import fit
+from tasklens.runtime.files import write_tensors
+from tasklens.study.settings import TrainingSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/reference/*.md")])
@@ -57,9 +61,12 @@ def test_commands_of_the_tutorial_run(tmp_path):
         assert (tmp_path / name).stat().st_size > 1000, name
 
 
+SMALL = "--size 32 --kernel-size 11"
+DESCENT = "--set rays=16 --set batch_size=2 --set descents.0.steps=1 --force"
 QUICK = {  # options that make a command of the page quick, by its beginning
-    "tasklens design --start my.zmx --method task": "--size 32 --kernel-size 11 --set rays=16 --set batch_size=2 "
-    "--set descents.0.steps=1 --force",
+    "tasklens rank catalogue --images photographs --classifier": f"{SMALL} --photographs 20 --scale",
+    "tasklens design --method task": f"{SMALL} {DESCENT} --elements COC --set start=flat",
+    "tasklens design --start my.zmx --method task": f"{SMALL} {DESCENT}",
     "tasklens design --start": "--set descents.0.steps=2 --force",
     "tasklens lens tolerance": "--lenses 10",
     "tasklens lens analyse": "--rays 64",
@@ -69,16 +76,21 @@ QUICK = {  # options that make a command of the page quick, by its beginning
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
-    """Those for a lens of one's own, with a Cooke triplet, few steps, and a network of random weights."""
+    """Those for a lens of one's own, with a Cooke triplet, few steps, and a network that tells dark from bright."""
     monkeypatch.chdir(tmp_path)
     fields = ("angle_deg", ((0.0, 0.0), (0.0, 20.0)))
     zemax.write(tmp_path / "my.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.65, 0.55, 0.47), 1))
     (tmp_path / "MAKER.AGF").write_text("NM MINE 5 0 1.5 50\nCD 1.5 0 0\nLD 0.4 0.8\n")
-    for name in ("cat", "dog"):
-        (tmp_path / "photographs" / name).mkdir(parents=True)
-        for k in range(4):
-            Image.new("RGB", (40, 40), (60 * k, 90, 120)).save(tmp_path / "photographs" / name / f"{k}.png")
-    save_file(timm.create_model("resnet18", num_classes=2).state_dict(), tmp_path / "mine.safetensors")
+    (tmp_path / "catalogue").mkdir()
+    shutil.copy(tmp_path / "my.zmx", tmp_path / "catalogue")
+    images = random_images(120, 40, 2, seed=0)
+    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
+        path = tmp_path / "photographs" / ("cat", "dog")[label] / f"{k}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
+    network = Classifier(timm.create_model("resnet18", num_classes=2))
+    fit({"network": network}, images, TrainingSettings(epochs=2, learning_rate=1e-3, batch_size=12), 0, "test")
+    write_tensors(tmp_path / "mine.safetensors", network.network.state_dict(), {})
     lines = [line for block in blocks(ROOT / "docs/how-to.md", "text") for line in block.splitlines()]
     commands = [(line, quick) for line in lines for start, quick in QUICK.items() if line.startswith(start)]
     done = set()
@@ -86,7 +98,8 @@ def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
         if line not in done:  # by its first, longest beginning
             done.add(line)
             assert main([*line.split()[1:], *quick.split()]) == 0, line
-    assert len(done) == 5 and zemax.read(tmp_path / "better.zmx").lens.stop == 4
+    assert len(done) == 7 and (tmp_path / "mine.html").exists() and Path("results/ranking/ranking.html").exists()
+    assert zemax.read(tmp_path / "better.zmx").lens.stop == 4
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

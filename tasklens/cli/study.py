@@ -80,6 +80,10 @@ def new(
     cut, seconds = new_study.fit(wish, minutes, cores)
     new_study.check(wish, cut)
     write_text(path, new_study.text(wish, cut, seconds, cores, path))
+    study = loading.load(path)
+    remaining = planning.plan([path], "tables").get(study.name, {})
+    seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as Snakemake and `study plan` say it
+    write_text(path, new_study.text(wish, cut, seconds, cores, path))
     print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
     print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables --configfile {path}")
 

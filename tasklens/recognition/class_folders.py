@@ -4,6 +4,7 @@ Hidden files and folders, whose names begin with a dot, are passed over: macOS a
 """
 
 import os
+import unicodedata
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -18,6 +19,8 @@ TRAIN, TEST = ("train",), ("test", "val")  # possible names of the folders of th
 
 def is_split(folder: Path) -> bool:
     """Return whether a folder has training and test images apart; otherwise it has the classes themselves."""
+    if not folder.is_dir():
+        return True  # which whoever reads it says
     inside = {entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")}
     return not inside or bool(inside & {*TRAIN, *TEST})
 
@@ -33,11 +36,23 @@ def split_folder(folder: Path, names: Sequence[str]) -> Path:
 
 
 def classes(split: Path) -> list[str]:
-    """Return the names of the classes in the folder of a split; raises FileError if there are none."""
-    found = sorted(entry.name for entry in split.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-    if not found:
+    """Return the names of the folders of the classes in a split, in the order of the classes.
+
+    Raises:
+        FileError: there are none, or two names differ only in how Unicode composes their letters.
+    """
+    inside = [entry.name for entry in split.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
+    if not inside:
         raise FileError(f"{split}: expected a folder per class in it, found none")
-    return found
+    if len(inside) > len({composed(name) for name in inside}):
+        twice = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)
+        raise FileError(f"{split}: two folders are called {twice}, with letters composed in two ways; merge them")
+    return sorted(inside, key=composed)
+
+
+def composed(name: str) -> str:
+    """Return a name with composed letters, as most systems write them; macOS takes them apart."""
+    return unicodedata.normalize("NFC", name)
 
 
 def training_classes(folder: Path) -> list[str]:
@@ -72,7 +87,7 @@ def no_image(folder: Path) -> FileError:
 
 def same_classes(folder: Path, train: Sequence[str], test: Sequence[str]) -> None:
     """Raise FileError if the classes of two splits differ."""
-    if different := sorted(set(train) ^ set(test)):
+    if different := sorted(set(map(composed, train)) ^ set(map(composed, test))):
         raise FileError(f"{folder}: train and test have different classes: {', '.join(different)}")
 
 
@@ -93,7 +108,7 @@ def check(images: ImageSettings) -> None:
     if len(train) < 2:
         raise FileError(f"{splits[0]}: expected two classes or more, a folder each, found only {train[0]}")
     for split in splits:
-        for name in train:
+        for name in classes(split):
             if next(photographs(split / name), None) is None:
                 raise no_image(split / name)
     needed = images.minival + 1

@@ -55,7 +55,11 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
     rounds = max(map(len, per_class))
     chosen = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
-    return Listing(tuple(file for file, _ in chosen), torch.tensor([k for _, k in chosen]), tuple(classes))
+    return Listing(
+        tuple(file for file, _ in chosen),
+        torch.tensor([k for _, k in chosen]),
+        tuple(map(class_folders.composed, classes)),
+    )
 
 
 def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: Checkpoint = NO_CHECKPOINT) -> None:
