@@ -13,8 +13,7 @@ from torch import nn
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.spots import clear_semi_diameters, evaluation_psf
-from tasklens.optics.apertures import with_clear_apertures
+from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition import classifiers, evaluation, users_images
@@ -26,8 +25,6 @@ from tasklens.report.publish import rounded
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_text
-
-_RIM = 1.02  # of a surface without clear aperture, over the radius that light uses
 
 
 @dataclass(frozen=True)
@@ -114,8 +111,7 @@ def rank(
         lens, view = lenses[each.lens]
         field_of_view = 2 * degrees(atan(float(view.radii.max()) / view.efl))
         rows.append(report.row(each, each.lens, figures(lens, view, rays), field_of_view))
-        rimmed = with_clear_apertures(lens.detached(), _RIM * clear_semi_diameters(lens.detached(), view))
-        drawings[each.lens] = section_svg(rimmed, view)
+        drawings[each.lens] = section_svg(lens.detached(), view)
     return Ranking(pandas.DataFrame(rows), ranks, correct, drawings, sharp)
 
 

@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import torch
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.transforms import Bbox
 from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, ray_fans, trace_fields
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, ray_fans, trace_fields
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
@@ -33,6 +34,7 @@ _NAMES = ("axis", "middle", "corner")
 _COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
+_RIM = 1.02  # of a surface, over the radius that light uses
 _DPI = 110
 _PLACES = 6  # decimals of a place in a figure
 # Text stays text, and the names of parts are the same in every run.
@@ -151,8 +153,10 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 
 def section_svg(lens: Lens, view: View) -> str:
-    """Return the cross-section of a lens with rays as SVG."""
-    figure, text = Figure(figsize=(5.2, 3.4), layout="constrained"), io.StringIO()
+    """Return the cross-section of a lens with rays as SVG; of each surface what light uses, and a little more."""
+    figure, text = Figure(figsize=(7, 4), layout="constrained"), io.StringIO()
+    used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
+    lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
     cross_section(figure.subplots(), lens, view, shown_fields(view), _COLOURS)
     with matplotlib.rc_context(_VECTOR):
         figure.savefig(text, format="svg", metadata=_METADATA["svg"])

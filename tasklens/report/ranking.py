@@ -238,7 +238,8 @@ def render(
         {"rank": rank, "row": row, "drawing": pictures.of_text(drawings[rank.lens], ".svg")}
         for rank, row in zip(ranks, rows, strict=True)
     ]
-    low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in ranks) // _SCALE))
+    better = ranks[: (len(ranks) + 1) // 2]  # the others may lie at the left edge
+    low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in better) // _SCALE))
     css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
     return environment.get_template("ranking.html").render(
         entries=entries, said=said, css=css, low=low, width=100 - low, **words
