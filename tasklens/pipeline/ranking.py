@@ -12,6 +12,7 @@ from typing import Any
 import pandas
 import torch
 import yaml
+from pydantic import ValidationError
 
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.paraxial import paraxial
@@ -24,6 +25,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.runtime.progress import Progress
 from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.messages import problems
 from tasklens.study.settings import ClassifierSettings, ImageSettings, Spec
 
 ELEMENTS = "lens"  # their name in the study
@@ -75,13 +77,22 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
         spec: keys of `Spec`: the sensor and the distance of the object.
         catalogues: further glass catalogues.
         scaled: scale lenses so that their field fills the sensor; otherwise they keep their size.
+
+    Raises:
+        InputError: a wrong value of the sensor.
     """
+    try:
+        sensor = Spec.model_validate(dict(spec))
+    except ValidationError as error:
+        raise InputError("; ".join(problems(error, Spec))) from None
     found = Screened()
     progress = Progress("reading lenses", len(paths))
     for step, path in enumerate(paths, 1):
         title = _title(path, paths)
         try:
-            entry, mtf = _screened(path, Spec.model_validate(dict(spec)), catalogues, scaled)
+            entry, mtf = _screened(path, sensor, catalogues, scaled)
+        except ValidationError as error:
+            found.left_out[title] = "; ".join(problems(error, Spec))
         except (InputError, OSError) as error:
             found.left_out[title] = str(error).removeprefix(f"{path}: ")
         else:
@@ -97,6 +108,8 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
     first_order = paraxial(file.lens, sensor.wavelengths_um[1])
     efl = float(first_order.efl)
     tangent, half = float(file.view.radii.max()) / file.view.efl, sensor.diagonal_mm / 2
+    if not tangent:
+        raise InputError("has no field but the axis in its file")
     if not scaled:
         covered = efl * tangent
         if covered < _COVERAGE * half:

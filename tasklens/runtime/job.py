@@ -45,7 +45,6 @@ def run(
         log: results/<study>/logs/<label>.log.
         group: command that starts a process group, whose processes call this function without it.
     """
-    _keep_memory()
     folder, label = place(log)
     name = label.replace("/", "-", 1)
     key = _digest(function, settings, code, *_states(inputs))
@@ -84,8 +83,10 @@ def _call(
 def reporting_errors(log: Path | None) -> Iterator[None]:
     """End the program after the block: status 2 and one line for a user error, else 0; with `log` for standard error.
 
-    It ends without freeing every object, which takes longer than some jobs; all files are complete then.
+    It keeps freed memory, and ends without freeing every object, which takes longer than some jobs; all files are
+    complete then.
     """
+    _keep_memory()
     if log is not None and "RANK" not in os.environ:  # a process of a group has the log of the one that started it
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
@@ -174,7 +175,7 @@ def _keep_memory() -> None:
     """Let freed memory stay with the process.
 
     Page faults of new arrays otherwise take a fifth of the time of a training with images of 64 pixels, and half of
-    that of an evaluation with 224.
+    that of an evaluation or a design with 224.
     """
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):  # glibc
