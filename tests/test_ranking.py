@@ -188,7 +188,7 @@ def test_built_lenses_and_a_sieve(here, capfd):
             (*COMMAND[:1], "lenses/narrow.yaml", *COMMAND[2:], *SENSOR),
             "none of the lenses can be measured: narrow: covers",
         ),
-        ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected more than 0"),
+        ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
         ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
     ],
 )

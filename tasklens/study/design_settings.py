@@ -128,6 +128,12 @@ class DescentSettings(Frozen):
 
 def _start(given: Any) -> Any:
     names = given if isinstance(given, list | tuple) else ()
+    for name in [given, *names]:
+        if isinstance(name, str) and name.endswith((".zmx", ".yaml", ".yml")):
+            raise ValueError(
+                f"a lens of a file is imported first: `imported: {{mine: {{elements: ..., file: {name}}}}}` and "
+                "`start: [mine]`"
+            )
     if given not in ("flat", "best_imaging") and not (names and all(isinstance(name, str) for name in names)):
         raise ValueError("expected flat, best_imaging, or a list of designs or imported lenses")
     return given
