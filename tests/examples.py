@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from PIL import Image
 from torch import Tensor, nn
 
 from tasklens.design import descents
@@ -129,6 +130,14 @@ def random_images(count: int, size: int, classes: int, seed: int) -> ImageDatase
     noise = torch.randint(0, 128, (count, 3, size, size), generator=generator)
     bright = labels[:, None, None, None] * (127 // max(1, classes - 1))
     return ImageDataset((noise + bright).byte(), labels, tuple(f"class{k}" for k in range(classes)))
+
+
+def write_photographs(folder: Path, images: ImageDataset, classes: tuple[str, ...]) -> None:
+    """Write images as folder/<class>/<number>.png."""
+    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
+        path = folder / classes[label] / f"{k}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
 
 
 def small_network(seed: int) -> nn.Module:

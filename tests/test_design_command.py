@@ -8,8 +8,7 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import random_images
-from PIL import Image
+from examples import random_images, write_photographs
 from safetensors.torch import save_file
 
 from tasklens.cli.app import main
@@ -32,10 +31,7 @@ def folder(tmp_path, monkeypatch):
 def trained(tmp_path_factory):
     """Forty images of each of three classes, one brighter than the other, and weights of a network that knows them."""
     folder, images = tmp_path_factory.mktemp("trained"), random_images(120, 40, 3, seed=0)
-    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
-        path = folder / "photographs" / ("cat", "dog", "owl")[label] / f"{k}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
+    write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
     torch.manual_seed(0)
     network = Classifier(timm.create_model("test_resnet", num_classes=3))
     settings = TrainingSettings(epochs=4, learning_rate=1e-2, batch_size=8)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 import timm
-from examples import cooke_triplet, random_images
-from PIL import Image
+from examples import cooke_triplet, random_images, write_photographs
 
 from tasklens.cli.app import main
 from tasklens.optics.io import zemax
@@ -84,10 +83,7 @@ def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
     (tmp_path / "catalogue").mkdir()
     shutil.copy(tmp_path / "my.zmx", tmp_path / "catalogue")
     images = random_images(120, 40, 2, seed=0)
-    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
-        path = tmp_path / "photographs" / ("cat", "dog")[label] / f"{k}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
+    write_photographs(tmp_path / "photographs", images, ("cat", "dog"))
     network = Classifier(timm.create_model("resnet18", num_classes=2))
     fit({"network": network}, images, TrainingSettings(epochs=2, learning_rate=1e-3, batch_size=12), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", network.network.state_dict(), {})

@@ -8,8 +8,7 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import random_images
-from PIL import Image
+from examples import random_images, write_photographs
 from safetensors.torch import load_file
 
 import tasklens
@@ -102,10 +101,7 @@ def folder(tmp_path_factory):
     """Five lenses, two of which cannot be used; sixty photographs of three classes; a network that knows them."""
     folder = tmp_path_factory.mktemp("rank")
     images = random_images(60, 32, 3, seed=0)
-    for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):
-        path = folder / "photographs" / ("cat", "dog", "owl")[label] / f"{k}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(image.permute(1, 2, 0).numpy()).save(path)
+    write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
     torch.manual_seed(0)
     network = Classifier(timm.create_model("test_resnet", num_classes=3))
     fit({"network": network}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
@@ -188,6 +184,7 @@ def test_built_lenses_and_a_sieve(here, capfd):
             (*COMMAND[:1], "lenses/narrow.yaml", *COMMAND[2:], *SENSOR),
             "none of the lenses can be measured: narrow: covers",
         ),
+        ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: lenses are built without diffraction"),
         ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
         ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
     ],

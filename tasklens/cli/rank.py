@@ -70,6 +70,8 @@ def rank(
     """
     if images is None or classifier is None:
         raise InputError("expected --images FOLDER and --classifier NAME with --weights FILE (or --pretrained)")
+    if as_built and diffraction:
+        raise InputError("--as-built: lenses are built without diffraction; leave out one of them")
     network = network_settings(classifier, weights, pretrained, outputs, argument)
     from tasklens.materials.library import users_files
     from tasklens.pipeline import ranking
