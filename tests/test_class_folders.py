@@ -161,6 +161,31 @@ def test_names_of_classes_in_two_compositions(folder):
         class_folders.check(images(folder))
 
 
+def test_photographs_that_cannot_be_read_are_counted(tmp_path):
+    """All of them, and the first ones by name; a single one by its own error."""
+    for name in ("cat", "dog"):
+        (tmp_path / name).mkdir()
+        for k in range(4):
+            Image.new("RGB", (20, 20)).save(tmp_path / name / f"{k}.png")
+    listing = folders.find(tmp_path, (".",), None, 0)
+    write(tmp_path / "cat/1.png", "no image")
+    for read in (
+        lambda: folders.convert(listing, 16, tmp_path / "a.npy", 2),
+        lambda: folders.read_all(listing.files, 16),
+    ):
+        with pytest.raises(FileError, match=r"^\S+cat/1.png: cannot be read as an image"):
+            read()
+    for k in range(4):
+        write(tmp_path / f"dog/{k}.png", "no image")
+    for read in (
+        lambda: folders.convert(listing, 16, tmp_path / "a.npy", 2),
+        lambda: folders.read_all(listing.files, 16),
+    ):
+        with pytest.raises(FileError, match=r"5 of 8 images cannot be read; .*cat/1.png.*dog/0.png.*; and 2 more$"):
+            read()
+    assert not (tmp_path / "a.npy").exists()
+
+
 def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
     """In turns between the classes, each photograph once; what is not asked for is the rest."""
     for name in ("cat", "dog"):

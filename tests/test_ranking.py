@@ -1,6 +1,7 @@
 """Which lens for a network: order, groups and intervals; the sieve; the command, the page, and Python."""
 
 import shutil
+import sys
 
 import numpy
 import pandas
@@ -125,19 +126,10 @@ def here(folder, monkeypatch):
     return folder
 
 
-COMMAND = (
-    "rank",
-    "lenses",
-    "--images",
-    "photographs",
-    "--classifier",
-    "test_resnet",
-    "--size",
-    "32",
-    "--kernel-size",
-    "15",
-)
-SENSOR = ("--weights", "mine.safetensors", "--diagonal", "1.0", "--pixel-pitch", "4", "--photographs", "40")
+COMMAND = ("rank", "lenses", "--images", "photographs", "--classifier", "test_resnet")
+WEIGHTS = ("--weights", "mine.safetensors")
+SMALL = ("--size", "32", "--kernel-size", "15", "--diagonal", "1.0", "--pixel-pitch", "4", "--photographs", "40")
+SENSOR = (*WEIGHTS, *SMALL)
 
 
 def test_the_command_ranks_a_folder_of_lenses(here, capfd):
@@ -157,6 +149,27 @@ def test_the_command_ranks_a_folder_of_lenses(here, capfd):
 
     assert main([*COMMAND, *SENSOR]) == 0
     assert "Nothing to be done" in capfd.readouterr().err
+
+
+FUNCTION = """
+import timm
+from safetensors.torch import load_file
+def build(num_classes):
+    network = timm.create_model("test_resnet", num_classes=num_classes)
+    network.load_state_dict(load_file("mine.safetensors"))
+    return network
+"""
+
+
+def test_a_function_of_ones_own_is_ranked_alike(here, capfd, monkeypatch):
+    """In the jobs of the workflow too: it loads its own weights, and has the accuracies of the network by its name."""
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    (here / "own_nets.py").write_text(FUNCTION)
+    lenses = ("rank", "lenses/sharp.yaml", "lenses/Fast.2.yaml", *COMMAND[2:4], *SMALL, "--name")
+    assert main([*lenses, "own", "--network", "own_nets:build"]) == 0
+    assert main([*lenses, "by_name", *COMMAND[4:], *WEIGHTS]) == 0
+    tables = [pandas.read_csv(f"results/{name}/tables/ranking.csv") for name in ("own", "by_name")]
+    pandas.testing.assert_frame_equal(*tables)
 
 
 def test_built_lenses_and_a_sieve(here, capfd):

@@ -15,6 +15,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
+from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
 _SHARP = 500  # images that show what the network recognises, at most
@@ -83,15 +84,17 @@ def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supe
     Raises:
         InputError: the network cannot be built, recognises nothing, or has an answer or a loss that cannot be used.
     """
-    from tasklens.recognition import classifiers, dataset, sharp
+    from tasklens.recognition import class_folders, classifiers, dataset, sharp
 
     entries = study.lenses.values()
     classified = any(entry.classified for entry in entries)
     if not any(entry.supervised for entry in entries):
         return Supervisors()
     settings = study.classifier(study.supervisor)
+    photographs = study.images.folder
     if classified and own.network is None:
-        classifiers.check(study.supervisor, settings, study.images.size)
+        classes = RENDERED_CLASSES if photographs is None else len(class_folders.training_classes(photographs))
+        classifiers.check(study.supervisor, settings, study.images.size, classes)
     device = claim()
     if own.images is not None:
         images = replace(own.images, device=device)

@@ -44,7 +44,7 @@ def _check_networks(study: Study, weights: bool) -> None:
     folder = study.images.folder
     classes = [str(k) for k in range(RENDERED_CLASSES)] if folder is None else class_folders.training_classes(folder)
     for name, classifier in study.classifiers.items():
-        classifiers.check(name, classifier, study.images.size)
+        classifiers.check(name, classifier, study.images.size, len(classes))
         if weights and classifier.weights is not None:
             classifiers.build(classifier, classes)
         if classifier.pretrained:
@@ -63,4 +63,4 @@ def _check_networks(study: Study, weights: bool) -> None:
         if part.criterion == "task" and part.size is not None
     }
     for where, size in sizes.items():
-        classifiers.check(f"{study.supervisor} for {where}", study.classifiers[study.supervisor], size)
+        classifiers.check(f"{study.supervisor} for {where}", study.classifiers[study.supervisor], size, len(classes))

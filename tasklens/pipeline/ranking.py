@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas
-import torch
 import yaml
 from pydantic import ValidationError
 
@@ -219,9 +218,9 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     assert images.folder is not None
     names = class_folders.TEST if class_folders.is_split(images.folder) else (".",)
     listing = folders.find(images.folder, names, _SHOWN, images.seed)
-    classifiers.check("network", settings, images.size)
+    classifiers.check("network", settings, images.size, len(listing.classes))
     network = classifiers.build(settings, listing.classes)
-    shown = torch.stack([folders.read(file, images.size) for file in listing.files])
+    shown = folders.read_all(listing.files, images.size)
     photographs = dataset.ImageDataset(shown, listing.labels, listing.classes)
     return sharp.recognised(classifiers.frozen(network, shown), photographs)
 

@@ -198,8 +198,11 @@ def frozen(classifier: _Network, images: Tensor, batch_norm: Literal["stored", "
     return copied
 
 
-def check(name: str, settings: ClassifierSettings, size: int) -> None:
+def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10) -> None:
     """Check the model, arguments and image size [pixels] of a classifier; one of timm without memory for its weights.
+
+    Args:
+        classes: number of classes of the images, which a function of the user's may need.
 
     Raises:
         InputError: there is no such model, the arguments or size do not fit it, or it answers with no logits or
@@ -208,13 +211,14 @@ def check(name: str, settings: ClassifierSettings, size: int) -> None:
     arguments = f" with {settings.arguments}" if settings.arguments else ""
     try:
         with torch.device("cpu" if users_code.is_users(settings.model) else "meta"):
-            network = networks.create(settings.model, 10, settings.arguments).eval()
+            outputs = classes if settings.outputs == "classes" else ImageNetInfo().num_classes()
+            network = networks.create(settings.model, outputs, settings.arguments).eval()
             images = torch.zeros(1, 3, size, size, requires_grad=True)
             answer = network(images)
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
         raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from error
     try:
-        check_logits(answer, 1, 10)
+        check_logits(answer, 1, outputs)
     except InputError as error:
         raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from None
 

@@ -17,6 +17,7 @@ from tasklens.runtime.progress import Progress
 
 Image.MAX_IMAGE_PIXELS = 250_000_000  # twice as many, 1.5 GB, are refused: a small file can claim any number
 _BLOCK = 64  # photographs per task of a thread
+_SHOWN = 3  # errors of photographs in a message
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
         checkpoint: checkpoint of the job; the part is named after the file.
 
     Raises:
-        FileError: a file that is no image; or too little disk space, before anything is decoded.
+        FileError: files that are no images, counted; or too little disk space, before anything is decoded.
     """
     progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
     part = checkpoint.part(path.stem)
@@ -83,20 +84,48 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
         def block(first: int) -> int:
             files = listing.files[first : first + _BLOCK]
             for i, file in enumerate(files, first):
-                array[i] = read(file, size)
+                try:
+                    array[i] = read(file, size)
+                except FileError as error:
+                    errors.append(error)
             return first + len(files)
 
+        errors: list[FileError] = []
         waiting = [pool.submit(block, first) for first in range(part.step if begun else 0, len(listing), _BLOCK)]
         try:
             for each in waiting:
                 done = each.result()
                 progress(done)
-                if checkpoint.due():
+                if checkpoint.due() and not errors:
                     array.flush()
                     part.save(done)
+            if errors:
+                raise _unreadable(errors, len(listing))
         finally:
             pool.shutdown(cancel_futures=True)
     part.finish()
+
+
+def read_all(files: Sequence[Path], size: int) -> Tensor:
+    """Read the central squares of images, (N, 3, size, size) uint8; raises FileError, which counts what is no image."""
+    images, errors = torch.zeros(len(files), 3, size, size, dtype=torch.uint8), []
+    for i, file in enumerate(files):
+        try:
+            images[i] = read(file, size)
+        except FileError as error:
+            errors.append(error)
+    if errors:
+        raise _unreadable(errors, len(files))
+    return images
+
+
+def _unreadable(errors: Sequence[FileError], count: int) -> FileError:
+    """Return the error of some files that are no images."""
+    if len(errors) == 1:
+        return errors[0]
+    shown = "; ".join(str(error) for error in sorted(errors, key=str)[:_SHOWN])
+    more = f"; and {len(errors) - _SHOWN} more" if len(errors) > _SHOWN else ""
+    return FileError(f"{len(errors)} of {count} images cannot be read; repair or remove them: {shown}{more}")
 
 
 def read(path: Path, size: int) -> Tensor:

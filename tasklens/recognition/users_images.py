@@ -62,11 +62,7 @@ def of_folder(folder: Path, names: Sequence[str], size: int, start: int, limit: 
     """
     listing = folders.find(folder, names, start + limit, 0)
     listing = listing.take(torch.arange(len(listing))[start:])
-    if not len(listing):
-        return ImageDataset(torch.zeros(0, 3, size, size, dtype=torch.uint8), listing.labels, listing.classes)
-    return ImageDataset(
-        torch.stack([folders.read(file, size) for file in listing.files]), listing.labels, listing.classes
-    )
+    return ImageDataset(folders.read_all(listing.files, size), listing.labels, listing.classes)
 
 
 def test_images(folder: Path, size: int, limit: int) -> ImageDataset:
