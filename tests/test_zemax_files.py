@@ -20,7 +20,7 @@ from reference_lenses import LINES, with_indices
 
 from tasklens.materials.material import AIR, D_LINE
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
@@ -190,3 +190,15 @@ def test_what_a_file_says_of_its_use():
     phone = read["US20210165194A1"]
     assert phone.wavelengths_um == (0.47, 0.51, 0.555, 0.61, 0.65) and phone.primary == 2
     assert phone.lens.semi_diameter[phone.lens.stop + 1 :].isinf().all()  # automatic
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_file_is_a_lens_to_look_at(path):
+    """With its field, also of a near object by its real image height; on the axis alone where it has no other."""
+    file = lens_files.read(path)
+    half = math.degrees(math.atan(float(file.view.radii.max()) / file.view.efl))
+    expected = reference_of(path)["half_field_deg"]
+    if any("no field but the axis" in remark for remark in file.remarks):
+        assert half == 0
+    else:
+        assert half == pytest.approx(expected, rel=0.02)

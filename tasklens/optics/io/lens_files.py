@@ -286,12 +286,15 @@ def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
         rays = chief_rays(unclipped, replace(view, fields=fields))
         return torch.where(rays.valid, rays.y.abs(), math.nan)[:, 0, 0] - height
 
-    tangents = torch.tan(torch.deg2rad(_ANGLES))
-    heights = beyond(tangents)
-    arrived = int((heights >= 0).long().argmax())
-    if not heights[arrived] >= 0 or heights[:arrived].isnan().any():
-        raise InputError(f"no chief ray arrives at the image height {height:g} mm of the file; {_FIELD}")
-    low = float(tangents[arrived - 1]) if arrived else 0.0
-    return float(
-        brentq(lambda t: float(beyond(torch.tensor([t], dtype=torch.float64))[0]), low, float(tangents[arrived]))
-    )
+    def beyond_at(tangent: float) -> float:
+        return float(beyond(torch.tensor([tangent], dtype=torch.float64))[0])
+
+    low = 0.0
+    for tangent in torch.tan(torch.deg2rad(_ANGLES)).tolist():  # no further than needed: a near object is not that wide
+        excess = beyond_at(tangent)
+        if excess >= 0:
+            return float(brentq(beyond_at, low, tangent))
+        if math.isnan(excess):
+            break
+        low = tangent
+    raise InputError(f"no chief ray arrives at the image height {height:g} mm of the file; {_FIELD}")
