@@ -1,5 +1,7 @@
 """A lens in front of a network of one's own: captures, gradients, limits, training."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from examples import difference, f64
@@ -108,6 +110,15 @@ def test_a_lens_and_a_network_are_trained_together(lens, images):
     assert not torch.equal(camera.lens.curvature, lens[0].curvature)
     focal = tasklens.analyse(camera.lens.detached(), camera.view)["efl_mm"]
     assert focal == pytest.approx(lens[1].efl, rel=0.03)
+
+
+def test_a_lens_without_light_is_refused(lens):
+    """Where all light is stopped, a network would look at uniform grey."""
+    dark = replace(lens[0], semi_diameter=torch.tensor([1.0, 1e-6, 1e-6], dtype=torch.float64))
+    with pytest.raises(InputError, match="no light arrives at the field"):
+        tasklens.Camera(dark, lens[1])
+    with pytest.raises(InputError, match="dark: no light arrives at the field"):
+        tasklens.rank({"dark": (dark, lens[1])}, [(torch.rand(3, 32, 32), k) for k in (0, 1)], nn.Flatten())
 
 
 def test_noise_and_wrong_images(lens, images):

@@ -345,3 +345,13 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
 def test_a_function_that_makes_no_classifier_is_refused(own_module, function, words):
     with pytest.raises(InputError, match=rf"classifiers\.mine: own_networks:{function}: .*{words}"):
         classifiers.check("mine", ClassifierSettings(model=f"own_networks:{function}", pretrained=True), 32)
+
+
+def test_weights_with_the_head_of_imagenet(tmp_path):
+    """For images of ten classes: the message says which setting takes its thousand outputs."""
+    path = tmp_path / "published.safetensors"
+    save_file(timm.create_model("test_resnet", num_classes=1000).state_dict(), path)
+    with pytest.raises(FileError, match="its head has 1000 outputs: those of ImageNet are `outputs: imagenet`"):
+        classifiers.build(ClassifierSettings(model="test_resnet", weights=path), names(10))
+    with pytest.raises(FileError, match="size mismatch"):
+        classifiers.build(ClassifierSettings(model="test_resnet", weights=path, arguments={"in_chans": 1}), names(1000))

@@ -77,7 +77,8 @@ READERS = [
      or job[0] == "production" or (job[0] == "design" and job[1] in CLASSIFIED)),
     ("classifiers.other.model", "test_vit2",
      lambda job: job in (("reference", "other"), ("captures",)) or measured("other", "other-restored")(job)),
-    ("tolerances.grade", "phone_moulding", lambda job: job[0] in ("certificate", "production", "tolerances_table")),
+    ("tolerances.grade", "phone_moulding",
+     lambda job: job[0] in ("certificate", "production", "ranking_table", "tolerances_table")),
     ("tolerances.images", 10, lambda job: job[0] in ("production", "tolerances_table")),
     ("tolerances.designs", ["imaging1"], lambda job: job == ("tolerances_table",)),
     ("elements.singlet", ["PMMA"], lambda job: job[0] == "design"),
@@ -209,7 +210,8 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
     before, after = slices(tiny_study()), slices(with_imported())
     rows = {("table", name) for name in ("table1", "table2", "table4")}
-    tables_of_all = ("psf_tail_table", "effort_table", "merit_function_table", "tolerances_table", "captures", "verify")
+    tables_of_all = [f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances")]
+    tables_of_all += ["captures", "verify"]
     rows |= {(rule,) for rule in (*tables_of_all, "report_page")}
     assert {job for job in before if before[job] != after[job]} == rows
     assert all("quadruplet-phone" in job for job in after.keys() - before.keys())

@@ -186,6 +186,16 @@ def test_built_lenses_and_a_sieve(here, capfd):
     assert all(study["ranking"]["mtf"][name] <= min(table["mtf"]) for name in left)
 
 
+def test_a_network_that_gets_used_to_each_lens(here):
+    """After an epoch of fine-tuning, through PSFs with diffraction; all other photographs are for the training."""
+    more = ("--fine-tune", "1", "--diffraction", "--name", "tuned", "--photographs", "20")
+    assert main(["rank", "lenses/sharp.yaml", *COMMAND[2:], *SENSOR, *more]) == 0
+    assert "after 1 epochs of fine-tuning" in (here / "results/tuned/ranking.html").read_text()
+    study = yaml.safe_load((here / "results/tuned/study.yaml").read_text())
+    assert study["images"]["train"] is None and study["capture"]["diffraction"]
+    assert list((here / "results/tuned/lenses").rglob("*diffraction*"))
+
+
 @pytest.mark.parametrize(
     "arguments, words",
     [

@@ -93,8 +93,11 @@ def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supe
     settings = study.classifier(study.supervisor)
     photographs = study.images.folder
     if classified and own.network is None:
-        classes = RENDERED_CLASSES if photographs is None else len(class_folders.training_classes(photographs))
-        classifiers.check(study.supervisor, settings, study.images.size, classes)
+        names = list(map(str, range(RENDERED_CLASSES)))
+        if photographs is not None:
+            names = class_folders.training_classes(photographs)
+        classifiers.check(study.supervisor, settings, study.images.size, len(names))
+        classifiers.build(settings, names)  # before photographs are read for minutes
     device = claim()
     if own.images is not None:
         images = replace(own.images, device=device)

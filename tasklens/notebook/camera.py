@@ -10,7 +10,7 @@ from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
 from tasklens.design.variables import Variables, with_coefficients
 from tasklens.imaging import PsfCamera, noise
-from tasklens.notebook.captures import check_choices
+from tasklens.notebook.captures import check_choices, check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
@@ -40,7 +40,7 @@ class Camera(nn.Module):
         colour, outside_window, sensor: as in `tasklens.simulate`.
 
     Raises:
-        InputError: an unknown variable or value.
+        InputError: an unknown variable or value, or a lens without light at some field.
 
     Example:
         >>> camera = tasklens.Camera(lens, view)
@@ -61,6 +61,7 @@ class Camera(nn.Module):
     ):
         super().__init__()
         check_choices(colour, outside_window)
+        check_light(lens, view)
         self.view, self.rays = view.in_colours(), rays
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
         start = with_coefficients(lens.detached())

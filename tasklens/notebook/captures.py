@@ -65,9 +65,7 @@ def simulate(
             "one, or a smaller kernel_size (--kernel-size)"
         )
     view = view.in_colours()
-    if not (light := lit(lens.detached(), view)).all():
-        x, y = view.fields[int((~light).nonzero()[0])].tolist()
-        raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
+    check_light(lens, view)
     grid = psf(lens, view, rays, diffraction)
     camera = PsfCamera(grid, outside_window, colour, sensor, relative_illumination(lens.detached(), view))
     return camera.grid(source[None])[:, 0]
@@ -109,6 +107,13 @@ def simulate_sensor(
     return sensor.simulate(
         lens, view.in_colours(), image_tensor(image), pixel_pitch_um, rays, colour, distortion, illumination
     )
+
+
+def check_light(lens: Lens, view: View) -> None:
+    """Raise InputError for a lens that lets no light through to some field."""
+    if not (light := lit(lens.detached(), view)).all():
+        x, y = view.fields[int((~light).nonzero()[0])].tolist()
+        raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
 
 
 def check_choices(colour: str, outside_window: str = "veil") -> None:

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from tasklens.imaging import PsfCamera
+from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
@@ -84,7 +85,7 @@ def rank(
         rays: number of rays of each field and colour.
 
     Raises:
-        InputError: images that cannot be read, or a network that does not answer with logits.
+        InputError: images that cannot be read, a network that does not answer with logits, or a lens without light.
 
     Example:
         >>> tasklens.rank({name: tasklens.load_lens(f"{name}.zmx") for name in ("a", "b")}, "photographs", network)
@@ -120,6 +121,10 @@ def _correct(
 ) -> pandas.DataFrame:
     """Return the predictions through a lens: a row per image, a column per field."""
     lens, view = lens.detached(), view.in_colours()
+    try:
+        check_light(lens, view)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
     camera = PsfCamera(evaluation_psf(lens, view, rays), illumination=relative_illumination(lens, view))
     found = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
     frame = pandas.DataFrame(evaluation.by_image(found.int(), dataset))

@@ -126,6 +126,10 @@ def _unreadable(path: Path, error: Exception) -> str:
             "it holds objects beside the weights, which are not run: save the weights alone, "
             "safetensors.torch.save_file(network.state_dict(), 'mine.safetensors')"
         )
+    if mismatch := re.search(r"size mismatch for .*?torch.Size\(\[(\d+)[^]]*\]\) from checkpoint", text):
+        head = f"its head has {mismatch[1]} outputs"
+        if int(mismatch[1]) == ImageNetInfo().num_classes():
+            return f"{head}: those of ImageNet are `outputs: imagenet`, on the command line --outputs imagenet"
     unexpected = re.findall(r'"([^"]+)"', text.partition("Unexpected key(s)")[2])
     prefixes = {name.partition(".")[0] for name in unexpected}
     if "Missing key(s)" in text and len(prefixes) == 1 and len(unexpected) > 1:
