@@ -5,7 +5,17 @@ from pathlib import Path
 
 import pytest
 import torch
-from examples import changed, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays, tiny_study
+from examples import (
+    changed,
+    cooke_triplet,
+    f64,
+    make_lens,
+    parallel_rays,
+    random_lens,
+    random_rays,
+    tiny_study,
+    with_imported,
+)
 from reference_files import reference_files
 
 from tasklens.design import methods
@@ -21,6 +31,7 @@ from tasklens.runtime.files import FileError
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
+from tasklens.study.study import StudyError
 from tasklens.study.tables import lens_design
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
@@ -236,3 +247,14 @@ def test_every_phone_lens_serves(path):
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)
     assert rays.valid[0].all() and (rays.lost_at[~rays.valid] > lens.stop).all()
+
+
+def test_an_imported_lens_has_a_specification_of_its_own():
+    """Other lenses keep that of the study, and a wrong key is named; a near object is for imported lenses alone."""
+    study = parse(changed(with_imported(), "imported.phone.spec", {"f_number": 2.0}))
+    assert study.lens_spec("quadruplet-phone").f_number == 2.0
+    assert study.lens_spec("singlet-imaging1") == study.spec_of("singlet")
+    with pytest.raises(StudyError, match=r"imported\.phone\.spec\.f_numbr = 2\.0: unknown key"):
+        parse(changed(with_imported(), "imported.phone.spec", {"f_numbr": 2.0}))
+    with pytest.raises(StudyError, match=r"spec\.object_distance_mm: designs are for objects at infinity"):
+        parse(changed(with_imported(), "spec.object_distance_mm", 100))

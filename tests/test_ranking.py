@@ -174,13 +174,17 @@ def test_a_function_of_ones_own_is_ranked_alike(here, capfd, monkeypatch):
 
 def test_built_lenses_and_a_sieve(here, capfd):
     """The two lenses of the most MTF are measured, and the first one is built in simulation."""
-    kept = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale")
+    kept = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale", "--object", "100")
     assert main([*COMMAND, *SENSOR, *kept]) == 0
     output = capfd.readouterr().out
     table = pandas.read_csv("results/built/tables/ranking.csv")
     assert len(table) == 3 and table["built_lose"].notna().tolist() == [True, False, False]
     assert "The sieve has left out 1 lenses" in output
     study = yaml.safe_load((here / "results/built/study.yaml").read_text())
+    (first, *_) = sorted((here / "results/built/lenses").glob("*/seed0/lens.yaml"))
+    content = yaml.safe_load(first.read_text())
+    assert content["object_distance_mm"] == content["spec"]["object_distance_mm"] == 100
+    assert content["figures"]["object_distance_mm"] == pytest.approx(100)
     left = set(study["ranking"]["mtf"]) - {f"lens-{name}" for name in study["imported"]}
     assert len(left) == 1 and study["capture"]["sensor"]["full_well"] == 500
     assert all(study["ranking"]["mtf"][name] <= min(table["mtf"]) for name in left)

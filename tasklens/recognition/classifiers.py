@@ -220,7 +220,8 @@ def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10)
             images = torch.zeros(1, 3, size, size, requires_grad=True)
             answer = network(images)
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
-        raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from error
+        why = str(error).removeprefix(f"{settings.model}: ")
+        raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {why}") from error
     try:
         check_logits(answer, 1, outputs)
     except InputError as error:
