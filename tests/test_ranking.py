@@ -243,7 +243,7 @@ def test_ranking_in_python_agrees_with_the_command(here):
     found = tasklens.rank(lenses, "photographs", network, size=32, limit=30)
     assert set(found.table["lens"]) == set(lenses) and (found.table["accuracy"] > 40).all()
     assert "<table" in found._repr_html_() and found.sentences
-    found.save("ranking.html", said=["Mine."])
+    found.save("ranking.html", answer=["Mine."])
     assert "Mine." in (here / "ranking.html").read_text()
     pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
     assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2

@@ -44,23 +44,23 @@ def network_settings(
     return network | {"weights": None if weights is None else str(weights), "pretrained": pretrained}
 
 
-def nested(given: Sequence[str], option: str) -> dict[str, Any]:
+def nested(texts: Sequence[str], option: str) -> dict[str, Any]:
     """Return settings KEY=VALUE as nested mappings: a.b=1 is {"a": {"b": 1}}; raises InputError."""
-    found: dict[str, Any] = {}
-    for each in given:
-        key, equals, text = each.partition("=")
+    settings: dict[str, Any] = {}
+    for assignment in texts:
+        key, equals, text = assignment.partition("=")
         *outer, last = key.split(".")
-        inner = found
+        inner = settings
         for name in outer:
             inner = inner.setdefault(name, {})
             if not isinstance(inner, dict):
-                raise InputError(f"{option} {each}: {name} has the value {inner} by another {option}")
+                raise InputError(f"{option} {assignment}: {name} has the value {inner} by another {option}")
         if isinstance(inner.get(last), dict):
-            raise InputError(f"{option} {each}: {last} has the values {inner[last]} by another {option}")
+            raise InputError(f"{option} {assignment}: {last} has the values {inner[last]} by another {option}")
         try:
             inner[last] = yaml.safe_load(text)
         except (yaml.YAMLError, ValueError):  # no date of the calendar
             equals = ""
         if not equals or not all((*outer, last)):
-            raise InputError(f"{option} {each}: expected KEY=VALUE, such as descents.0.steps=200")
-    return found
+            raise InputError(f"{option} {assignment}: expected KEY=VALUE, such as descents.0.steps=200")
+    return settings

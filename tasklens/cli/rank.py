@@ -83,7 +83,7 @@ def rank(
         "kernel_size": kernel_size,
         "object_distance_mm": object_distance,
     }
-    shown = ranking.image_settings(images, size, photographs, fine_tune > 0)
+    section = ranking.image_settings(images, size, photographs, fine_tune > 0)
     capture = {"diffraction": diffraction, "sensor": None if noise is None else {"full_well": noise}}
     tolerances = {"grade": grade}
     paths = ranking.lens_paths(lenses)
@@ -91,13 +91,13 @@ def rank(
         screened = ranking.screen(paths, spec, [*(catalogue or ()), *users_files()], scale)
 
     def study(built: list[str]) -> dict:
-        return ranking.study(name, screened, spec, shown, network, capture, fine_tune, sieve, tolerances, built)
+        return ranking.study(name, screened, spec, section, network, capture, fine_tune, sieve, tolerances, built)
 
     content = study([])
     parsed = loading.parse(content)
     say(ranking.check_network(parsed.classifier(parsed.supervisor), parsed.images))
     count = len(parsed.imported)
-    say(f"{count} of {len(paths)} lenses are measured with {shown['test']} photographs at nine fields")
+    say(f"{count} of {len(paths)} lenses are measured with {section['test']} photographs at nine fields")
     folder = ranking.run(content, ["ranking"], cores, overwrite)
     if as_built:
         content = study(ranking.first_lenses(folder, content["ranking"]["titles"], as_built))

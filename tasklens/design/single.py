@@ -35,8 +35,8 @@ def design(
     Raises:
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
-    made = designs(method, elements, **settings)
-    return made.lens, made.view, made.notes
+    result = designs(method, elements, **settings)
+    return result.lens, result.view, result.notes
 
 
 def designs(
@@ -79,7 +79,7 @@ def designs(
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)
-    found = single.study(
+    study = single.study(
         method,
         elements,
         spec,
@@ -91,30 +91,30 @@ def designs(
         baselines=baselines,
         network_given=network is not None,
     )
-    for name, entry in found.lenses.items():
-        if len(first := starts(found, name)) > 1:
+    for name, entry in study.lenses.items():
+        if len(first := starts(study, name)) > 1:
             raise InputError(
                 f"{entry.design_name} begins with one lens, got {', '.join(first)}; give it as `start` "
-                f"(on the command line --set start=[{found.lens(first[0]).design_name}])"
+                f"(on the command line --set start=[{study.lens(first[0]).design_name}])"
             )
-    view = view_of_spec(found.spec)
-    made: dict[str, Lens] = {}
+    view = view_of_spec(study.spec)
+    lenses: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        by = supervisors(found, Path(folder), own)
-        for name in found.lenses:
-            entry = found.lens(name)
-            made[name], notes, _ = methods.design(
-                lens_design(found, name, seed),
+        by = supervisors(study, Path(folder), own)
+        for name in study.lenses:
+            entry = study.lens(name)
+            lenses[name], notes, _ = methods.design(
+                lens_design(study, name, seed),
                 by.network if entry.classified else None,
                 by.images if entry.supervised else None,
-                {other: (made[other], 0.0) for other in starts(found, name)},
-                {other: made[other] for other in candidates(found, name)},
+                {other: (lenses[other], 0.0) for other in starts(study, name)},
+                {other: lenses[other] for other in candidates(study, name)},
                 task=by.task if entry.classified else None,
             )
     if spots:
         notes["origin"]["materials_tried_rms_um"] = spots
-    return Designs({found.lens(name).design_name: lens for name, lens in made.items()}, view, notes, by)
+    return Designs({study.lens(name).design_name: lens for name, lens in lenses.items()}, view, notes, by)
 
 
 def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
@@ -140,15 +140,15 @@ def unused_images(folder: Path, size: int) -> ImageDataset:
     if not folder.is_dir():
         raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):
-        found = users_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
+        images = users_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
     else:
-        found = users_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
-    if len(found) < _LEAST:
+        images = users_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
+    if len(images) < _LEAST:
         raise FileError(
-            f"{folder}: {len(found)} photographs are left for a verdict on the lens, expected {_LEAST} or more (a "
+            f"{folder}: {len(images)} photographs are left for a verdict on the lens, expected {_LEAST} or more (a "
             "fifth of <class>/*, or test/<class>/*); add some, or leave it out: --no-verdict"
         )
-    return found
+    return images
 
 
 def _from_lens(
@@ -167,10 +167,10 @@ def _from_lens(
 ) -> Designs:
     """Improve the lens of a file."""
     file = lens_files.read(start, [*(Path(path) for path in catalogues), *users_files()], **spec)
-    made, remarks = from_lens.design(
+    result, remarks = from_lens.design(
         file, method, free, settings or {}, constraints or {}, images, classifier, seed, own, baselines
     )
     for remark in (*file.remarks, *remarks):
         print(f"tasklens: {start}: {remark}", file=sys.stderr)
-    made.notes["origin"] |= {"start": str(start)}
-    return made
+    result.notes["origin"] |= {"start": str(start)}
+    return result

@@ -115,8 +115,8 @@ def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supe
         network = (classifiers.Classifier(own.network) if as_classifier else own.network).to(device)
         _check(network, images, own.task)
     if own.task is None:
-        shown = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
-        print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), shown)}", file=sys.stderr)
+        sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
+        print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
     return Supervisors(images, network, own.task)
 
 

@@ -51,12 +51,12 @@ class Ranking:
         """Which lenses are equal, and how far the others are behind."""
         return report.sentences(self.ranks, {})
 
-    def save(self, path: str | Path, title: str = "Which lens for this network?", said: Sequence[str] = ()) -> None:
-        """Write the page, one HTML file, with sentences of one's own in front of those of the ranking."""
+    def save(self, path: str | Path, title: str = "Which lens for this network?", answer: Sequence[str] = ()) -> None:
+        """Write the page, one HTML file; sentences in `answer` come before those of the ranking."""
         rows = [{str(key): value for key, value in row.items()} for row in self.table.to_dict("records")]
         words: dict[str, Any] = {"title": title, "images": len(next(iter(self.correct.values()))), "sharp": self.sharp}
         words |= {"tuned": ", as it is", "left_out": {}, "grade": ""}
-        page = report.render(self.ranks, rows, self.drawings, [*said, *self.sentences], **words)
+        page = report.render(self.ranks, rows, self.drawings, [*answer, *self.sentences], **words)
         write_text(Path(path), page)
 
     def _repr_html_(self) -> str:
@@ -105,14 +105,14 @@ def rank(
             f"{len(dataset.classes)} classes"
         )
     sharp = float(100 * evaluation.evaluate([classifier], dataset, CapturePipeline()).correct.double().mean())
-    correct = {name: _correct(classifier, dataset, *shown, rays, name) for name, shown in lenses.items()}
+    correct = {name: _correct(classifier, dataset, lens, view, rays, name) for name, (lens, view) in lenses.items()}
     ranks = report.ranked(correct)
     rows, drawings = [], {}
-    for each in ranks:
-        lens, view = lenses[each.lens]
+    for place in ranks:
+        lens, view = lenses[place.lens]
         field_of_view = 2 * degrees(atan(float(view.radii.max()) / view.efl))
-        rows.append(report.row(each, each.lens, figures(lens, view, rays), field_of_view))
-        drawings[each.lens] = section_svg(lens.detached(), view)
+        rows.append(report.row(place, place.lens, figures(lens, view, rays), field_of_view))
+        drawings[place.lens] = section_svg(lens.detached(), view)
     return Ranking(pandas.DataFrame(rows), ranks, correct, drawings, sharp)
 
 
@@ -126,6 +126,6 @@ def _correct(
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     camera = PsfCamera(evaluation_psf(lens, view, rays), illumination=relative_illumination(lens, view))
-    found = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
-    frame = pandas.DataFrame(evaluation.by_image(found.int(), dataset))
+    correct = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
+    frame = pandas.DataFrame(evaluation.by_image(correct.int(), dataset))
     return frame.set_index(["image", "label"])

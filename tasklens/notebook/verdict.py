@@ -24,12 +24,12 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
     by = designs.supervisors
     assert by.network is not None and by.images is not None  # of a design by a network
     *_, name = designs.lenses
-    shown = {each: (lens, designs.view) for each, lens in designs.lenses.items()}
+    lenses = {design: (lens, designs.view) for design, lens in designs.lenses.items()}
     order = torch.randperm(len(by.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
-    choice = rank({each: shown[each] for each in BASELINES}, by.images.take(order), by.network)
+    choice = rank({criterion: lenses[criterion] for criterion in BASELINES}, by.images.take(order), by.network)
     best = choice.ranks[0].lens
-    found = rank(shown, unused, by.network)
-    task, baseline = (100 * found.correct[each].mean(axis=1).to_numpy() for each in (name, best))
+    ranking = rank(lenses, unused, by.network)
+    task, baseline = (100 * ranking.correct[design].mean(axis=1).to_numpy() for design in (name, best))
     low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
     gain = float((task - baseline).mean())
     answer = "better" if low > 0 else "worse" if high < 0 else "not shown to be better or worse"
@@ -39,4 +39,4 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
         f"({best}, chosen on photographs of the design): {gain:+.1f} points ({low:+.1f} to {high:+.1f}), {answer}. "
         "The interval is over the photographs; it is one design of each kind."
     )
-    return words, found
+    return words, ranking

@@ -53,20 +53,20 @@ class Screened:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def lens_paths(given: Sequence[Path]) -> list[Path]:
+def lens_paths(places: Sequence[Path]) -> list[Path]:
     """Return lens files, and those in folders; raises FileError for one that is not there."""
-    found: list[Path] = []
-    for path in given:
+    files: list[Path] = []
+    for path in places:
         if path.is_dir():
             inside = (file for file in sorted(path.rglob("*")) if file.suffix.lower() in _SUFFIXES)
-            found += [file for file in inside if not file.name.startswith(".")]
+            files += [file for file in inside if not file.name.startswith(".")]
         elif path.is_file():
-            found.append(path)
+            files.append(path)
         else:
             raise FileError(f"{path}: no such lens file or folder")
-    if not found:
-        raise FileError(f"{', '.join(map(str, given))}: no lens file in it, {', '.join(_SUFFIXES)}")
-    return list(dict.fromkeys(found))
+    if not files:
+        raise FileError(f"{', '.join(map(str, places))}: no lens file in it, {', '.join(_SUFFIXES)}")
+    return list(dict.fromkeys(files))
 
 
 def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool) -> Screened:
@@ -84,21 +84,21 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
         sensor = Spec.model_validate(dict(spec))
     except ValidationError as error:
         raise InputError("; ".join(problems(error, Spec))) from None
-    found = Screened()
+    screened = Screened()
     progress = Progress("reading lenses", len(paths))
     for step, path in enumerate(paths, 1):
         title = _title(path, paths)
         try:
             entry, mtf = _screened(path, sensor, catalogues, scaled)
         except ValidationError as error:
-            found.left_out[title] = "; ".join(problems(error, Spec))
+            screened.left_out[title] = "; ".join(problems(error, Spec))
         except (InputError, OSError) as error:
-            found.left_out[title] = str(error).removeprefix(f"{path}: ")
+            screened.left_out[title] = str(error).removeprefix(f"{path}: ")
         else:
-            name = _name(path, found.entries)
-            found.entries[name], found.titles[name], found.mtf[name] = entry, title, mtf
+            name = _name(path, screened.entries)
+            screened.entries[name], screened.titles[name], screened.mtf[name] = entry, title, mtf
         progress(step)
-    return found
+    return screened
 
 
 def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool) -> tuple[dict[str, Any], float]:
@@ -120,7 +120,12 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
         "f_number": efl / float(2 * first_order.entrance_pupil_radius),
     }
-    entry = {"elements": ELEMENTS, "file": str(path), "catalogues": [str(each) for each in catalogues], "spec": own}
+    entry = {
+        "elements": ELEMENTS,
+        "file": str(path),
+        "catalogues": [*map(str, catalogues)],
+        "spec": own,
+    }
     spec = Spec.model_validate(sensor.model_dump(exclude=set(Spec.model_computed_fields)) | own)
     view = view_of_spec(spec)
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
@@ -220,9 +225,9 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     listing = folders.find(images.folder, names, _SHOWN, images.seed)
     classifiers.check("network", settings, images.size, len(listing.classes))
     network = classifiers.build(settings, listing.classes)
-    shown = folders.read_all(listing.files, images.size)
-    photographs = dataset.ImageDataset(shown, listing.labels, listing.classes)
-    return sharp.recognised(classifiers.frozen(network, shown), photographs)
+    sample = folders.read_all(listing.files, images.size)
+    photographs = dataset.ImageDataset(sample, listing.labels, listing.classes)
+    return sharp.recognised(classifiers.frozen(network, sample), photographs)
 
 
 def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrite: bool) -> Path:

@@ -35,11 +35,11 @@ def of_pairs(pairs: Any) -> ImageDataset:
         raise InputError("images: expected pairs (image, label), got none")
     if len(sizes := {tuple(image.shape) for image in images}) > 1:
         raise InputError(f"images: expected one size, got {', '.join(map(str, sorted(sizes)))}; resize them")
-    found = torch.stack(labels)
+    numbers = torch.stack(labels)
     names = getattr(pairs, "classes", None)
     if names is None:
-        names = () if found.is_floating_point() else range(int(found.max()) + 1)
-    return ImageDataset(torch.stack(images), found, tuple(map(str, names)))
+        names = () if numbers.is_floating_point() else range(int(numbers.max()) + 1)
+    return ImageDataset(torch.stack(images), numbers, tuple(map(str, names)))
 
 
 def _items(pairs: Any) -> Iterable[Any]:

@@ -70,13 +70,13 @@ def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     values = 100 * numpy.stack([correct[name].mean(axis=1).to_numpy() for name in names], 1)
     means, observed = resampled_means(values), values.mean(0)
     groups = _groups(means)
-    found = []
+    ranks = []
     for k, name in enumerate(names):
         behind = interval(means[:, 0] - means[:, k])
         by_field = tuple(predictions.accuracy_by_field(correct[name]))
         own = interval(means[:, k])
-        found.append(Rank(name, groups[k], observed[k], *own, observed[0] - observed[k], *behind, by_field))
-    return found
+        ranks.append(Rank(name, groups[k], observed[k], *own, observed[0] - observed[k], *behind, by_field))
+    return ranks
 
 
 def _groups(means: numpy.ndarray) -> list[int]:
@@ -94,19 +94,21 @@ def _groups(means: numpy.ndarray) -> list[int]:
 
 def sentences(ranks: Sequence[Rank], titles: Mapping[str, str]) -> list[str]:
     """Say which lenses are equal, and how far the others are behind, group by group."""
-    said = []
+    answer = []
     for number in range(1, ranks[-1].group + 1):
         group = [rank for rank in ranks if rank.group == number]
         names = _and([titles.get(rank.lens, rank.lens) for rank in group])
         if number > 1:
             low, high = min(rank.behind_low for rank in group), max(rank.behind_high for rank in group)
-            said.append(f"{names}: {low:.1f} to {high:.1f} points behind the first.")
+            answer.append(f"{names}: {low:.1f} to {high:.1f} points behind the first.")
         elif len(group) == 1:
-            said.append(f"{names} is the best.")
+            answer.append(f"{names} is the best.")
         else:
             most = max(rank.behind_high for rank in group)
-            said.append(f"{names} cannot be told apart by these photographs: they are equal within {most:.1f} points.")
-    return said
+            answer.append(
+                f"{names} cannot be told apart by these photographs: they are equal within {most:.1f} points."
+            )
+    return answer
 
 
 def _and(names: Sequence[str]) -> str:
@@ -162,24 +164,24 @@ def make(
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
-    made = {lens: _built(path) for lens, path in zip(settings.built, built, strict=True)}
+    losses = {lens: _built(path) for lens, path in zip(settings.built, built, strict=True)}
     rows = []
     for rank in ranks:
         content = contents[rank.lens][1]
-        found = row(rank, settings.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
+        columns = row(rank, settings.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
         if "zero_shot_accuracy" in means[rank.lens]:
-            found["among_all"] = means[rank.lens]["zero_shot_accuracy"]
-        found |= {"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
-        rows.append(found | made.get(rank.lens, {}))
+            columns["among_all"] = means[rank.lens]["zero_shot_accuracy"]
+        columns |= {"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
+        rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
     digits = {"": ".1f", "group": "d", "f_number": ".2f", "mtf": ".2f", "rms": ".1f"}
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
     count = len(next(iter(correct.values())))
     note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count)
-    said = sentences(ranks, settings.titles)
-    said += [text for text in [sieve(ranks, settings.mtf, settings.sieved)] if text is not None]
+    answer = sentences(ranks, settings.titles)
+    answer += [text for text in [sieve(ranks, settings.mtf, settings.sieved)] if text is not None]
     left_out = [f"- {name}: {why}" for name, why in settings.left_out.items()]
-    below = "\n\n".join([*said, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
+    below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
     publish(csv, md, "Which lens for this network?", table, rounded(table, digits), below)
     drawings = {
         lens: section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
@@ -187,7 +189,7 @@ def make(
     }
     words = {"title": f"Which lens for {settings.model}?", "images": count, "sharp": sharp, "tuned": tuned}
     words |= {"left_out": settings.left_out, "grade": settings.grade.replace("_", " ")}
-    write_text(page, render(ranks, rows, drawings, said, **words))
+    write_text(page, render(ranks, rows, drawings, answer, **words))
 
 
 def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: float) -> dict[str, Any]:
@@ -211,15 +213,15 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
 
 def _built(path: Path) -> dict[str, float]:
     """Return what built lenses lose of the accuracy of their design: in the mean, and 95 of 100 at most [points]."""
-    found = distribution([{str(k): v for k, v in row.items()} for row in read_table(path).to_dict("records")])
-    return {"built_lose": found["lost"], "built_lose_95": found["accuracy_design"] - found["accuracy_5th"]}
+    built = distribution([{str(k): v for k, v in row.items()} for row in read_table(path).to_dict("records")])
+    return {"built_lose": built["lost"], "built_lose_95": built["accuracy_design"] - built["accuracy_5th"]}
 
 
 def render(
     ranks: Sequence[Rank],
     rows: Sequence[Mapping[str, Any]],
     drawings: Mapping[str, str],
-    said: Sequence[str],
+    answer: Sequence[str],
     **words: Any,
 ) -> str:
     """Return the page as HTML.
@@ -227,7 +229,7 @@ def render(
     Args:
         rows: of the table, in the order of `ranks`.
         drawings: cross-sections by lens, as SVG.
-        said: the answer, a sentence each.
+        answer: sentences.
         words: `title`; `images`, their number; `sharp`, the accuracy on them [%]; `tuned`, how the network got used to
             a lens; `left_out` with reasons by lens; `grade` of built lenses.
     """
@@ -242,5 +244,5 @@ def render(
     low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in better) // _SCALE))
     css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
     return environment.get_template("ranking.html").render(
-        entries=entries, said=said, css=css, low=low, width=100 - low, **words
+        entries=entries, answer=answer, css=css, low=low, width=100 - low, **words
     )

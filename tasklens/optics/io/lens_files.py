@@ -8,15 +8,14 @@ from typing import Any
 
 import torch
 from pydantic import ValidationError
-from scipy.optimize import brentq
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
-from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_object, check_stop
 from tasklens.optics.analysis.spots import chief_rays, lit
 from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -26,9 +25,7 @@ from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
-_ANGLES = torch.arange(0.5, 85.0, 0.5, dtype=torch.float64)  # of the search for a field by its image height [degrees]
 _AXIS_DEG = 1.0  # field of view of a specification whose only field is the axis
-_FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
 
 
 @dataclass(frozen=True)
@@ -196,7 +193,7 @@ def derived(shown: Prescription, changes: dict, wavelengths: tuple[float, ...], 
     own: dict[str, Any] = {"f_number": efl / float(2 * first_order.entrance_pupil_radius)}
     tangent = 1.0
     if "field_of_view_deg" not in changes:
-        tangent = _largest_tangent(shown, efl, float(first_order.entrance_pupil_z), reference)
+        tangent = largest_tangent(shown, efl, float(first_order.entrance_pupil_z), reference)
         own["field_of_view_deg"] = math.degrees(2 * math.atan(tangent)) if tangent else _AXIS_DEG
         own["diagonal_mm"] = 2 * efl * math.tan(math.radians(own["field_of_view_deg"]) / 2)
     lens, view = _changed(shown.lens, efl, own, changes, wavelengths)
@@ -241,60 +238,3 @@ def _dark(used: LensFile) -> list[str]:
                 f"{what} at {count} of {len(light)} fields, from {angle:.1f} degrees on: clear apertures stop it"
             )
     return remarks
-
-
-def _largest_tangent(shown: Prescription, efl: float, pupil_z: float, wavelength: float) -> float:
-    """Compute the tangent of the largest field angle of a prescription; zero if its only field is the axis.
-
-    Of an object height it is that of the chief ray, h / (distance to the entrance pupil); of a paraxial image height
-    h / (f k), with k of `image_scale`; of a real image height that of the chief ray that arrives there.
-
-    Raises:
-        InputError: the prescription has no fields, or such as need a near object, or no chief ray arrives.
-    """
-    if shown.fields is None:
-        raise InputError(f"has neither a spec nor fields; {_FIELD}")
-    kind, points = shown.fields
-    near = math.isfinite(shown.object_distance_mm)
-    if kind == "angle_deg":
-        return max(math.hypot(*(math.tan(math.radians(angle)) for angle in point)) for point in points)
-    height = max(math.hypot(*point) for point in points)
-    view = View(torch.zeros(1, 2, dtype=torch.float64), efl, (wavelength,), 1.0, 3, 1 / shown.object_distance_mm)
-    if kind == "object_height_mm" and near:
-        return height / (shown.object_distance_mm + pupil_z)
-    if kind == "paraxial_image_height_mm":
-        return height / (efl * abs(float(image_scale(shown.lens, view))))
-    if kind == "real_image_height_mm":
-        return _tangent_of_image_height(shown.lens, view, height) if height else 0.0
-    raise InputError(f"fields by {kind.replace('_', ' ')} and an object at infinity have no angle; {_FIELD}")
-
-
-def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
-    """Compute the tangent of the least field whose chief ray meets the image plane at `height` [mm].
-
-    Clear apertures are left out: they may stop the ray, which is another matter than where it goes.
-
-    Raises:
-        InputError: no chief ray arrives there.
-    """
-    at_stop = torch.arange(len(lens.media)) == lens.stop
-    unclipped = replace(lens, semi_diameter=torch.where(at_stop, lens.semi_diameter, math.inf))
-
-    def beyond(tangents: torch.Tensor) -> torch.Tensor:
-        """Return how far the chief rays arrive beyond `height` [mm]; NaN for a lost ray."""
-        fields = torch.stack([torch.zeros_like(tangents), tangents * view.efl], -1)
-        rays = chief_rays(unclipped, replace(view, fields=fields))
-        return torch.where(rays.valid, rays.y.abs(), math.nan)[:, 0, 0] - height
-
-    def beyond_at(tangent: float) -> float:
-        return float(beyond(torch.tensor([tangent], dtype=torch.float64))[0])
-
-    low = 0.0
-    for tangent in torch.tan(torch.deg2rad(_ANGLES)).tolist():  # no further than needed: a near object is not that wide
-        excess = beyond_at(tangent)
-        if excess >= 0:
-            return float(brentq(beyond_at, low, tangent))
-        if math.isnan(excess):
-            break
-        low = tangent
-    raise InputError(f"no chief ray arrives at the image height {height:g} mm of the file; {_FIELD}")
