@@ -324,3 +324,12 @@ def test_a_study_without_results_is_told(place, capsys):
     write("study.yaml", dump(parse(tiny_study())))
     assert "results/tiny: no study.yaml in it" in complaint(capsys, "export", "study.yaml")
     assert "no run of this study is known" in complaint(capsys, "status", "study.yaml")
+
+
+def test_without_the_repository_a_new_study_says_so(place, monkeypatch, capsys):
+    """As from an installed wheel, in which the other commands work."""
+    monkeypatch.setattr(new_study, "DEFAULT", place / "config.yaml")
+    new_study.default_study.cache_clear()
+    assert study("new", "mine", "--yes") == 2
+    assert "the workflow is not installed: clone the repository" in capsys.readouterr().err
+    new_study.default_study.cache_clear()

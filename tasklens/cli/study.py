@@ -100,10 +100,10 @@ def _elements(text: str) -> dict[str, list[str]]:
     found = {}
     for word in _words("--elements", text):
         name, given, plastics = word.partition("=")
-        if not given and name not in new_study.ELEMENTS:
-            known = ", ".join(new_study.ELEMENTS)
+        if not given and name not in new_study.elements():
+            known = ", ".join(new_study.elements())
             raise InputError(f"--elements: unknown {name!r}; expected one of {known}, or NAME=PLASTIC+PLASTIC")
-        found[name] = plastics.split("+") if given else list(new_study.ELEMENTS[name])
+        found[name] = plastics.split("+") if given else list(new_study.elements()[name])
     return found
 
 

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+NOT_INSTALLED = "the workflow is not installed: clone the repository, and install it by `pip install -e .`"
 PACKAGES = ("tasklens", "restoration")
 SETTINGS = "tasklens.study"
 

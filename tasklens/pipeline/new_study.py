@@ -3,13 +3,14 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from tasklens.pipeline.changes import in_one_line
-from tasklens.pipeline.digest import ROOT
+from tasklens.pipeline.digest import NOT_INSTALLED, ROOT
 from tasklens.pipeline.forecast import COMPARABLE, LARGE, duration, durations_of, elsewhere
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
@@ -22,10 +23,22 @@ from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"
 _OF_LARGE_IMAGES = [ROOT / "config" / name for name in ("photographs.yaml", "photographs_fine_tuned.yaml")]
-ELEMENTS = {"singlet": ["COC"]} | yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))["elements"]
 _CORE = ("tasklens", "image_error", "image_contrast", "imaging2", "imaging3")
 _LEAST = ("tasklens", "image_error", "imaging2")
 _WIDTH = 120  # of a line
+
+
+@cache
+def default_study() -> dict[str, Any]:
+    """Return the keys of the default study; raises InputError where the studies are not installed."""
+    if not DEFAULT.is_file():
+        raise InputError(f"{DEFAULT}: {NOT_INSTALLED}")
+    return yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+
+
+def elements() -> dict[str, list[str]]:
+    """Return the plastics of a singlet, and of the elements of the default study."""
+    return {"singlet": ["COC"]} | default_study()["elements"]
 
 
 @dataclass(frozen=True)
@@ -113,7 +126,7 @@ def content(wish: Wish, cut: Cut) -> dict[str, Any]:
 
 def _base(size: int) -> dict[str, Any]:
     """Return the default study; for large images with steps of designs and networks as in those of photographs."""
-    base = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+    base = dict(default_study())
     for path in _OF_LARGE_IMAGES if size >= LARGE else ():
         above = yaml.safe_load(path.read_text(encoding="utf-8"))
         base |= {key: laid_over(base[key], above.get(key, {})) for key in ("designs", "fine_tuning", "restoration")}
@@ -210,7 +223,7 @@ def check(wish: Wish, cut: Cut) -> None:
     """
     study = parse(content(wish, cut))
     class_folders.check(study.images)
-    known = yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))["classifiers"]
+    known = default_study()["classifiers"]
     if wish.weights is not None and wish.networks[0] in known:
         raise InputError(f"--weights: for a network of timm; {wish.networks[0]} is trained on the images")
     if others := [name for name in wish.networks if name not in known]:

@@ -18,7 +18,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf, lit
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.view import view_of_spec
-from tasklens.pipeline.digest import ROOT
+from tasklens.pipeline.digest import NOT_INSTALLED, ROOT
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
@@ -239,7 +239,7 @@ def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrit
     """
     snakefile = ROOT / "Snakefile"
     if not snakefile.is_file():
-        raise InputError("the workflow is not installed: clone the repository, and install it by `pip install -e .`")
+        raise InputError(f"{snakefile}: {NOT_INSTALLED}")
     folder = Path("results", str(content["name"]))
     path = folder / "ranking.yaml"
     write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
