@@ -161,6 +161,7 @@ def build(num_classes):
 """
 
 
+@pytest.mark.slow
 def test_a_function_of_ones_own_is_ranked_alike(here, capfd, monkeypatch):
     """In the jobs of the workflow too: it loads its own weights, and has the accuracies of the network by its name."""
     monkeypatch.setattr(sys, "path", sys.path[:])
@@ -172,6 +173,7 @@ def test_a_function_of_ones_own_is_ranked_alike(here, capfd, monkeypatch):
     pandas.testing.assert_frame_equal(*tables)
 
 
+@pytest.mark.slow
 def test_built_lenses_and_a_sieve(here, capfd):
     """The two lenses of the most MTF are measured, and the first one is built in simulation."""
     kept = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale", "--object", "100")
@@ -190,6 +192,7 @@ def test_built_lenses_and_a_sieve(here, capfd):
     assert all(study["ranking"]["mtf"][name] <= min(table["mtf"]) for name in left)
 
 
+@pytest.mark.slow
 def test_a_network_that_gets_used_to_each_lens(here):
     """After an epoch of fine-tuning, through PSFs with diffraction; all other photographs are for the training."""
     more = ("--fine-tune", "1", "--diffraction", "--name", "tuned", "--photographs", "20")
