@@ -132,6 +132,7 @@ SMALL = ("--size", "32", "--kernel-size", "15", "--diagonal", "1.0", "--pixel-pi
 SENSOR = (*WEIGHTS, *SMALL)
 
 
+@pytest.mark.slow
 def test_the_command_ranks_a_folder_of_lenses(here, capfd):
     """A table, a page, and reasons for what is not measured; two lenses that are the same are equal."""
     assert main([*COMMAND, *SENSOR]) == 0
@@ -255,3 +256,19 @@ def test_ranking_in_python_agrees_with_the_command(here):
     with pytest.raises(InputError, match="images: number 1: expected a pair"):
         tasklens.rank(lenses, [pairs[0], 3], network)
     shutil.rmtree("results", ignore_errors=True)
+
+
+def test_lenses_are_screened_for_a_sensor(here):
+    """Size and F-number of each stay; with `scaled`, a narrow one is enlarged until its field fills the sensor."""
+    paths = pipeline.lens_paths([here / "lenses"])
+    assert [path.name for path in paths] == ["Fast.2.yaml", "narrow.yaml", "notes.yaml", "sharp.yaml", "sharp_too.zmx"]
+    sensor = {"diagonal_mm": 1.0, "pixel_pitch_um": 4.0, "kernel_size": 15}
+    screened = pipeline.screen(paths, sensor, [], scaled=False)
+    assert set(screened.entries) == {"fast_2", "sharp", "sharp_too"} and set(screened.left_out) == {"narrow", "notes"}
+    assert screened.titles["fast_2"] == "Fast.2" and screened.mtf["sharp"] == pytest.approx(screened.mtf["sharp_too"])
+    assert screened.entries["fast_2"]["spec"]["f_number"] == pytest.approx(2.8, rel=1e-3)
+    focal_length = tasklens.load_lens(here / "lenses/sharp.yaml")[1].efl
+    half = numpy.radians(screened.entries["sharp"]["spec"]["field_of_view_deg"] / 2)
+    assert 0.5 / numpy.tan(half) == pytest.approx(focal_length, rel=1e-3)
+    scaled = pipeline.screen(paths, sensor, [], scaled=True)
+    assert scaled.entries["narrow"]["spec"]["field_of_view_deg"] == pytest.approx(10, rel=1e-6)
