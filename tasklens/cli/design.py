@@ -20,7 +20,7 @@ from tasklens.cli.network_options import (
     nested,
     network_settings,
 )
-from tasklens.cli.outputs import AsJson, Force, new_file, print_json
+from tasklens.cli.outputs import AsJson, Force, new_file, print_json, say
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
@@ -138,6 +138,8 @@ def design(
             baselines=() if unused is None else single.BASELINES,
             **specified,
         )
+    for remark in made.remarks:
+        say(f"{start}: {remark}")
     lens, view, notes = made.lens, made.view, made.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:

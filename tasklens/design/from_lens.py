@@ -62,7 +62,7 @@ def design(
     seed: int,
     own: Supervisors = OF_STUDY,
     baselines: Sequence[str] = (),
-) -> tuple[Designs, list[str]]:
+) -> Designs:
     """Improve a lens by a method.
 
     Args:
@@ -77,7 +77,7 @@ def design(
         baselines: criteria that each improve the lens with the same effort, for a comparison.
 
     Returns:
-        The lenses from the start to that of the method; and what was assumed, in words.
+        The lenses from the start to that of the method.
 
     Raises:
         InputError: an object at a finite distance, wavelengths that are not three, a variable that the lens does not
@@ -119,7 +119,7 @@ def design(
                 {},
                 task=by.task if entry.classified else None,
             )
-    return Designs(made, view, notes, by), remarks
+    return Designs(made, view, notes, by, (*file.remarks, *remarks))
 
 
 def resolved(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:

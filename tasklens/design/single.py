@@ -1,7 +1,7 @@
 """Design of one lens without a study."""
 
-import sys
 import tempfile
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ def design(
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
     result = designs(method, elements, **settings)
+    for remark in result.remarks:
+        warnings.warn(f"{settings['start']}: {remark}", stacklevel=3)
     return result.lens, result.view, result.notes
 
 
@@ -167,10 +169,8 @@ def _from_lens(
 ) -> Designs:
     """Improve the lens of a file."""
     file = lens_files.read(start, [*(Path(path) for path in catalogues), *users_files()], **spec)
-    result, remarks = from_lens.design(
+    result = from_lens.design(
         file, method, free, settings or {}, constraints or {}, images, classifier, seed, own, baselines
     )
-    for remark in (*file.remarks, *remarks):
-        print(f"tasklens: {start}: {remark}", file=sys.stderr)
     result.notes["origin"] |= {"start": str(start)}
     return result

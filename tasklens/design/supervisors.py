@@ -42,12 +42,14 @@ class Designs:
     Attributes:
         notes: notes for its file.
         supervisors: images and network of the design.
+        remarks: what was assumed about a lens of the user, in words.
     """
 
     lenses: Mapping[str, Lens]
     view: View
     notes: dict[str, Any]
     supervisors: Supervisors
+    remarks: tuple[str, ...] = ()
 
     @property
     def lens(self) -> Lens:
