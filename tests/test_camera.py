@@ -113,7 +113,7 @@ def test_a_lens_and_a_network_are_trained_together(lens, images):
 
 
 def test_a_lens_without_light_is_refused(lens):
-    """Where all light is stopped, a network would look at uniform grey."""
+    """A network would look at uniform grey if all light is stopped."""
     dark = replace(lens[0], semi_diameter=torch.tensor([1.0, 1e-6, 1e-6], dtype=torch.float64))
     with pytest.raises(InputError, match="no light arrives at the field"):
         tasklens.Camera(dark, lens[1])

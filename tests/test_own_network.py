@@ -9,8 +9,10 @@ from torch import nn
 import tasklens
 from tasklens.design.single import BASELINES, designs
 from tasklens.notebook.verdict import verdict
+from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import write_tensors
 from tasklens.study.settings import TrainingSettings
 
 PLATES = {"start": "flat", "batch_size": 4, "rays": 16}
@@ -93,12 +95,28 @@ def test_wrong_pairs_are_refused(network):
 
 def test_a_network_of_timm_keeps_its_normalisation(images):
     """As a module, as well as by its name."""
-    from tasklens.recognition.classifiers import Classifier
-
     made = timm.create_model("test_resnet", num_classes=3)
     found = Classifier(made)
     assert found.mean.flatten().tolist() == pytest.approx(made.pretrained_cfg["mean"])
     assert Classifier(small_network(0)).std.flatten().tolist() == [1, 1, 1]
+
+
+def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
+    """It has as many outputs as these images have classes."""
+    torch.manual_seed(0)
+    classifier = Classifier(timm.create_model("test_resnet", num_classes=3))
+    fit({"network": classifier}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
+    write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
+    named = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
+    lens, _, _ = tasklens.design("task", ["COC"], images=images, classifier=named, settings=QUICK, **SPEC)
+    assert lens.curvature.any()
+
+
+def test_unused_outputs_of_a_module_that_is_not_of_timm():
+    """A module need not say how many outputs it has: those that are not used are of ImageNet's thousand."""
+    network = nn.Linear(3, 1000)
+    assert Classifier(network, torch.tensor([3, 7])).has_more_outputs
+    assert not Classifier(network, torch.arange(1000)).has_more_outputs and not Classifier(network).has_more_outputs
 
 
 def test_a_verdict_names_the_best_lens_for_image_quality(images, network):

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
+from tasklens.recognition import class_folders
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
@@ -86,40 +87,42 @@ def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supe
     Raises:
         InputError: the network cannot be built, recognises nothing, or has an answer or a loss that cannot be used.
     """
-    from tasklens.recognition import class_folders, classifiers, dataset, sharp
+    from tasklens.recognition import classifiers, dataset, sharp
 
     entries = study.lenses.values()
     classified = any(entry.classified for entry in entries)
     if not any(entry.supervised for entry in entries):
         return Supervisors()
-    settings = study.classifier(study.supervisor)
-    photographs = study.images.folder
-    if classified and own.network is None:
-        names = list(map(str, range(RENDERED_CLASSES)))
-        if photographs is not None:
-            names = class_folders.training_classes(photographs)
-        classifiers.check(study.supervisor, settings, study.images.size, len(names))
-        classifiers.build(settings, names)  # before photographs are read for minutes
-    device = claim()
+    device, network = claim(), own.network
+    if classified and network is None:  # before photographs are read
+        settings, classes = study.classifier(study.supervisor), _classes(study, own)
+        classifiers.check(study.supervisor, settings, study.images.size, len(classes))
+        torch.manual_seed(0)
+        network = classifiers.build(settings, classes)
     if own.images is not None:
         images = replace(own.images, device=device)
     else:
         images = dataset.training_images(study.images, folder / "images.npy", device=device)
-    if not classified:
+    if not classified or network is None:
         return Supervisors(images)
-    torch.manual_seed(0)
-    network: nn.Module
-    if own.network is None:
-        network = classifiers.build(settings, images.classes).to(device)
-    else:
-        of_timm = hasattr(own.network, "pretrained_cfg")  # with its normalisation
-        as_classifier = own.task is None or of_timm
-        network = (classifiers.Classifier(own.network) if as_classifier else own.network).to(device)
+    if own.network is not None and (own.task is None or hasattr(network, "pretrained_cfg")):
+        network = classifiers.Classifier(network)  # one of timm has its normalisation
+    network = network.to(device)
+    if own.network is not None:
         _check(network, images, own.task)
     if own.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
         print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
     return Supervisors(images, network, own.task)
+
+
+def _classes(study: Study, own: Supervisors) -> Sequence[str]:
+    """Return the names of the classes of the images, which are not read for that."""
+    if own.images is not None:
+        return own.images.classes
+    if study.images.folder is not None:
+        return class_folders.training_classes(study.images.folder)
+    return [str(k) for k in range(RENDERED_CLASSES)]
 
 
 def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None:

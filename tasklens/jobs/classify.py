@@ -49,7 +49,7 @@ def fine_tune(
             untrained = classifiers.frozen(network, images.images)
             before = evaluation.evaluate([untrained], selection, pipeline, "minival, before training", checkpoint)
             zero_shot, on_test = [], None
-            if not settings.training.epochs or evaluation.has_more_outputs(network):
+            if not settings.training.epochs or network.has_more_outputs:
                 on_test = evaluation.evaluate([untrained], images, pipeline, "test, before training", checkpoint)
                 zero_shot = evaluation.zero_shot(network, on_test)
         training.fit(

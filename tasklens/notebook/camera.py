@@ -88,10 +88,6 @@ class Camera(nn.Module):
             values[name] = torch.where(self._free[name], value, held[name])
         return self._variables.assemble(values)
 
-    def psf(self) -> Tensor:
-        """Compute the point spread functions (F, 3, K, K) of the present lens, differentiable."""
-        return evaluation_psf(self.lens, self.view, self.rays)
-
     def forward(self, images: Tensor, fields: Tensor | None = None) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W).
 
@@ -100,7 +96,8 @@ class Camera(nn.Module):
         """
         if fields is None:
             fields = torch.randint(len(self.view.fields), (len(images),))
-        return self._camera(images).single(images, fields, noise(images.shape, torch.default_generator))
+        drawn = None if self.sensor is None else noise(images.shape, torch.default_generator)
+        return self._camera(images).single(images, fields, drawn)
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
@@ -117,6 +114,6 @@ class Camera(nn.Module):
         if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point():
             raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
         lens = self.lens
-        illumination = relative_illumination(lens.detached(), self.view)
+        light = None if self.sensor is None else relative_illumination(lens.detached(), self.view)
         psf = evaluation_psf(lens, self.view, self.rays).float().to(images.device)
-        return PsfCamera(psf, self.outside_window, self.colour, self.sensor, illumination.to(images.device))
+        return PsfCamera(psf, self.outside_window, self.colour, self.sensor, light)

@@ -1,4 +1,4 @@
-"""Which lens for a network, in a notebook: accuracies on the same photographs, with intervals and groups."""
+"""Rankings of lenses for a network in a notebook: accuracies on the same photographs, with intervals and groups."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ from torch import nn
 from tasklens.imaging import PsfCamera
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.datasheet import figures
-from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -48,7 +47,7 @@ class Ranking:
 
     @property
     def sentences(self) -> list[str]:
-        """Which lenses are equal, and how far the others are behind."""
+        """Sentences that name the lenses that are equal, and how far the others are behind."""
         return report.sentences(self.ranks, {})
 
     def save(self, path: str | Path, title: str = "Which lens for this network?", answer: Sequence[str] = ()) -> None:
@@ -125,7 +124,7 @@ def _correct(
         check_light(lens, view)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    camera = PsfCamera(evaluation_psf(lens, view, rays), illumination=relative_illumination(lens, view))
+    camera = PsfCamera(evaluation_psf(lens, view, rays))
     correct = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
     frame = pandas.DataFrame(evaluation.by_image(correct.int(), dataset))
     return frame.set_index(["image", "label"])

@@ -1,4 +1,4 @@
-"""What a lens for a task is worth, compared with the best lens for image quality of the same start and effort."""
+"""Verdicts on a lens for a task, compared with the best lens for image quality of the same start and effort."""
 
 import torch
 

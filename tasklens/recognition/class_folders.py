@@ -20,7 +20,7 @@ TRAIN, TEST = ("train",), ("test", "val")  # possible names of the folders of th
 def is_split(folder: Path) -> bool:
     """Return whether a folder has training and test images apart; otherwise it has the classes themselves."""
     if not folder.is_dir():
-        return True  # which whoever reads it says
+        return True  # its reader reports that it is missing
     inside = {entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")}
     return not inside or bool(inside & {*TRAIN, *TEST})
 

@@ -57,6 +57,11 @@ class Classifier(nn.Module):
         self.register_buffer("std", torch.tensor(config["std"])[:, None, None], persistent=False)
         self.register_buffer("outputs", outputs, persistent=False)
 
+    @property
+    def has_more_outputs(self) -> bool:
+        """True if the network has outputs that are not used, so that its zero-shot accuracy is another one."""
+        return self.outputs is not None and len(self.outputs) < ImageNetInfo().num_classes()
+
     def all_outputs(self, images: Tensor) -> Tensor:
         """Compute the logits (B, outputs) of images (B, 3, H, W) in [0, 1], of all outputs of the network."""
         normalised = (images - self.mean) / self.std

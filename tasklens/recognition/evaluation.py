@@ -135,15 +135,10 @@ def zero_shot(classifier: Classifier, before: Evaluation) -> list[dict]:
     Returns:
         Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
     """
-    if not has_more_outputs(classifier):
+    if not classifier.has_more_outputs:
         return []
     values = (100 * before.among_all[0].double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
-
-
-def has_more_outputs(classifier: Classifier) -> bool:
-    """Return whether a network has more outputs than are used, so that its zero-shot accuracy is another one."""
-    return classifier.outputs is not None and len(classifier.outputs) != classifier.network.num_classes
 
 
 @torch.no_grad()

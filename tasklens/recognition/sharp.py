@@ -1,4 +1,4 @@
-"""What a network recognises of sharp images, before lenses are designed by it or compared with it."""
+"""Accuracy of a network on sharp images, before lenses are designed by it or compared with it."""
 
 import math
 from collections.abc import Callable

@@ -40,7 +40,7 @@ class RankingJob(Frozen):
     @classmethod
     def of(cls, study: Study) -> "RankingJob":
         """Return the settings of the job."""
-        ranking = study.ranking
+        ranking, lenses = study.ranking, study.lenses
         return cls(
             study=study.name,
             classifier=study.supervisor,
@@ -49,7 +49,7 @@ class RankingJob(Frozen):
             titles=ranking.titles,
             left_out=ranking.left_out,
             mtf=ranking.mtf,
-            sieved=tuple(name for name in ranking.mtf if name not in study.lenses),
+            sieved=tuple(name for name in ranking.mtf if name not in lenses),
             built=ranking.built,
             grade=study.tolerances.grade.name,
             epochs=study.fine_tuning.epochs,

@@ -267,7 +267,7 @@ class SensorSettings(Frozen):
 
 
 class RankingSettings(Frozen):
-    """What `tasklens rank` knows of the lenses of a study beside their files."""
+    """Facts of the lenses of a study that `tasklens rank` adds to their files."""
 
     titles: dict[str, str] = Field({}, description="How lenses are called, by lens.")
     left_out: dict[str, str] = Field({}, description="Lenses that are not measured, and why.")
