@@ -5,7 +5,7 @@ from snakemake.utils import min_version
 from tasklens.pipeline import snakemake_internals
 from tasklens.study import loading
 
-min_version("9.10")
+min_version("9.19")  # priorities that depend on wildcards
 
 FILES = snakemake_internals.configfiles(workflow)
 if not FILES:

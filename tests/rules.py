@@ -70,7 +70,7 @@ def job_of(name: str, study: Study, **wildcards: str | int) -> Job:
     """The job of a rule in a study."""
     variables = workflow().globals
     variables |= {"STUDY": study, "POINTS": at_points(study)}
-    for cached in ("study_named", "durations_in"):
+    for cached in ("study_named", "durations_in", "lenses_of_table1"):
         variables[cached].cache_clear()
     rule = workflow().get_rule(name)
     values = Wildcards(fromdict={"study": study.name} | {key: str(value) for key, value in wildcards.items()})

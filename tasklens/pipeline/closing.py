@@ -10,6 +10,7 @@ from tasklens.pipeline.forecast import duration
 from tasklens.report.page import words
 from tasklens.report.verdicts import LEAST_SEEDS
 from tasklens.study.loading import at_points
+from tasklens.study.parts import owner
 from tasklens.study.report_jobs import ReportJob
 from tasklens.study.study import Study
 
@@ -24,6 +25,7 @@ def success(study: Study, found: Mapping[str, runs.Run]) -> str:
         study: the study of the configuration.
         found: the run of each study, such as the points of a sweep; empty if nothing was to be done.
     """
+    found = {name: run for name, run in found.items() if name == owner(name)}  # a part ends long before its study
     lines = [
         f"\nStudy {name}: {len(run.jobs)} job{'s' * (len(run.jobs) > 1)} in {duration(run.ended - run.started)}."
         for name, run in found.items()

@@ -12,6 +12,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
 from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.parts import owner, parts
 from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError
 
@@ -45,12 +46,12 @@ PAPER_VALUES = ROOT / "tasklens" / "report" / "paper.csv"
 
 @cache
 def study_named(name):
-    """Return the study of this name: that of the configuration, one in a folder of studies, or a point of these."""
-    studies = [STUDY, *POINTS]
+    """Return the study of this name: that of the configuration, one in a folder of studies, a point or a part of these."""
+    studies = [STUDY, *POINTS, *parts(STUDY)]
     if name not in (study.name for study in studies):
         path = loading.file_of(name.partition("/")[0])
         study = loading.load(path)
-        studies = [study, *loading.at_points(study)]
+        studies = [study, *loading.at_points(study), *parts(study)]
         if study.name != name.partition("/")[0]:
             raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, by which results/{name} asks for it")
     try:
@@ -100,10 +101,39 @@ def paths(pattern, study, keys=((),), **fixed):
     """Return paths of a pattern such as `rules.design.output.lens`: one for each of the keys, tuples of wildcards.
 
     The wildcards of a key are those of lens, measured_name, task and seed that the pattern has and `fixed` has not.
+    Lenses, and what is measured through them, are not made again for a part of a study.
     """
     order = [name for name in ("lens", "measured_name", "task", "seed") if f"{{{name}}}" in pattern]
     wildcards = [name for name in order if name not in fixed]
-    return [pattern.format(study=study.name, **fixed, **dict(zip(wildcards, key, strict=True))) for key in keys]
+    name = owner(study.name) if order else study.name
+    return [pattern.format(study=name, **fixed, **dict(zip(wildcards, key, strict=True))) for key in keys]
+
+
+@cache
+def lenses_of_table1(name):
+    """Return the lenses in table 1 of a study, and the sharp images, each with the number of its element count."""
+    study = study_named(name)
+    order = {elements: number for number, elements in enumerate(study.elements)}
+    lenses = paper_tables.table(study, "table1").lenses if "table1" in study.tables else ()
+    return {names.SHARP: 0} | {lens: order[study.lens(lens).elements] for lens in lenses}
+
+
+def early(rank=0):
+    """Return a priority: jobs of table 1 of the first element counts come first, and among them those of greater rank."""
+
+    def priority(wildcards):
+        study = study_named(owner(study_of(wildcards).name))
+        first = len(study.elements) + rank
+        if study.name != wildcards.get("study", STUDY.name):  # a part
+            return first
+        if {wildcards.get(name, study.supervisor) for name in ("classifier", "measured_name")} != {study.supervisor}:
+            return rank
+        if "lens" not in wildcards.keys():
+            return first
+        lenses = lenses_of_table1(study.name)
+        return first - lenses[wildcards.lens] if wildcards.lens in lenses else rank
+
+    return priority
 
 
 wildcard_constraints:

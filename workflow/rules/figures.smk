@@ -27,6 +27,7 @@ rule certificate:
         "results/{study}/benchmarks/certificate/{lens}-seed{seed}.tsv"
     wildcard_constraints:
         lens=r"(?!figure[34]-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
+    priority: early()
     resources:
         **needs("certificate"),
     params:
@@ -100,7 +101,7 @@ rule frames:
 rule captures:
     """Take some test images through every lens, of the first seed, and let each network classify them."""
     input:
-        test=TEST,
+        test=lambda w: [path.format(study=owner(w.study)) for path in TEST],
         psfs=lambda w: psf_files(
             study_of(w), [(lens, study_of(w).seeds[0]) for lens in report_jobs.CapturesJob.of(study_of(w)).captures]
         ),
@@ -120,6 +121,7 @@ rule captures:
         "results/{study}/logs/captures.log",
     benchmark:
         "results/{study}/benchmarks/captures.tsv"
+    priority: early()
     resources:
         **needs("captures"),
     params:

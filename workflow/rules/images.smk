@@ -41,6 +41,7 @@ rule reference:
         "results/{study}/logs/reference/{classifier}.log",
     benchmark:
         "results/{study}/benchmarks/reference/{classifier}.tsv"
+    priority: early()
     retries: 1
     resources:
         **needs("reference", gpu=1),

@@ -19,6 +19,7 @@ rule fine_tune:
         "results/{study}/logs/fine_tune/{lens}-{measured_name}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/fine_tune/{lens}-{measured_name}-seed{seed}.tsv"
+    priority: early()
     retries: 1
     threads: processes
     resources:

@@ -85,6 +85,8 @@ onstart:
         if found[name].otherwise:
             amount = changes.amount(found[name].otherwise, durations_in(name), cores)
             print(f"Changed code or input files: {amount}")
+        if name != owner(name):
+            continue  # the pages of its parts take seconds
         print(durations_in(name).forecast([job.rule for job in jobs.values()], cores))
         files.write_if_changed(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for people
     terminal.begin(planned, cores)

@@ -23,6 +23,7 @@ rule table:
         "results/{study}/logs/table/{table}.log",
     benchmark:
         "results/{study}/benchmarks/table/{table}.tsv"
+    priority: early()
     resources:
         **needs("table"),
     params:
@@ -48,6 +49,7 @@ rule verdicts_table:
         "results/{study}/logs/verdicts_table.log",
     benchmark:
         "results/{study}/benchmarks/verdicts_table.tsv"
+    priority: early()
     resources:
         **needs("verdicts_table"),
     params:
@@ -125,6 +127,7 @@ rule psf_tail_table:
         "results/{study}/logs/psf_tail_table.log",
     benchmark:
         "results/{study}/benchmarks/psf_tail_table.tsv"
+    priority: early()
     resources:
         **needs("psf_tail_table"),
     params:
@@ -150,6 +153,7 @@ rule effort_table:
         "results/{study}/logs/effort_table.log",
     benchmark:
         "results/{study}/benchmarks/effort_table.tsv"
+    priority: early()
     resources:
         **needs("effort_table"),
     params:
@@ -257,6 +261,7 @@ rule report_page:
         "results/{study}/logs/report_page.log",
     benchmark:
         "results/{study}/benchmarks/report_page.tsv"
+    priority: early()
     resources:
         **needs("report_page"),
     params:
