@@ -7,6 +7,7 @@ rays with a wavelength each, traced by `surfaces.trace`, its parameters updated 
 """
 
 import math
+import statistics
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -51,6 +52,7 @@ SURFACES = (  # curvature, conic, thickness, indices behind, alpha_4 .. alpha_16
         (-0.096568, 0.026771, -0.011261, 0.0019879, 0.00015579, -0.00012433, 1.5264e-05),
     ),
 )
+ASPHERES = len(SURFACES) - 1
 FIELDS_DEG = [(10.0 * i, 10.0 * j) for i in range(3) for j in range(3)]
 _CALLS = 8  # in each turn
 NAMES = ("curvature", "conic", "alpha", "thickness")
@@ -95,7 +97,7 @@ def floor(dtype: torch.dtype, rays: int) -> tuple[float, float]:
     roots share a unit of the processor, which works beside the multiply-adds, so that the larger of the two counts.
     """
     multiply_add, root, division = _rates(dtype)
-    orders, surfaces = 8, len(SURFACES) - 1  # coefficients are padded to eight
+    orders, surfaces = 8, ASPHERES  # coefficients are padded to eight
     steps = 2 if dtype == torch.float32 else 3
 
     def least(*parts: tuple) -> float:
@@ -300,9 +302,14 @@ def main(argv: list[str] | None = None) -> None:
             shown = [spread(times["ours"], 1e3)]
             shown += [label, spread(times["other"], 1e3), ratio(times["other"], times["ours"])] if versus else ["–"] * 3
             backward = name != "trace, forward"
-            least = floor(getattr(torch, precision), 27 * (train if backward else evaluate))[backward]
-            rows.append((name, precision, *shown, f"{1e3 * least:.2g}"))
+            rays = 27 * (train if backward else evaluate)
+            least = floor(getattr(torch, precision), rays)[backward]
+            speed = rays * ASPHERES / statistics.median(times["ours"])
+            rows.append(
+                (name, precision, *shown, f"{1e3 * least:.2g}", f"{speed:.2g}", f"{rays * ASPHERES / least:.2g}")
+            )
     columns = ("load", "precision", "ours [ms]", "against", "its time [ms]", "ratio", "floor of the rays [ms]")
+    columns += ("rays x aspheres per second", "at the floor")
     report("Rays and PSFs, 9 fields x 3 colours", columns, rows, options.save)
 
 

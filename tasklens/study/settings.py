@@ -240,15 +240,24 @@ class RestorationSettings(Frozen):
     encoder: tuple[Small, ...] = Field((1, 1, 1, 8), max_length=8, description="Blocks of each encoder level.")
     middle: Small = Field(1, description="Blocks between encoder and decoder.")
     decoder: tuple[Small, ...] = Field((1, 1, 1, 1), max_length=8, description="Blocks of each decoder level.")
-    steps: Steps = Field(description="Maximum number of steps; training ends earlier when it has converged.")
-    check: Steps = Field(200, description="Steps between validations on the minival.")
+    steps: Steps = Field(description="Number of steps.")
+    check: Steps = Field(500, description="Steps between validations on the minival.")
     batch_size: Batch = Field(32, description="Captures per step.")
-    learning_rate: LearningRate = Field(1e-3, description="Learning rate of AdamW before it drops to a tenth.")
+    crop: Annotated[Whole, Field(gt=0, le=8192)] | None = Field(
+        None, description="Side of the crops of captures in training [pixels]; null: whole captures."
+    )
+    learning_rate: LearningRate = Field(
+        1e-3, description="Largest learning rate of AdamW, after a warm-up; it falls along a cosine to zero."
+    )
 
     @model_validator(mode="after")
     def _symmetric(self) -> "RestorationSettings":
         if len(self.encoder) != len(self.decoder):
             raise ValueError("`encoder` and `decoder` need the same number of levels")
+        if self.crop is not None and self.crop % self.multiple:
+            raise ValueError(
+                f"crop = {self.crop}: expected a multiple of {self.multiple} for {len(self.encoder)} levels"
+            )
         return self
 
     @property
