@@ -304,10 +304,8 @@ def main(argv: list[str] | None = None) -> None:
             backward = name != "trace, forward"
             rays = 27 * (train if backward else evaluate)
             least = floor(getattr(torch, precision), rays)[backward]
-            speed = rays * ASPHERES / statistics.median(times["ours"])
-            rows.append(
-                (name, precision, *shown, f"{1e3 * least:.2g}", f"{speed:.2g}", f"{rays * ASPHERES / least:.2g}")
-            )
+            speeds = (rays * ASPHERES / seconds for seconds in (statistics.median(times["ours"]), least))
+            rows.append((name, precision, *shown, f"{1e3 * least:.2g}", *(f"{speed:.2g}" for speed in speeds)))
     columns = ("load", "precision", "ours [ms]", "against", "its time [ms]", "ratio", "floor of the rays [ms]")
     columns += ("rays x aspheres per second", "at the floor")
     report("Rays and PSFs, 9 fields x 3 colours", columns, rows, options.save)

@@ -122,12 +122,12 @@ def test_learning_rate_rises_and_falls_to_zero_and_the_last_network_is_returned(
 
 
 def test_crops_train_a_network_for_whole_captures():
-    """Captures and images are cut alike: crops teach as whole captures do; a crop as large as the image is the image."""
+    """Captures and images are cut alike, and a crop as large as the image is the image."""
     sharp, minival = random_images(16, 32, 2, seed=0), random_images(8, 32, 2, seed=1)
     images, _ = minival.batch(torch.arange(8))
     captures = blurred().single(images, torch.zeros(8, dtype=torch.long))
     before = psnr(captures, images).mean()
-    _, history = training.train(TINY.model_copy(update={"crop": 16}), sharp, minival, blurred(), 0)
+    _, history = training.train(TINY.model_copy(update={"crop": 16, "steps": 200}), sharp, minival, blurred(), 0)
     assert history[-1]["psnr_db"] > before + 0.5
     whole, cut = (
         training.train(TINY.model_copy(update={"steps": 2, "crop": crop}), sharp, minival, blurred(), 0)[1]

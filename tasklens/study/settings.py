@@ -255,9 +255,8 @@ class RestorationSettings(Frozen):
         if len(self.encoder) != len(self.decoder):
             raise ValueError("`encoder` and `decoder` need the same number of levels")
         if self.crop is not None and self.crop % self.multiple:
-            raise ValueError(
-                f"crop = {self.crop}: expected a multiple of {self.multiple} for {len(self.encoder)} levels"
-            )
+            levels = len(self.encoder)
+            raise ValueError(f"crop = {self.crop}: expected a multiple of {self.multiple} for {levels} levels")
         return self
 
     @property
