@@ -150,9 +150,9 @@ def test_restoration_and_drawings(lenses):
     restored = metrics("singlet-imaging1", "small-restored")
     assert values(restored, "psnr_db") != values(metrics("singlet-imaging1"), "psnr_db")
     assert {row["restored"] for row in read_rows(restored)} == {"True"}
-    made = finish("certificate", STUDY, lens="singlet-imaging1", seed=0)
-    assert made.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    page = made.page.read_text()
+    drawn = finish("drawing", STUDY, lens="singlet-imaging1", seed=0)
+    assert drawn.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    page = finish("certificate", STUDY, lens="singlet-imaging1", seed=0).page.read_text()
     assert page.startswith("# singlet-imaging1, seed 0\n") and "## Manufacturability" in page
 
 
@@ -163,7 +163,7 @@ def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     study = changed(tiny_study(), "imported.cooke", entry)
     path = lenses / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
-    for rule in ("design", "certificate"):
+    for rule in ("design", "certificate", "drawing"):
         finish(rule, load(path), lens="triplet-cooke", seed=0)
     content = lens_content("triplet-cooke")
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4

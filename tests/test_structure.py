@@ -147,6 +147,7 @@ NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
         ("captures", ("numba", "matplotlib", "torchvision.transforms.v2")),
         ("psf_tail", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib")),
         ("certificate", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot")),
+        ("drawing", (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot")),
         ("restore", ("numba", "pandas", "matplotlib")),
         ("production", ("torchvision.transforms.v2", "matplotlib")),
         ("reference", ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2")),
@@ -251,7 +252,7 @@ JUDGE = {"verdicts_table", "regimes_table", "ablation", "report_page"}
 RESAMPLED = JUDGE | {"ranking_table", "tolerances_table"}
 TABLES = {f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances", "tasks")}
 TABLES |= {"table", "certificate", "production"}
-FIGURES = {"certificate", "comparison", "frames", "ranking_table", "tasks_table"}
+FIGURES = {"certificate", "comparison", "drawing", "frames", "ranking_table", "tasks_table"}
 MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function_table", "tolerances_table", *JUDGE}
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail_table", "production", *FIGURES}

@@ -173,7 +173,13 @@ def expected_of_everything(study: Study) -> dict[str, int]:
         found.measured |= {(lens, study.supervisor, False) for lens in lenses}
         found.add_starts([study.lens(lens) for lens in lenses])
     every = len(study.lenses)
-    per_seed = {"certificate": every, "comparison": len(drawn), "frames": len(drawn), "reproduce": again}
+    per_seed = {
+        "certificate": every,
+        "drawing": every,
+        "comparison": len(drawn),
+        "frames": len(drawn),
+        "reproduce": again,
+    }
     return found.counts(("ablation", len(study.ablations)), **per_seed)
 
 

@@ -1,4 +1,4 @@
-"""The certificate of a lens: figures, aberrations, limits and manufacturability; its drawings, and its Zemax file."""
+"""The certificate of a lens: figures, aberrations, limits and manufacturability; pictures of it, and its Zemax file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,11 +26,8 @@ def run(
     spots: Path,
     psfs: Path,
     curves: Path,
-    figure: Path,
-    figure_svg: Path,
-    figure_pdf: Path,
 ) -> None:
-    """Write the page and the Zemax file, and draw the lens: as one figure, and in parts."""
+    """Write the page and the Zemax file, and draw the parts of the lens's figure."""
     prescribed, content = prescription.read(lens)
     designed = prescribed.lens
     view = view_of(designed, content, str(lens))
@@ -44,6 +41,4 @@ def run(
     )
     write_text(page, f"{text}\n{limits}")
     zemax_files.write(zemax, replace(prescription.with_use(prescribed, view), title=settings.lens, aperture=None))
-    panel = figures.panel(settings.lens, lens, psf)
-    figures.draw([figure, figure_svg, figure_pdf], [panel])
-    figures.draw_parts(panel, section, spots, psfs, curves)
+    figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)

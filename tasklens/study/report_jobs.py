@@ -15,8 +15,19 @@ from tasklens.study.tables import MeasuredKey, SeededLenses, TableContents
 from tasklens.study.tolerance_settings import Grade
 
 
+class DrawingJob(Frozen):
+    """The figure of a lens."""
+
+    lens: str
+
+    @classmethod
+    def of(cls, study: Study, lens: str, seed: int) -> "DrawingJob":
+        """Return the settings of the job."""
+        return cls(lens=lens)
+
+
 class CertificateJob(Frozen):
-    """The page and the drawings of a lens."""
+    """The page and the pictures of a lens."""
 
     lens: str
     seed: int

@@ -2,7 +2,7 @@
 
 
 rule certificate:
-    """Write the page of a lens, with limits and manufacturability, and draw it: cross-section, spot diagrams, PSFs."""
+    """Write the page of a lens, with limits and manufacturability, its Zemax file, and pictures for the report."""
     input:
         lens=rules.design.output.lens,
         psf=psf,
@@ -13,26 +13,45 @@ rule certificate:
         spots="results/{study}/lenses/{lens}/seed{seed}/spots.webp",
         psfs="results/{study}/lenses/{lens}/seed{seed}/psfs.webp",
         curves="results/{study}/lenses/{lens}/seed{seed}/curves.webp",
-        figure=report(
-            "results/{study}/figures/{lens}-seed{seed}.png",
-            caption="../report/certificate.rst",
-            category="Lenses",
-            labels={"study": "{study}", "lens": "{lens}", "seed": "{seed}"},
-        ),
-        figure_svg="results/{study}/figures/{lens}-seed{seed}.svg",
-        figure_pdf="results/{study}/figures/{lens}-seed{seed}.pdf",
     log:
         "results/{study}/logs/certificate/{lens}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/certificate/{lens}-seed{seed}.tsv"
-    wildcard_constraints:
-        lens=r"(?!figure[34]-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
     priority: early()
     resources:
         **needs("certificate"),
     params:
         **call("tasklens.jobs.certificate.run"),
         settings=settings(report_jobs.CertificateJob.of),
+    script:
+        "../scripts/job.py"
+
+
+rule drawing:
+    """Draw a lens as one figure: cross-section, spot diagrams, PSFs, ray fans, MTF and encircled energy."""
+    input:
+        lens=rules.design.output.lens,
+        psf=psf,
+    output:
+        figure=report(
+            "results/{study}/figures/{lens}-seed{seed}.png",
+            caption="../report/drawing.rst",
+            category="Lenses",
+            labels={"study": "{study}", "lens": "{lens}", "seed": "{seed}"},
+        ),
+        figure_svg="results/{study}/figures/{lens}-seed{seed}.svg",
+        figure_pdf="results/{study}/figures/{lens}-seed{seed}.pdf",
+    log:
+        "results/{study}/logs/drawing/{lens}-seed{seed}.log",
+    benchmark:
+        "results/{study}/benchmarks/drawing/{lens}-seed{seed}.tsv"
+    wildcard_constraints:
+        lens=r"(?!figure[34]-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
+    resources:
+        **needs("drawing"),
+    params:
+        **call("tasklens.jobs.drawing.run"),
+        settings=settings(report_jobs.DrawingJob.of),
     script:
         "../scripts/job.py"
 

@@ -130,7 +130,7 @@ rule tasks:
 rule figures:
     """Drawings of every lens."""
     input:
-        at_points(rules.certificate.output.figure, lens_keys),
+        at_points(rules.drawing.output.figure, lens_keys),
     localrule: True
 
 
