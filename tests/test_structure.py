@@ -285,7 +285,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ("tasklens/report/publish.py", "index=False", "index=True", TABLES | JUDGE | {"sweep_table"}),
         ("tasklens/study/names.py", '"-restored"', '"-mended"', set()),  # it is in the settings
         ("restoration/nafnet.py", "chunk(2, dim=1)", "chunk(2, dim=-3)", SEE),
-        ("restoration/training.py", "_GAIN_DB = 0.1", "_GAIN_DB = 0.2", {"restore"}),
+        ("restoration/training.py", "_WARMUP = 0.05", "_WARMUP = 0.1", {"restore"}),
         ("tasklens/jobs/design.py", "FieldPsfs(grid,", "FieldPsfs(grid * 1,", {"design"}),
         ("tasklens/optics/analysis/diffraction.py", "_MARGIN = 8.0", "_MARGIN = 9.0", OPTICS),
         (

@@ -286,11 +286,11 @@ def with_imported(folder: Path) -> dict:
 
 
 def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
-    """It has the jobs of an imaging design, and no other lens waits for it, nor for `imaging3`, which stops light."""
+    """It has the jobs of an imaging design, and no other lens waits for it."""
     study = with_imported(tmp_path)
     monkeypatch.chdir(tmp_path)
     counts = expected(parse(study))
-    assert counts["design"] == 11 and counts["restore"] == 9
+    assert counts["design"] == 8 and counts["restore"] == 6
     assert plan(tmp_path, study, "tables") == counts
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
     assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}

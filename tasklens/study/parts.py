@@ -33,6 +33,7 @@ def _part(study: Study, names: list[str]) -> Study:
         "imported": {name: lens for name, lens in content["imported"].items() if lens["elements"] in names},
         "ablations": {},
         "restored": None,
-        "tasks": {},
+        "tasks": content["tasks"] | {"designs": None},
+        "tolerances": content["tolerances"] | {"designs": None},
     }
     return parse(content)

@@ -274,15 +274,6 @@ class SensorSettings(Frozen):
     bits: Annotated[Whole, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
 
 
-class RankingSettings(Frozen):
-    """Facts of the lenses of a study that `tasklens rank` adds to their files."""
-
-    titles: dict[str, str] = Field({}, description="How lenses are called, by lens.")
-    left_out: dict[str, str] = Field({}, description="Lenses that are not measured, and why.")
-    mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which a sieve has chosen them.")
-    built: tuple[str, ...] = Field((), description="Lenses that are built in simulation.")
-
-
 class CaptureSettings(Frozen):
     """Settings of captures: light outside the PSF window, colour values that are convolved, diffraction, the sensor."""
 

@@ -115,7 +115,7 @@ def lenses_of_table1(name):
     study = study_named(name)
     order = {elements: number for number, elements in enumerate(study.elements)}
     lenses = paper_tables.table(study, "table1").lenses if "table1" in study.tables else ()
-    return {names.SHARP: 0} | {lens: order[study.lens(lens).elements] for lens in lenses}
+    return {names.SHARP: 0} | {lens: order.get(study.lens(lens).elements, len(order)) for lens in lenses}
 
 
 def early(rank=0):
