@@ -14,6 +14,7 @@ rule images:
         "results/{study}/logs/images.log",
     benchmark:
         "results/{study}/benchmarks/images.tsv"
+    priority: early(1)  # it takes all cores, and nearly all other jobs wait for it
     retries: 1
     threads: 8
     resources:
