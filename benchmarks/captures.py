@@ -3,7 +3,7 @@
 51 x 51 PSFs at nine fields, reflected borders, the same veil; forward, and forward with backward to the PSFs. Two ways
 to convolve directly: `plain`, which a user would write, with the colours as groups and the fields as output channels;
 `fastest`, the best of those tried, with a call per colour that takes the images as batch. The differences are the
-largest of the captures, and of the gradients relative to the largest gradient.
+largest ones of the captures, and of the gradients relative to the largest gradient.
 """
 
 import math
@@ -61,9 +61,9 @@ def differences(render: Callable, other: Callable, psf: Tensor, images: Tensor, 
 def bare_work(count: int, pixels: int, fields: int, kernel: int, backward: bool) -> dict[str, Callable[[], object]]:
     """Return the least work of captures: each part alone, on planes that stay in the cache.
 
-    Two real planes are one complex plane, or each has half a spectrum: the floor has the faster one. Transformed are
-    images, PSFs and captures; backward again captures and PSFs. Each capture has a product of spectra, and goes through
-    memory once; backward again.
+    Two real planes are one complex plane, or each has half a spectrum: the floor takes the faster one. The forward pass
+    transforms images, PSFs and captures; the backward pass transforms captures and PSFs again. In each pass, a capture
+    costs one product of spectra and one pass through memory.
     """
     side = 4 * next_fast_len(-(-(pixels + kernel - 1) // 4))
     pairs, passes = math.ceil(count / 2), 1 + backward
@@ -91,7 +91,7 @@ def bare_work(count: int, pixels: int, fields: int, kernel: int, backward: bool)
 
 
 def floors(camera_work: Callable[[], object], bare: dict[str, Callable[[], object]], rounds: int) -> tuple[str, ...]:
-    """Time captures and their least work in turn: parts, floor, PsfCamera [ms], and PsfCamera's time over the floor."""
+    """Time captures and their least work in turn: parts, floor, PsfCamera [ms], and the ratio of PsfCamera to floor."""
     times = timing.alternate({"camera": camera_work} | bare, rounds)
     transforms = [min(pair) for pair in zip(times["complex"], times["real"], strict=True)]
     floor = [sum(parts) for parts in zip(transforms, times["products"], times["memory"], strict=True)]

@@ -1,10 +1,10 @@
 """A study of a thousand lenses on a cluster: planning it, and a simulation of its run over the graph of its jobs.
 
-Planned is `snakemake -n tables` of the paper's study with many seeds, in a process of its own; the targets are 60 s and
-1 GB. Simulated is list scheduling of the same jobs: a GPU that is free takes the job of the highest priority, then the
-one declared first. Durations of jobs with networks are counted (cost.py, an A100), images are read at an assumed rate,
-all others last as long as those of the study `small` (config/durations.csv). Not in them: starting a job, its queue,
-rays and captures. A job fails at a random time, and goes on from its checkpoint, or from the beginning.
+The plan is `snakemake -n tables` of the paper's study with many seeds, in a separate process; the targets are 60 s and
+1 GB. The simulation schedules the same jobs by a list: a free GPU takes the job of the highest priority; among equals,
+the one declared first. Durations of jobs with networks are computed (cost.py, an A100), images are read at an assumed
+rate, and all other jobs last as long as in the study `small` (config/durations.csv). The durations omit starting a job,
+its queue, rays and captures. A job fails at a random time, and resumes from its checkpoint or restarts.
 """
 
 import json
@@ -30,17 +30,17 @@ def planned(study: str, seeds: int) -> tuple[list[PlannedJob], float, float, flo
     """Jobs, wall and processor time [s] and peak memory [GB] of Snakemake's dry run."""
     words = ["-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", "1", "-n", "tables"]
     words += ["--configfile", str(Path(study).resolve()), "--config", f"seeds={list(range(seeds))}", "plan=jobs.json"]
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as log:
         begin, peak = time.monotonic(), 0
-        process = psutil.Popen([sys.executable, *words], cwd=folder, stdout=said, stderr=subprocess.STDOUT)
+        process = psutil.Popen([sys.executable, *words], cwd=folder, stdout=log, stderr=subprocess.STDOUT)
         ended = 0, 0, None
-        while not ended[0]:  # sampled: what Linux gives at the end has the memory of this process in it
+        while not ended[0]:  # sampled, because Linux's final value includes this process
             peak = max(peak, process.memory_info().rss)
             time.sleep(0.05)
             ended = os.wait4(process.pid, os.WNOHANG)
         wall = time.monotonic() - begin
-        said.seek(0)
-        assert not ended[1], said.read()
+        log.seek(0)
+        assert not ended[1], log.read()
         jobs = [PlannedJob(**row) for row in json.loads(Path(folder, "jobs.json").read_text())]
     return jobs, wall, ended[2].ru_utime + ended[2].ru_stime, peak / 1e9
 
@@ -53,9 +53,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--failing", type=float, default=0.01, help="probability that an attempt fails")
     options = parser.parse_args(arguments)
     seeds, gpus, trials = (1, 4, 2) if options.tiny else (options.seeds, options.gpus, 20)
-    jobs, *found = planned(options.study, seeds)
+    jobs, *figures = planned(options.study, seeds)
     title, columns = f"Planning {options.study}, {seeds} seeds", ("jobs", "time [s]", "processor time [s]", "peak [GB]")
-    timing.report(title, columns, [(len(jobs), *(f"{value:.3g}" for value in found))], options.save)
+    timing.report(title, columns, [(len(jobs), *(f"{value:.3g}" for value in figures))], options.save)
 
     all_jobs = graph(loading.load(options.study).model_copy(update={"seeds": tuple(range(seeds))}), jobs)
     lengths, path = chains(all_jobs), critical_path(all_jobs)

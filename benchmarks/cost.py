@@ -1,10 +1,10 @@
 """Estimate of GPU hours of a study by table: arithmetic of its networks over a measured throughput.
 
 Operations of a network forward, two per multiply-add, are counted on tensors without memory; with the backward pass to
-its input it takes twice as many, to its weights three times. A study file says how often each happens. A table is
-charged with what the tables before it have not made already. One GPU trains ResNet50 with --throughput images a
-second, and is taken to do all other networks at the same rate of operations. Rays, captures, and designs by image
-quality alone are left out, and so is the check of a restoration while it trains.
+its input it takes twice as many, to its weights three times. A study file says how often each happens. A table pays
+only for jobs that the tables before it do not need. One GPU trains ResNet50 with --throughput images a second, and is
+assumed to run all other networks at the same rate of operations. The estimate omits rays, captures, designs by image
+quality alone, and the check of a restoration while it trains.
 """
 
 from collections import defaultdict
@@ -39,7 +39,7 @@ def operations(network: nn.Module, size: int) -> float:
 
 
 class Cost:
-    """Operations of the jobs of a study, with `train` and `test` images where the study takes all of a folder."""
+    """Operations of the jobs of a study, with `train` and `test` images if the study takes a whole folder."""
 
     def __init__(self, study: Study, train: int, test: int):
         self.study, self.fields = study, len(study.spec.fields_mm)
@@ -47,14 +47,14 @@ class Cost:
         self.forward = cache(self.forward)
 
     def forward(self, classifier: str | None, size: int) -> float:
-        """As `operations`, of a classifier of the study; of the restoration network where its name is None."""
+        """Operations of a classifier of the study, or of the restoration network if the name is None."""
         with torch.device("meta"):
             if classifier is None:
                 return operations(build(self.study.restoration), size)
             return operations(build_classifier(self.study.classifier(classifier)), size)
 
     def design(self, lens: str) -> float:
-        """Of designing a lens under a classifier; of nothing, by image quality alone."""
+        """Operations of designing a lens with a classifier; 0 for design by image quality alone."""
         settings, size = self.study.lens(lens).design, self.study.images.size
         if not isinstance(settings, GradientDesignSettings):
             return 0.0
@@ -66,40 +66,40 @@ class Cost:
         return total
 
     def fine_tune(self, lens: str, classifier: str, restored: bool) -> float:
-        """Of fine-tuning and measuring a classifier on the captures of a lens, restored or not."""
+        """Operations of fine-tuning and measuring a classifier on the captures of a lens, restored or not."""
         size, training = self.study.images.size, self.study.fine_tuning
-        seen = (self.test + self.study.images.minival) * (1 if lens == SHARP else self.fields)
+        evaluated = (self.test + self.study.images.minival) * (1 if lens == SHARP else self.fields)
         trained = training.epochs * self.train
-        total = (FORWARD * seen + TO_WEIGHTS * trained) * self.forward(classifier, size)
+        total = (FORWARD * evaluated + TO_WEIGHTS * trained) * self.forward(classifier, size)
         if restored:
-            total += FORWARD * (seen + trained) * self.forward(None, size)
+            total += FORWARD * (evaluated + trained) * self.forward(None, size)
         return total
 
     def restore(self) -> float:
-        """Of training a restoration for all its steps."""
+        """Operations of training a restoration for all its steps."""
         settings = self.study.restoration
         return settings.steps * settings.batch_size * TO_WEIGHTS * self.forward(None, self.study.images.size)
 
 
 def build_classifier(settings: ClassifierSettings) -> Classifier:
-    """The network of some settings, without weights."""
+    """Build a network from its settings, without weights."""
     return Classifier(timm.create_model(settings.model, **settings.arguments)).eval()
 
 
 def charged(study: Study, cost: Cost) -> dict[tuple, tuple[str, float]]:
-    """By job with a network: the first table that asks for it, and its operations."""
-    found: dict[tuple, tuple[str, float]] = {}
+    """Return, by job with a network, the first table that needs it, and its operations."""
+    charges: dict[tuple, tuple[str, float]] = {}
     for table in tables(study):
         name = table.name
         for lens in table.lenses:
-            found.setdefault(("design", lens), (name, cost.design(lens)))
+            charges.setdefault(("design", lens), (name, cost.design(lens)))
         for lens, classifier in product((SHARP, *table.lenses), table.classifiers):
             restored = name == "table4" and lens != SHARP
             job = "fine-tuning", lens, classifier, restored
-            found.setdefault(job, (name, cost.fine_tune(lens, classifier, restored)))
+            charges.setdefault(job, (name, cost.fine_tune(lens, classifier, restored)))
             if restored:
-                found.setdefault(("restoration", lens), (name, cost.restore()))
-    return {job: entry for job, entry in found.items() if entry[1]}
+                charges.setdefault(("restoration", lens), (name, cost.restore()))
+    return {job: entry for job, entry in charges.items() if entry[1]}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> None:
     hours = defaultdict(list)
     for (kind, *_), (table, count) in charged(study, cost).items():
         hours[table, kind] += len(study.seeds) * [count / rate / 3600]
-    rows = [(*key, len(each), f"{sum(each):.3g}") for key, each in sorted(hours.items())]
+    rows = [(*key, len(values), f"{sum(values):.3g}") for key, values in sorted(hours.items())]
     rows.append(("all", "", sum(map(len, hours.values())), f"{sum(map(sum, hours.values())):.3g}"))
     title = f"Study {study.name}, at {options.throughput:g} images a second ({rate / 1e12:.3g} TFLOP/s)"
     timing.report(title, ("table", "jobs", "count", "GPU-hours"), rows, options.save)

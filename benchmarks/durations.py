@@ -2,7 +2,7 @@
 
     python benchmarks/durations.py results/small results/smoke
 
-Rules that a study has not run here keep the row that they have.
+A rule that these studies did not run keeps its row.
 """
 
 import argparse
@@ -24,8 +24,8 @@ def main(arguments: list[str] | None = None) -> None:
     with open(options.table, newline="") as file:
         rows = {(row["study"], row["rule"]): row for row in csv.DictReader(file)}
     for folder in options.results:
-        for rule, found in by_rule(folder / "benchmarks").items():
-            numbers = {"seconds": found.seconds, "longest_s": found.longest_s, "memory_mb": found.memory_mb}
+        for rule, duration in by_rule(folder / "benchmarks").items():
+            numbers = {"seconds": duration.seconds, "longest_s": duration.longest_s, "memory_mb": duration.memory_mb}
             words = {name: f"{value:.1f}" for name, value in numbers.items()}
             rows[folder.name, rule] = {"study": folder.name, "rule": rule} | words
     text = io.StringIO()

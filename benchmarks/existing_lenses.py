@@ -1,10 +1,10 @@
-"""Lenses that exist: our spots, MTF, distortion and illumination beside Optiland's, and beside published numbers.
+"""Existing lenses: our spots, MTF, distortion and illumination compared with Optiland's and with published numbers.
 
     python benchmarks/existing_lenses.py [--save existing_lenses] [--lenses US8310767B2 lens1]
 
-Of the lenses in tests/data/lenses, and of those in ../shared/data/lenses where these files are. Without Optiland (pip
-install optiland) its columns are empty. What differs by more than the tolerance of its table has a star; the reasons
-are in docs/results/existing_lenses.md.
+The lenses are those in tests/data/lenses and, if the folder exists, in ../shared/data/lenses. Without Optiland (pip
+install optiland) its columns are empty. A star marks a difference beyond the tolerance of its table; the reasons are in
+docs/results/existing_lenses.md.
 """
 
 import json
@@ -21,7 +21,7 @@ import torch
 from timing import arguments, report
 from torch import Tensor
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))  # their readers of these files, and their way to Optiland
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # readers of these files, and lenses in Optiland
 from reference_files import reference_files
 from reference_lenses import LENS_FILES, reference_lens
 
@@ -56,12 +56,12 @@ _BINS = 1000  # of Optiland's line spread function
 class Case:
     """A lens of the reference data at the d line, without clear apertures, and its numbers in the file.
 
-    Attributes:
-        path: its JSON file.
-        content: what is in it.
-        lens: the lens.
-        view: the fields `FRACTIONS`, along +y.
-        optiland: our lens in Optiland, and its fields; None without it.
+        Attributes:
+            path: its JSON file.
+    content: content of that file.
+            lens: the lens.
+            view: the fields `FRACTIONS`, along +y.
+            optiland: our lens in Optiland, and its fields; None without it.
     """
 
     path: Path
@@ -120,9 +120,10 @@ def through_paraxial_pupil(lens: Lens, view: View, pupil: Tensor, vergence: floa
 
 
 def vertex_planes_inside(lens: Lens, view: View, rays: Rays) -> Tensor:
-    """True for rays that meet the vertex plane of each surface where the surface has a height.
+    """Return True for rays that cross each vertex plane at a point where the sag of the surface is real.
 
-    The engine of the files' reference begins there and loses the others, whether or not they meet the surface.
+    The program behind the files' reference starts its iteration there; it loses all other rays, even if they meet
+        the surface.
     """
     _, behind_each = trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
     inside = torch.ones_like(rays.valid)
@@ -136,10 +137,10 @@ def vertex_planes_inside(lens: Lens, view: View, rays: Rays) -> Tensor:
 
 
 def worst(ours: Tensor, others: Tensor) -> float:
-    """Largest difference where both have a number; NaN where there is none."""
-    found = (ours - others).abs()
-    found = found[found.isfinite()]
-    return float(found.max()) if found.numel() else math.nan
+    """Return the largest difference where both are finite, or NaN if there is none."""
+    differences = (ours - others).abs()
+    differences = differences[differences.isfinite()]
+    return float(differences.max()) if differences.numel() else math.nan
 
 
 def words(values: Tensor | None, digits: int) -> str:
@@ -155,7 +156,7 @@ def difference(value: float, tolerance: float) -> str:
 
 
 def spots(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """RMS radius about the centroid: aimed at the stop beside Optiland, by the paraxial pupil beside the file."""
+    """RMS radius about the centroid: aimed at the stop to compare with Optiland, by the paraxial pupil for the file."""
     pupil = square_grid(5 if tiny else _GRID)
     for case in cases:
         rays = trace_fields(case.lens, case.view, pupil)
@@ -171,20 +172,20 @@ def spots(cases: list[Case], tiny: bool) -> Iterator[tuple]:
 
 
 def file_spots(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """RMS radius about the centroid of the rays that the file's were computed with, and of those that it kept."""
+    """RMS radius about the centroid of the file's rays, and of the subset that the file kept."""
     for case in cases:
         lens = replace(case.lens, semi_diameter=torch.full_like(case.lens.semi_diameter, torch.inf))
         start, rays = through_paraxial_pupil(case.lens, case.view, square_grid(_GRID))
         inside = vertex_planes_inside(lens, case.view, start)
-        kept = replace(rays, status=torch.where(inside, rays.status, int(RayStatus.MISSED)).to(torch.int8))
-        ours, alike = (1e3 * rms_spot_radius(each, centroid(each)) for each in (rays, kept))
-        given = {spot["field"]: spot for spot in case.content["reference"]["spots"]}
+        inside_rays = replace(rays, status=torch.where(inside, rays.status, int(RayStatus.MISSED)).to(torch.int8))
+        ours, alike = (1e3 * rms_spot_radius(beam, centroid(beam)) for beam in (rays, inside_rays))
+        by_field = {spot["field"]: spot for spot in case.content["reference"]["spots"]}
         filed, passed = (
-            torch.tensor([given[fraction].get(key) or math.nan for fraction in FRACTIONS], dtype=torch.float64)
+            torch.tensor([by_field[fraction].get(key) or math.nan for fraction in FRACTIONS], dtype=torch.float64)
             for key in ("rms_um_d", "passed_d")
         )
         row = (case.name, words(ours, 2), words(filed, 2), difference(worst(ours, filed), SPOT_UM))
-        shares = (kept.valid.double().mean((1, 2)), passed)
+        shares = (inside_rays.valid.double().mean((1, 2)), passed)
         yield *row, *(words(v, 3) for v in shares), difference(worst(alike, filed), SPOT_UM)
 
 
@@ -194,14 +195,14 @@ def optiland_spots(case: Case, pupil: Tensor) -> Tensor:
     from optiland_lenses import Points
 
     def radius(optic, field: tuple) -> list[float]:
-        found = SpotDiagram(optic, [field], [D_LINE], distribution=Points(pupil), reference="centroid")
-        return [1e3 * float(found.rms_spot_radius()[0][0])]
+        diagram = SpotDiagram(optic, [field], [D_LINE], distribution=Points(pupil), reference="centroid")
+        return [1e3 * float(diagram.rms_spot_radius()[0][0])]
 
     return optiland_fields(case, radius, 1)[0]
 
 
 def optiland_points(case: Case, pupil: Tensor) -> Tensor:
-    """Image points (F, N, 2) of Optiland's rays [mm]; NaN for those that it loses."""
+    """Image points (F, N, 2) of Optiland's rays [mm]; NaN for lost rays."""
     x, y = pupil.T.numpy()
 
     def points(optic, field: tuple) -> list[float]:
@@ -212,7 +213,7 @@ def optiland_points(case: Case, pupil: Tensor) -> Tensor:
 
 
 def optiland_fields(case: Case, value: Callable, count: int) -> Tensor:
-    """Numbers (count, F) of each field by `value`; NaN where Optiland's iteration does not aim every ray."""
+    """Numbers (count, F) of each field by `value`; NaN if Optiland's iteration does not aim every ray."""
     optic, fields = case.optiland
     columns = []
     for field in map(tuple, fields):
@@ -224,21 +225,21 @@ def optiland_fields(case: Case, value: Callable, count: int) -> Tensor:
 
 
 def mtfs(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """Geometric MTF, tangential and sagittal, beside Optiland's."""
+    """Geometric MTF, tangential and sagittal, compared with Optiland's."""
     pupil = square_grid(5 if tiny else _GRID)
     for case in cases:
         frequency = FREQUENCIES[case.path.parent.name]
         ours = geometric_mtf(trace_fields(case.lens, case.view, pupil), case.view.directions, [frequency])
-        found, apart = (None, None), math.nan
+        theirs, apart = (None, None), math.nan
         if case.optiland:
-            found = optiland_mtf(case, pupil, frequency, 10 if tiny else _BINS)
-            apart = max(worst(a[:, 0], b) for a, b in zip(ours, found, strict=True))
-        pairs = zip(ours, found, strict=True)
+            theirs = optiland_mtf(case, pupil, frequency, 10 if tiny else _BINS)
+            apart = max(worst(a[:, 0], b) for a, b in zip(ours, theirs, strict=True))
+        pairs = zip(ours, theirs, strict=True)
         yield case.name, f"{frequency:g}", *(words(v, 3) for pair in pairs for v in pair), difference(apart, MTF)
 
 
 def optiland_mtf(case: Case, pupil: Tensor, frequency: float, bins: int) -> tuple[Tensor, Tensor]:
-    """Tangential and sagittal MTF by Optiland's GeometricMTF, whose last frequency is the one asked for."""
+    """Tangential and sagittal MTF by Optiland's GeometricMTF, whose last frequency is `frequency`."""
     from optiland.mtf import GeometricMTF
     from optiland_lenses import Points
 
@@ -252,7 +253,7 @@ def optiland_mtf(case: Case, pupil: Tensor, frequency: float, bins: int) -> tupl
 
 
 def distortions(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """Distortion against f tan(theta) beside Optiland's, at parts of the largest field angle."""
+    """Distortion from f tan(theta) compared with Optiland's, at fractions of the largest field angle."""
     steps = 3 if tiny else 11
     for case in cases:
         angle = math.atan(float(case.view.tangents[-1, 1]))
@@ -264,10 +265,10 @@ def distortions(cases: list[Case], tiny: bool) -> Iterator[tuple]:
             from optiland.analysis import Distortion
 
             try:
-                found = list(map(float, Distortion(case.optiland[0], [D_LINE], num_points=steps).data[0]))
-            except ValueError:  # a chief ray that it cannot aim
-                found = [math.nan] * steps
-            theirs = torch.tensor(found, dtype=torch.float64)
+                percent = list(map(float, Distortion(case.optiland[0], [D_LINE], num_points=steps).data[0]))
+            except ValueError:  # Optiland cannot aim a chief ray
+                percent = [math.nan] * steps
+            theirs = torch.tensor(percent, dtype=torch.float64)
             apart = worst(ours[1:], theirs[1:])
             close = view_along_y(case.lens, [1e-6], (D_LINE,))  # the scale of the image near the axis
             scale = 1 + distortion(close.fields, chief_points(case.lens, close))
@@ -278,7 +279,7 @@ def distortions(cases: list[Case], tiny: bool) -> Iterator[tuple]:
 
 
 def illuminations(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """Relative illumination beside the area inside the rim of Optiland's rays in the plane of direction cosines."""
+    """Relative illumination compared with the area inside the rim of Optiland's rays in direction cosines."""
     count = 64 if tiny else _RIM
     for case in cases:
         ours = relative_illumination(case.lens, case.view)
@@ -293,7 +294,7 @@ def illuminations(cases: list[Case], tiny: bool) -> Iterator[tuple]:
 
 
 def optiland_areas(case: Case, count: int) -> Tensor:
-    """Area inside the rim of the pupil in the plane of the direction cosines (l, m) behind the lens, by Green."""
+    """Area inside the pupil's rim in the plane of the direction cosines (l, m) behind the lens, by Green's theorem."""
     x, y = rim(count).T.numpy()
 
     def area(optic, field: tuple) -> list[float]:
@@ -305,7 +306,7 @@ def optiland_areas(case: Case, count: int) -> Tensor:
 
 
 def codev(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """The largest RMS spot diameter over the fields of the Zemax file beside CODE V's, in all colours with weights.
+    """The largest RMS spot diameter over the fields of the Zemax file, all colours weighted, and CODE V's.
 
     Once without clear apertures, once clipped by the semi-diameters that are written in the file (DIAM), which Zemax
     calls automatic.
@@ -313,40 +314,40 @@ def codev(cases: list[Case], tiny: bool) -> Iterator[tuple]:
     catalogues = reference_files("glass/*.AGF")
     pupil = square_grid(5 if tiny else _FINE)
     for case in cases:
-        given = case.content["reference"]["codev_max_rms_spot_diameter_um"]
+        published = case.content["reference"]["codev_max_rms_spot_diameter_um"]
         source = source_of(case.path)
-        if given is None or source is None:
+        if published is None or source is None:
             continue
-        found = zemax.read(source, catalogues)
+        imported = zemax.read(source, catalogues)
         lines = read_lines(source)
-        weights = [line.number(2) for line in lines if line.keyword == "WAVM"][: len(found.wavelengths_um)]
-        written = [line.number(0) for line in lines if line.keyword == "DIAM" and line.indented][1:-1]
-        radii = torch.tensor([value or math.inf for value in written], dtype=torch.float64)
-        radii[found.lens.stop] = found.lens.semi_diameter[found.lens.stop]
-        clipped = replace(found.lens, semi_diameter=radii)
+        weights = [line.number(2) for line in lines if line.keyword == "WAVM"][: len(imported.wavelengths_um)]
+        semi_diameters = [line.number(0) for line in lines if line.keyword == "DIAM" and line.indented][1:-1]
+        radii = torch.tensor([value or math.inf for value in semi_diameters], dtype=torch.float64)
+        radii[imported.lens.stop] = imported.lens.semi_diameter[imported.lens.stop]
+        clipped = replace(imported.lens, semi_diameter=radii)
         row, shares = [], []
-        for lens in (found.lens, clipped):
-            rays = rays_of_file(found, lens, pupil)
+        for lens in (imported.lens, clipped):
+            rays = rays_of_file(imported, lens, pupil)
             row.append(2e3 * weighted_rms(rays, torch.tensor(weights)).max().item())
             shares.append(rays.valid.double().mean((1, 2)).min().item())
-        apart = [value / given - 1 for value in row]
+        apart = [value / published - 1 for value in row]
         star = " *" if min(map(abs, apart)) > CODEV else ""
         percent = [f"{100 * value:+.1f}" for value in apart]
-        near = f"{found.object_distance_mm:g}" if math.isfinite(found.object_distance_mm) else "infinite"
-        cells = (case.name, near, f"{given:.2f}", f"{row[0]:.2f}", percent[0])
+        near = f"{imported.object_distance_mm:g}" if math.isfinite(imported.object_distance_mm) else "infinite"
+        cells = (case.name, near, f"{published:.2f}", f"{row[0]:.2f}", percent[0])
         yield *cells, f"{row[1]:.2f}", percent[1] + star, f"{shares[1]:.3f}"
 
 
-def rays_of_file(found: Prescription, lens: Lens, pupil: Tensor) -> Rays:
+def rays_of_file(imported: Prescription, lens: Lens, pupil: Tensor) -> Rays:
     """Trace rays of the fields of a Zemax file in its wavelengths, from its object."""
-    wavelength = found.wavelengths_um[found.primary]
-    kind, points = found.fields
-    if math.isinf(found.object_distance_mm):
+    wavelength = imported.wavelengths_um[imported.primary]
+    kind, points = imported.fields
+    if math.isinf(imported.object_distance_mm):
         tangents = [math.tan(math.radians(y)) for _, y in points]
-        return trace_fields(lens, view_along_y(lens, tangents, found.wavelengths_um), pupil)
+        return trace_fields(lens, view_along_y(lens, tangents, imported.wavelengths_um), pupil)
     if kind != "real_image_height_mm":
         raise NotImplementedError(f"fields by {kind} of a near object")
-    vergence = 1 / found.object_distance_mm
+    vergence = 1 / imported.object_distance_mm
     chief = torch.zeros(1, 2, dtype=torch.float64)
 
     def height(tangent: float) -> float:
@@ -354,7 +355,7 @@ def rays_of_file(found: Prescription, lens: Lens, pupil: Tensor) -> Rays:
         return float(through_paraxial_pupil(lens, view, chief, vergence)[1].y)
 
     tangents = [solve(height, y) for _, y in points]
-    return through_paraxial_pupil(lens, view_along_y(lens, tangents, found.wavelengths_um), pupil, vergence)[1]
+    return through_paraxial_pupil(lens, view_along_y(lens, tangents, imported.wavelengths_um), pupil, vergence)[1]
 
 
 def solve(function: Callable[[float], float], value: float) -> float:
@@ -382,13 +383,13 @@ def weighted_rms(rays: Rays, weights: Tensor) -> Tensor:
 
 
 def source_of(path: Path) -> Path | None:
-    """The Zemax file that a lens was taken from, where there is one."""
-    found = [file for file in (path.parent / "source").glob("*") if file.suffix.lower() == ".zmx"]
-    return next((file for file in found if file.stem == path.stem), None)
+    """Return the Zemax source of a lens, or None."""
+    files = [file for file in (path.parent / "source").glob("*") if file.suffix.lower() == ".zmx"]
+    return next((file for file in files if file.stem == path.stem), None)
 
 
 def focal_lengths(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """Focal lengths beside Optiland's and the published ones."""
+    """Focal lengths compared with Optiland's and with the published ones."""
     for case in cases:
         published = (case.content["published"] or {}).get("efl")
         ours = float(paraxial(case.lens, D_LINE).efl)
@@ -398,24 +399,24 @@ def focal_lengths(cases: list[Case], tiny: bool) -> Iterator[tuple]:
 
 
 def captures(cases: list[Case], tiny: bool) -> Iterator[tuple]:
-    """Images through PSFs of our rays, beside those of Optiland's: what an error of the rays does to a capture."""
+    """Compare captures through PSFs of our rays and of Optiland's: the effect of ray errors on a capture."""
     images = object_scenes.render(2 if tiny else 16, 128, seed=0).images.float() / 255
     pupil = square_grid(9 if tiny else _FINE)
-    for case in (each for each in cases if each.optiland):
+    for case in (item for item in cases if item.optiland):
         rays, points = trace_fields(case.lens, case.view, pupil), optiland_points(case, pupil)[:, None]
         lost = torch.where(points.isfinite().all(-1), int(RayStatus.OK), int(RayStatus.MISSED)).to(torch.int8)
         x, y = points.nan_to_num().unbind(-1)
         theirs = replace(rays, x=x, y=y, status=lost)
         centre = chief_points(case.lens, case.view)
         pitch = max(1.8, _WIDEST * float(1e3 * rms_spot_radius(rays, centroid(rays)).nan_to_num().max()) / 51)
-        found = [
-            PsfCamera(psf(each, centre, pitch, 51).expand(-1, 3, -1, -1).float()).grid(images)
-            for each in (rays, theirs)
+        grids = [
+            PsfCamera(psf(item, centre, pitch, 51).expand(-1, 3, -1, -1).float()).grid(images)
+            for item in (rays, theirs)
         ]
-        complete = (rays.valid == theirs.valid).all((1, 2))  # where one loses rays there is nothing to compare
-        quality, same = (psnr(each, found[0]).mean(-1) for each in (images, found[1]))
+        complete = (rays.valid == theirs.valid).all((1, 2))  # if one program loses rays, nothing can be compared
+        quality, same = (psnr(item, grids[0]).mean(-1) for item in (images, grids[1]))
         same = torch.where(complete, same, torch.nan)
-        worst_level = torch.where(complete, 255 * (found[0] - found[1]).abs().amax((1, 2, 3, 4)), torch.nan)
+        worst_level = torch.where(complete, 255 * (grids[0] - grids[1]).abs().amax((1, 2, 3, 4)), torch.nan)
         yield case.name, f"{pitch:.1f}", words(quality, 1), words(same, 1), words(worst_level, 3)
 
 

@@ -1,8 +1,8 @@
 """Growth of resident memory in an hour of task-driven design and of fine-tuning, each in a process of its own.
 
-Jobs as those of the default study, at 64 pixels, with several lenses, validations, checkpoints on the disk and the
-jobs' settings of malloc, follow each other until the time is up. Compared are the medians of the samples of a sixth of
-the time, after the first minutes and at the end. The target is 2 %.
+Jobs like those of the default study (64 pixels, several lenses, validations, checkpoints on disk, the jobs' malloc
+settings) follow each other until the time is up. The growth is the change of the median from a sixth of the time after
+the first minutes to the last sixth. The target is 2 %.
 """
 
 import multiprocessing
@@ -92,7 +92,7 @@ def fine_tuning(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
 
 
 def work(job: Callable[[int, bool, Checkpoint], None], minutes: float, tiny: bool) -> None:
-    """Run a job for so many minutes, again from the beginning where it ends before; in a process of its own."""
+    """Run a job for so many minutes, again from the beginning if it ends earlier; in a separate process."""
     end = time.monotonic() + 60 * minutes
     with tempfile.TemporaryDirectory() as folder, suppress(TimeUp):
         for number in count():
@@ -102,16 +102,16 @@ def work(job: Callable[[int, bool, Checkpoint], None], minutes: float, tiny: boo
 def sampled(job: Callable, minutes: float, tiny: bool, every: float) -> list[tuple[float, float]]:
     """Time since its start [min] and resident memory [MB] of a job's process, every so many seconds."""
     process = multiprocessing.get_context("spawn").Process(target=work, args=(job, minutes, tiny))
-    begin, found = time.monotonic(), []
+    begin, samples = time.monotonic(), []
     process.start()
     watched = psutil.Process(process.pid)
     while process.exitcode is None:
         process.join(every)
         if process.exitcode is None:
-            found.append(((time.monotonic() - begin) / 60, watched.memory_info().rss / 1e6))
+            samples.append(((time.monotonic() - begin) / 60, watched.memory_info().rss / 1e6))
     if process.exitcode:
         raise RuntimeError(f"{job.__name__}: its process ended with {process.exitcode}")
-    return found
+    return samples
 
 
 def growth(samples: list[tuple[float, float]], first: float) -> tuple[float, float]:

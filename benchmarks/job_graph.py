@@ -11,17 +11,18 @@ from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import elsewhere
 from tasklens.runtime.checkpoints import INTERVAL
 from tasklens.study import names
+from tasklens.study.parts import owner
 from tasklens.study.study import Study
 
 TRAIN, TEST, DECODED = 1_281_167, 50_000, 800.0  # ImageNet; images/s of eight threads, assumed
-ON_GPU = ("reference", "design", "restore", "fine_tune")  # rules that ask for one, designs if images supervise them
+ON_GPU = ("reference", "design", "restore", "fine_tune")  # rules that need a GPU; designs, if images supervise
 FIRST = ("design", "restore")  # rules with priority
-RESUMED = ("images", *ON_GPU)  # rules with checkpoints, which are run again
+RESUMED = ("images", *ON_GPU)  # rules with checkpoints, which are retried
 
 
 def graph(study: Study, planned: Sequence[PlannedJob]) -> dict[str, Job]:
     """Return all planned jobs of a study by label."""
-    counted, known = cost.Cost(study, TRAIN, TEST), elsewhere("small")
+    costs, measured = cost.Cost(study, TRAIN, TEST), elsewhere("small")
     with torch.device("meta"):
         rate = cost.TO_WEIGHTS * cost.A100 * cost.operations(cost.build_classifier(cost.RESNET50), 224)
 
@@ -31,22 +32,22 @@ def graph(study: Study, planned: Sequence[PlannedJob]) -> dict[str, Job]:
         if rule == "images":
             return (TRAIN + TEST) / DECODED
         if rule == "design":
-            operations = counted.design(lens)
+            operations = costs.design(lens)
         elif rule == "restore":
-            operations = counted.restore()
+            operations = costs.restore()
         elif rule == "fine_tune":
-            operations = counted.fine_tune(lens, *names.split(name))
-        return operations / rate or (known[rule].seconds if rule in known else 1.0)
+            operations = costs.fine_tune(lens, *names.split(name))
+        return operations / rate or (measured[rule].seconds if rule in measured else 1.0)
 
-    found = {}
-    for job in planned:
+    jobs = {}
+    for job in (job for job in planned if job.study == owner(job.study)):  # pages of parts take seconds
         lens, name = wildcards(job.label)
         hours = seconds(job.rule, lens, name) / 3600
         gpus = int(job.rule in ON_GPU and (job.rule != "design" or study.lens(lens).supervised))
         resumed = job.rule in RESUMED
         saved = resumed * INTERVAL / 3600
-        found[job.label] = Job(job.rule, hours, gpus, int(job.rule in FIRST), frozenset(job.needs), saved, int(resumed))
-    return found
+        jobs[job.label] = Job(job.rule, hours, gpus, int(job.rule in FIRST), frozenset(job.needs), saved, int(resumed))
+    return jobs
 
 
 def wildcards(label: str) -> tuple[str, str]:

@@ -25,7 +25,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
 
-LIMIT_GIB = 12  # a step that wants more fails, instead of taking the machine with it
+LIMIT_GIB = 12  # a step that needs more memory fails without disturbing the machine
 
 
 def measure(captures: int, tiny: bool) -> dict[str, float]:
@@ -53,8 +53,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows = []
     for captures in options.captures:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-            found = process.submit(measure, captures, options.tiny).result()
-        rows.append((captures, f"{found['before']:.2f}", f"{found['peak']:.2f}", f"{found['seconds']:.0f}"))
+            result = process.submit(measure, captures, options.tiny).result()
+        rows.append((captures, f"{result['before']:.2f}", f"{result['peak']:.2f}", f"{result['seconds']:.0f}"))
     columns = ("captures at once", "before the step [GiB]", "peak [GiB]", "processor time [s]")
     timing.report("Memory of one step: 64 images x 9 fields, ResNet50, 224 px", columns, rows, options.save)
 

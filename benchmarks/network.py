@@ -1,8 +1,8 @@
-"""Time that a study adds to its networks: a design step over the frozen network, fine-tuning over bare training.
+"""Overhead of a study: a design step compared with its frozen network, fine-tuning compared with bare training.
 
 The frozen network alone takes the same number of captures in the same micro-batches, forward and backward to its input.
-Bare training takes one batch that is there already: forward, backward, AdamW. Both compute as a study does, in bfloat16
-on a GPU. Times there are between events in what it has to do, on a CPU of the processor.
+Bare training uses one batch already in memory: forward, backward, AdamW. Both compute as a study does, in bfloat16 on
+a GPU. Times are between CUDA events on a GPU, and processor times on a CPU.
 """
 
 import math
@@ -38,7 +38,7 @@ FIELDS = 9
 
 
 class Clock(Checkpoint):
-    """Keeps nothing but when each step ended, and holds up no GPU for it."""
+    """Record when each step ends, without synchronising a GPU."""
 
     def __init__(self, device: torch.device):
         super().__init__()
@@ -127,9 +127,9 @@ def peak(device: torch.device) -> str:
     """Largest memory since the last call on a GPU, of the process so far on a CPU [GB]."""
     if device.type != "cuda":
         return f"{timing.peak_memory_gib() * 2**30 / 1e9:.1f}"
-    found = torch.cuda.max_memory_allocated(device)
+    memory = torch.cuda.max_memory_allocated(device)
     torch.cuda.reset_peak_memory_stats(device)
-    return f"{found / 1e9:.1f}"
+    return f"{memory / 1e9:.1f}"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -147,19 +147,19 @@ def main(arguments: list[str] | None = None) -> None:
         cases = [("resnet18", small, 64, 8, 128, 64)]  # the default study's
         cases += [(name, {}, 224, 2, 256, 16) for name in options.models]
     rows = []
-    for name, given, size, count, rays, batch in cases:
-        for what in ("design", "fine-tuning"):
-            network = timm.create_model(name, num_classes=10, **given)
-            if what == "design":
+    for name, kwargs, size, count, rays, batch in cases:
+        for step in ("design", "fine-tuning"):
+            network = timm.create_model(name, num_classes=10, **kwargs)
+            if step == "design":
                 ours, alone = design(network, count, size, rays, batch, options.rounds, device)
             else:
                 ours, alone = fine_tuning(network, batch, size, options.rounds, device)
             ratio = statistics.median(ours) / statistics.median(alone)
-            load = f"{FIELDS * count} captures" if what == "design" else f"batch of {batch}"
+            load = f"{FIELDS * count} captures" if step == "design" else f"batch of {batch}"
             rows.append(
                 (
                     name,
-                    f"{what}, {load} of {size} px",
+                    f"{step}, {load} of {size} px",
                     timing.spread(ours, 1e3),
                     timing.spread(alone, 1e3),
                     f"{ratio:.3f}",

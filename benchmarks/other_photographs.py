@@ -2,9 +2,9 @@
 
     python benchmarks/other_photographs.py results/photographs/study.yaml FOLDER [--designs tasklens image_psnr]
 
-FOLDER has a folder per class, named by its WordNet id, of photographs with which neither lenses were designed nor
-networks trained. Variants of ablations are designs too; lenses that the results do not have yet are left out.
-Differences are those of the first design to each other one, with 95 % intervals over photographs and seeds.
+FOLDER has a folder per class, named by its WordNet id. No lens was designed and no network trained with its
+photographs. Variants of ablations are designs too; lenses without results are left out. Each difference is the first
+design minus another one, with a 95 % interval over photographs and seeds.
 """
 
 import tempfile
@@ -35,11 +35,11 @@ def accuracies(study: Study, folder: Path, lenses: Sequence[str]) -> dict[str, p
     results = Path("results", study.name)
     weights = results / "classifiers" / "reference" / f"{study.supervisor}.safetensors"
     with tempfile.TemporaryDirectory() as place:
-        wanted = ImageSettings(folder=folder, size=study.images.size)
-        photographs = dataset.training_images(wanted, Path(place) / "photographs.npy")
+        image_settings = ImageSettings(folder=folder, size=study.images.size)
+        photographs = dataset.training_images(image_settings, Path(place) / "photographs.npy")
         published = classifiers.build(settings, photographs.classes, weights)
         network = classifiers.frozen(published, photographs.images)
-        found: dict[str, dict[int, torch.Tensor]] = {}
+        by_lens: dict[str, dict[int, torch.Tensor]] = {}
         for lens, seed in [(SHARP, study.seeds[0]), *product(lenses, study.seeds)]:
             camera = None
             if lens != SHARP:
@@ -50,25 +50,27 @@ def accuracies(study: Study, folder: Path, lenses: Sequence[str]) -> dict[str, p
                 camera = PsfCamera.of(study.capture_of(lens), *psf_files.read(psfs))
             pipeline = evaluation.CapturePipeline(camera)
             correct = evaluation.evaluate([network], photographs, pipeline, f"{lens}, seed {seed}").correct[0]
-            found.setdefault(lens, {})[seed] = 100 * correct.double().mean(0)
-    return {lens: pandas.DataFrame({seed: each.numpy() for seed, each in found[lens].items()}) for lens in found}
+            by_lens.setdefault(lens, {})[seed] = 100 * correct.double().mean(0)
+    return {
+        lens: pandas.DataFrame({seed: values.numpy() for seed, values in by_lens[lens].items()}) for lens in by_lens
+    }
 
 
-def rows(found: dict[str, pandas.DataFrame], first: str) -> list[tuple]:
+def rows(by_lens: dict[str, pandas.DataFrame], first: str) -> list[tuple]:
     """Rows of the table: accuracy, standard deviation over seeds, advantage of the lens of the design `first`."""
     table = []
-    for lens, values in found.items():
+    for lens, values in by_lens.items():
         elements, _, design = lens.partition("-")
-        best, said = found.get(f"{elements}-{first}"), ""
+        best, advantage = by_lens.get(f"{elements}-{first}"), ""
         if best is not None and design != first:
             seeds = [seed for seed in values if seed in best]
             difference = (best[seeds] - values[seeds]).to_numpy()
             low, high = bootstrap.interval(
                 bootstrap.resampled_over_seeds(bootstrap.resampled_means(difference), difference.mean(0))
             )
-            said = f"{difference.mean():+.1f} ({low:+.1f} to {high:+.1f})"
+            advantage = f"{difference.mean():+.1f} ({low:+.1f} to {high:+.1f})"
         spread = f" ± {values.mean().std(ddof=1):.1f}" if values.shape[1] > 1 else ""
-        table.append((lens, values.shape[1], f"{numpy.mean(values.to_numpy()):.1f}{spread}", said))
+        table.append((lens, values.shape[1], f"{numpy.mean(values.to_numpy()):.1f}{spread}", advantage))
     return table
 
 
@@ -80,11 +82,11 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     study = loading.load(options.study)
     lenses = [name for name, lens in (study.lenses | study.variants).items() if lens.design_name in options.designs]
-    found = accuracies(study, options.folder, lenses)
-    count = len(found[SHARP])
+    by_lens = accuracies(study, options.folder, lenses)
+    count = len(by_lens[SHARP])
     title = f"{study.name}: zero-shot accuracy of {study.supervisor} on {count} photographs of {options.folder.name}"
     columns = ("lens", "seeds", "accuracy [%]", f"advantage of {options.designs[0]} [points]")
-    report(title, columns, rows(found, options.designs[0]), options.save)
+    report(title, columns, rows(by_lens, options.designs[0]), options.save)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Rays and PSFs through a phone lens: this tracer beside Optiland's, on the same rays, the same lens and one thread.
+"""Rays and PSFs through a phone lens: this tracer compared with Optiland's, on the same rays and one thread.
 
     python benchmarks/rays.py [--rounds 15] [--save rays]
 
-Without Optiland (pip install optiland) only our own times are shown. Its route is the fastest we found: one bundle of
-rays with a wavelength each, traced by `surfaces.trace`, its parameters updated as its optimiser does.
+Without Optiland (pip install optiland) only our times are printed. Optiland runs by the fastest calls that we know: one
+bundle of rays with a wavelength each, traced by `surfaces.trace`, with parameters updated as its optimiser does.
 """
 
 import math
@@ -93,8 +93,8 @@ _GRADIENT = (lambda orders: 4 * orders + 110, 2, 5)
 def floor(dtype: torch.dtype, rays: int) -> tuple[float, float]:
     """Least time [s] of the operations of these rays, forward, and forward and backward, at the rate of this processor.
 
-    Each kind of operation at the rate of a loop of nothing else over numbers in the first cache; divisions and square
-    roots share a unit of the processor, which works beside the multiply-adds, so that the larger of the two counts.
+    Each kind of operation runs at the rate of a loop of that operation alone over numbers in the first cache. Divisions
+    and square roots share a unit that works in parallel with the multiply-adds: the larger of the two times counts.
     """
     multiply_add, root, division = _rates(dtype)
     orders, surfaces = 8, ASPHERES  # coefficients are padded to eight
@@ -189,7 +189,7 @@ def optilands(precision: str, train: int, evaluate: int) -> dict[str, Callable[[
     fit = torch.tensor([[w**-4, w**-2, 1.0] for w in WAVELENGTHS], dtype=torch.float64)
 
     class Glass(BaseMaterial):
-        """n = a + b / w^2 + c / w^4 through the three indices: the cheapest dispersion there is."""
+        """n = a + b / w^2 + c / w^4 through the three indices: the cheapest dispersion formula."""
 
         def __init__(self, indices):
             super().__init__()
@@ -299,13 +299,13 @@ def main(argv: list[str] | None = None) -> None:
             if name.startswith("PSFs"):
                 versus, label = work["trace, forward and backward"], "trace alone"
             times = alternate({"ours": function} | ({"other": versus} if versus else {}), options.rounds, _CALLS)
-            shown = [spread(times["ours"], 1e3)]
-            shown += [label, spread(times["other"], 1e3), ratio(times["other"], times["ours"])] if versus else ["–"] * 3
+            cells = [spread(times["ours"], 1e3)]
+            cells += [label, spread(times["other"], 1e3), ratio(times["other"], times["ours"])] if versus else ["–"] * 3
             backward = name != "trace, forward"
             rays = 27 * (train if backward else evaluate)
             least = floor(getattr(torch, precision), rays)[backward]
             speeds = (rays * ASPHERES / seconds for seconds in (statistics.median(times["ours"]), least))
-            rows.append((name, precision, *shown, f"{1e3 * least:.2g}", *(f"{speed:.2g}" for speed in speeds)))
+            rows.append((name, precision, *cells, f"{1e3 * least:.2g}", *(f"{speed:.2g}" for speed in speeds)))
     columns = ("load", "precision", "ours [ms]", "against", "its time [ms]", "ratio", "floor of the rays [ms]")
     columns += ("rays x aspheres per second", "at the floor")
     report("Rays and PSFs, 9 fields x 3 colours", columns, rows, options.save)

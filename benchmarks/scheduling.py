@@ -1,4 +1,4 @@
-"""List scheduling of a graph of jobs on GPUs, with jobs that fail and are run again; the longest chain of the graph."""
+"""List scheduling of a graph of jobs on GPUs, with jobs that fail and run again; the longest chain of the graph."""
 
 import heapq
 import math
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 class Job:
     """A job: its rule, hours, GPUs, and the names of the jobs that it waits for.
 
-    Its hours between checkpoints are 0 for a job without; `retries` is how often a workflow runs it again by itself.
+    The hours between checkpoints are 0 for a job without checkpoints; `retries` counts automatic reruns.
     """
 
     rule: str
@@ -25,7 +25,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Run:
-    """A simulated run: its hours, those of its GPUs at work, failures, and jobs that failed more often than retried."""
+    """A simulated run: its hours, those of its GPUs at work, failures, and jobs that exceed their retries."""
 
     hours: float
     busy: float
@@ -41,13 +41,13 @@ def simulate(
     resumed: bool = True,
     seed: int = 0,
 ) -> Run:
-    """Run all jobs; free GPUs take the ready job of the least rank, then the first of `jobs`; others wait for none.
+    """Run all jobs; free GPUs take the ready job of the least rank, then the first of `jobs`; CPU jobs never wait.
 
     Args:
-        failing: probability that an attempt fails, at a uniform time of what it has to do; the failed job is ready
-            again at once, also where no workflow would retry it.
-        resumed: whether it goes on from its last checkpoint; else, and without checkpoints, from the beginning.
-        seed: seed of the failures, which are those of the job's attempt, whatever the order of the jobs.
+        failing: probability that an attempt fails, at a uniform fraction of its remaining work; the failed job
+            is ready again at once, even if no workflow would retry it.
+        resumed: whether a job resumes from its last checkpoint; otherwise, or without checkpoints, it restarts.
+        seed: seed of the failures; they depend on the job and its attempt, not on the order of the jobs.
     """
     order = {name: (rank(name), number, name) for number, name in enumerate(jobs)}
     missing = {name: len(job.needs) for name, job in jobs.items()}
@@ -60,7 +60,7 @@ def simulate(
     running: list[tuple[float, str, bool]] = []
     now, busy, free, failures = 0.0, 0.0, gpus, 0
     while ready or running:
-        while ready and jobs[ready[0][-1]].gpus <= free:  # those that take none are the first
+        while ready and jobs[ready[0][-1]].gpus <= free:  # jobs without a GPU come first
             name = heapq.heappop(ready)[-1]
             job = jobs[name]
             luck = random.Random(f"{seed} {name} {attempts[name]}")
@@ -80,27 +80,27 @@ def simulate(
             missing[follower] -= 1
             if not missing[follower]:
                 freed.append(follower)
-        for each in freed:
-            heapq.heappush(ready, (jobs[each].gpus > 0, *order[each]))
+        for label in freed:
+            heapq.heappush(ready, (jobs[label].gpus > 0, *order[label]))
     return Run(now, busy, failures, sum(attempts[name] > 1 + job.retries for name, job in jobs.items()))
 
 
 def chains(jobs: Mapping[str, Job]) -> dict[str, float]:
-    """Hours from the begin of each job to the end of the last one that waits for it, on unlimited GPUs."""
+    """Hours from the start of each job to the end of the last job that depends on it, on unlimited GPUs."""
     followers: dict[str, list[str]] = {name: [] for name in jobs}
     for name, job in jobs.items():
         for need in job.needs:
             followers[need].append(name)
-    found: dict[str, float] = {}
+    hours: dict[str, float] = {}
 
     def length(name: str) -> float:
-        if name not in found:
-            found[name] = jobs[name].hours + max(map(length, followers[name]), default=0.0)
-        return found[name]
+        if name not in hours:
+            hours[name] = jobs[name].hours + max(map(length, followers[name]), default=0.0)
+        return hours[name]
 
     for name in jobs:
         length(name)
-    return found
+    return hours
 
 
 def critical_path(jobs: Mapping[str, Job]) -> list[str]:

@@ -1,8 +1,8 @@
 """A whole sensor through a lens: times and memory, against patch-wise rendering and against its transforms alone.
 
 Patch-wise rendering cuts the frame into as many patches as there are nodes, and convolves each with the PSF of its
-node: it has seams. The floor is the transforms of tiles and PSFs, and back, of numbers that are already there.
-The memory is that of a process which traces and blends once.
+node: it has seams. The floor is the forward and inverse transforms of tiles and PSFs that are already in memory.
+The memory is that of a process that traces and blends once.
 """
 
 import multiprocessing
@@ -32,7 +32,7 @@ def trace(lens: Lens, view: View, shape: tuple[int, int]) -> FieldPsfs:
 
 
 def once(path: Path, shape: tuple[int, int]) -> tuple[float, float, float]:
-    """Processor time of tracing and of blending [s], and peak memory [GB], in a process of its own."""
+    """Processor time of tracing and of blending [s], and peak memory [GB], in a separate process."""
     lens, view = load_lens(path)
     trace_field_psfs(lens, view, (16, 16), 50.0, 16)  # compiled code is loaded
     image = torch.rand(3, *shape, generator=torch.Generator().manual_seed(0))
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     shape = TINY if options.tiny else FRAME
     rows, first = [], {}
-    for name in options.lenses:  # all before this process grows, whose memory a new one would count as its own
+    for name in options.lenses:  # first of all: a new process would count memory of this one as its own
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
             first[name] = process.submit(once, LENSES / f"{name}.yaml", shape).result()
     for name, (traced, blended, memory) in first.items():

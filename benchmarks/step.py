@@ -1,8 +1,8 @@
 """Time of a task-driven step by part (rays and PSFs, captures, network), and the share of the optics.
 
-Two steps: the default study's; and the paper's (ResNet50 with random weights, 64 images of 224 px at nine fields), of
-which 2 images are timed: what is in proportion to the captures is multiplied by 32. The parts are those of
-`design.supervision`; the network is timed by calling the same functions with a network that does next to nothing.
+The benchmark times two steps: the default study's, and the paper's (ResNet50 with random weights, 64 images of 224 px
+at nine fields). For the paper's step it times 2 images, and multiplies times proportional to the captures by 32. The
+parts are those of `design.supervision`; a second run with a trivial network gives the share of the network.
 """
 
 import statistics
@@ -62,13 +62,13 @@ class Clock:
 def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: int, rounds: int) -> dict[str, float]:
     """Median processor time [s] of each part of a step of a doublet, after one step of warm-up.
 
-    Of a step with `images` images, of which `timed` pass; what is in proportion to the captures is scaled.
+    The step has `images` images, of which `timed` are computed; times proportional to the captures are scaled.
     """
     dataset = noise(timed, pixels)
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
     plates = flat((builtin("COC"), builtin("OKP4")), Spec(), problem.limits)
     quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost ones cost time
+    lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost rays cost time
     optimizer = AdamWOptimizer(lens, problem, DescentSettings(optimizer="adamw", steps=rounds + 1))
     captures = timed * len(problem.view.fields)
     ours, nothing = TaskLoss(frozen(network, dataset.images)), TaskLoss(Average())
@@ -96,7 +96,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
         with clock("their backward"):
             torch.autograd.backward([grid, bounds], [gradient, None])
         with clock("optimiser"):
-            optimizer.apply(vector)  # which takes the gradients that the variables have
+            optimizer.apply(vector)  # uses the gradients of the variables
     middle = {part: statistics.median(times) for part, times in clock.times.items()}
     middle[NETWORK] -= middle["captures and their backward"]
     scaled = (NETWORK, "captures and their backward", "augmentation")

@@ -25,7 +25,8 @@ RESULTS = Path(__file__).with_name("results")
 def alternate(work: dict[str, Callable[[], object]], rounds: int, calls: int = 1) -> dict[str, list[float]]:
     """Processor times [s] of a call of each entry of `work`, run in turn (A B A B ...) after one warm-up each.
 
-    With several calls in each turn, their mean; a single millisecond is timed with caches full of the other's numbers.
+    With several calls in each turn, the time is their mean. A single call of a millisecond starts with caches full of
+    the other entry's data.
     """
     for function in work.values():
         function()

@@ -1,6 +1,6 @@
 """NAFNet, a network for image restoration without nonlinear activations (Chen et al. 2022, arXiv:2204.04676).
 
-Parameter names are those of the original, so that published weights can be loaded.
+Parameters have the names of the original, so that published weights can be loaded.
 """
 
 from pathlib import Path
@@ -102,10 +102,10 @@ def build(settings: RestorationSettings) -> NAFNet:
 
 
 def load(settings: RestorationSettings, path: Path) -> NAFNet:
-    """Read a trained network, to be evaluated; raises FileError if the file does not have the weights of `settings`."""
+    """Read a trained network in `eval()`; raises FileError if the file does not have the weights of `settings`."""
     network = build(settings)
     try:
         network.load_state_dict(read_tensors(path)[0])
-    except RuntimeError as error:  # which lists the tensors
+    except RuntimeError as error:  # its first line suffices: the others list tensors
         raise damaged(path, f"not the weights of this network ({str(error).splitlines()[0]})") from None
     return network.eval().requires_grad_(False)

@@ -14,10 +14,10 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.study.settings import RestorationSettings
 
-_VALIDATION_IMAGES = 64  # minival images, each at every field
+_VALIDATION_IMAGES = 64  # number of minival images, each at every field
 _WARMUP = 0.05  # fraction of the steps
-_BETAS = (0.9, 0.9)  # of AdamW, and
-_GRADIENT_NORM = 0.01  # as NAFNet's authors have them
+_BETAS = (0.9, 0.9)  # betas of AdamW, as in NAFNet
+_GRADIENT_NORM = 0.01  # largest gradient norm, as in NAFNet
 
 
 def train(
@@ -31,7 +31,7 @@ def train(
     """Train a NAFNet to restore captures of `camera`, each at a random field, to their sharp images.
 
     The loss is the negative PSNR of each image; the optimizer is AdamW with betas (0.9, 0.9) and gradients clipped at a
-    norm of 0.01, as NAFNet's authors do. The learning rate rises for 5 % of the steps and falls along a cosine to zero.
+    norm of 0.01, as in NAFNet. The learning rate rises for 5 % of the steps and falls along a cosine to zero.
 
     Args:
         settings: network, learning rate, number of steps, and side of the crops.
@@ -41,8 +41,8 @@ def train(
         checkpoint: checkpoint of the job; the part is `restoration`.
 
     Returns:
-        The network, in `eval()`; and a row for every `settings.check` steps, and the last one: step, learning rate, and
-        the mean PSNR of 64 minival images at all fields [dB].
+        The network, in `eval()`; and a row every `settings.check` steps and at the last step: step, learning rate, and
+        mean PSNR of 64 minival images at all fields [dB].
 
     Raises:
         FloatingPointError: the PSNR is not finite.
@@ -58,23 +58,23 @@ def train(
     for step in range(part.step + 1, settings.steps + 1):
         images, _ = dataset.batch(order.next())
         fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
-        drawn = None if camera.sensor is None else noise(images.shape, generator)
-        pairs = torch.stack([camera.single(images, fields, drawn), images])
+        noise_sample = None if camera.sensor is None else noise(images.shape, generator)
+        pairs = torch.stack([camera.single(images, fields, noise_sample), images])
         quality = _step(network, optimizer, *_crop(pairs, settings.crop, generator))
         _check_finite("PSNR", quality, step)
         progress(step, psnr_db=quality)
         if step % settings.check == 0 or step == settings.steps:
-            validated = _validation_psnr(network, minival, camera)
-            _check_finite("PSNR of the minival", validated, step)
+            validation_psnr = _validation_psnr(network, minival, camera)
+            _check_finite("PSNR of the minival", validation_psnr, step)
             rate = schedule.get_last_lr()[0]
-            part.history.append({"step": step, "learning_rate": rate, "psnr_db": validated})
+            part.history.append({"step": step, "learning_rate": rate, "psnr_db": validation_psnr})
         schedule.step()
         part.save(step)
     return network.eval(), part.history
 
 
 def _crop(images: Tensor, side: int | None, generator: torch.Generator) -> Tensor:
-    """Return the same random square crop of images (..., H, W); all of them if `side` is None or not smaller."""
+    """Return the same random square crop of images (..., H, W); whole images if `side` is None or not smaller."""
     height, width = images.shape[-2:]
     if side is None or side >= min(height, width):
         return images

@@ -1,22 +1,22 @@
 """Task-driven lens design: the gradient of a classifier's loss passes through captures, PSFs and rays to the lens.
 
-For notebooks, with `help()` of each:
+Functions for notebooks (see `help()` of each):
 
     load_lens, save_lens    lens.yaml and Zemax files
-    lens, draw              a lens typed surface by surface; drawings
+    lens, draw              a lens from its surfaces; drawings
     trace, psf, analyse     rays, point spread functions, figures of a lens
-    simulate                captures of an image, each as if all of it lay at one field
+    simulate                captures of an image, each entirely at one field
     simulate_sensor         capture of an image by the whole sensor
     design                  a new lens
-    rank                    which lens for a network
-    Camera                  a lens in front of a network, in a training loop of your own
+    rank                    ranking of lenses for a network
+    Camera                  a lens in front of a network, for your own training loop
 """
 
 import warnings
 from importlib import import_module
 from typing import Any
 
-# torch causes this warning itself, at the first forward-mode derivative of a process.
+# torch itself raises this warning at the first forward-mode derivative of a process.
 warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
 
 __all__ = [
@@ -36,8 +36,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for: `import tasklens` by itself imports nothing, neither torch nor numba."""
-    if name == "design":  # a package that can be called: see there
+    """Import a public name on first use: `import tasklens` alone imports neither torch nor numba."""
+    if name == "design":  # a callable package; see tasklens/design/__init__.py
         return import_module("tasklens.design")
     if name == "__version__":
         return import_module("importlib.metadata").version("tasklens")

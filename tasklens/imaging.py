@@ -3,7 +3,7 @@
 capture = image * PSF + (1 - sum(PSF)) mean(image) = (image - mean(image)) * PSF + mean(image)
 
 The second term is the light outside the PSF window, modelled as a uniform veil, so that the mean flux is conserved.
-Borders are reflected. A sensor, if there is one, adds noise and rounds.
+Borders are reflected. An optional sensor adds noise and quantises.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,12 +18,12 @@ from torch.autograd.function import once_differentiable
 
 from tasklens.study.settings import CaptureSettings, SensorSettings
 
-_IMAGES = 16  # images that a CPU prepares at once
-_PLANE_BYTES = 2**20  # spectra that a CPU transforms at once, so that they stay in its cache
+_IMAGES = 16  # images per block on a CPU
+_PLANE_BYTES = 2**20  # size of spectra transformed at once on a CPU, so that they stay in its cache
 
 
 class _Run(NamedTuple):
-    """Consecutive pairs of images, `start` to `stop`, that are rendered at one field."""
+    """Consecutive pairs of images, `start` to `stop`, rendered at one field."""
 
     field: int
     start: int
@@ -33,9 +33,10 @@ class _Run(NamedTuple):
 class _Convolution(torch.autograd.Function):
     """Captures of pairs of images, IFFT(FFT(image - mean) FFT(PSF)) + mean.
 
-    A pair is one complex image: PSFs are real, so that its parts do not mix, and one complex transform does the work of
-    two real ones without copies. Circular convolution wraps only into K - 1 rows and columns, which are cropped. The
-    gradient at a PSF is the correlation of images and gradients at captures: one inverse transform for all images.
+    A pair is one complex image: PSFs are real, so its parts do not mix, and one complex transform replaces two real
+    transforms without copies. Circular convolution wraps only into K - 1 rows and columns, which are cropped. The
+    gradient with respect to a PSF is the correlation of images with the gradients of captures: one inverse transform
+    for all images.
     """
 
     @staticmethod
@@ -51,10 +52,10 @@ class _Convolution(torch.autograd.Function):
         """Render captures (N, 2, 3, H, W) of the pairs of each run in turn.
 
         Args:
-            images: (3, P, n, m) spectra of pairs of images with borders, less their mean.
+            images: (3, P, n, m) spectra of pairs of images with borders, minus their mean.
             mean: (3, P) complex.
-            psf: (F, 3, K, K), for its gradient.
-            runs: what to render.
+            psf: (F, 3, K, K), used only for its gradient.
+            runs: the pairs to render at each field.
             shape: height and width of the captures.
             kernels: spectra (n, m) of the PSFs by field and colour, divided by n m.
         """
@@ -73,7 +74,7 @@ class _Convolution(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        """Compute the gradients at the spectra of images, their mean, and the PSFs."""
+        """Compute the gradients with respect to the spectra of images, their mean, and the PSFs."""
         images, psf = ctx.saved_tensors
         runs, shape, kernels = ctx.arguments
         at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
@@ -97,16 +98,16 @@ class _Convolution(torch.autograd.Function):
 
 
 def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[slice, ...]:
-    """Return the index of the captures in convolved planes (P, n, m)."""
+    """Return the slices of the captures in convolved planes (P, n, m)."""
     return slice(None), *(slice(k - 1, k - 1 + side) for k, side in zip(psf.shape[-2:], shape, strict=True))
 
 
 def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, int, list[tuple[slice, slice]]]]:
-    """Yield field, colour, and their blocks: pairs that are transformed at once, and where their captures are."""
-    fit = _at_once(images)
+    """Yield field, colour, and blocks: slices of pairs to transform at once, and slices of their captures."""
+    size = _at_once(images)
     begin = 0
     for field, start, stop in runs:
-        ends = [(first, min(first + fit, stop)) for first in range(start, stop, fit)]
+        ends = [(first, min(first + size, stop)) for first in range(start, stop, size)]
         blocks = [(slice(a, b), slice(begin + a - start, begin + b - start)) for a, b in ends]
         for colour in range(3):
             yield field, colour, blocks
@@ -114,12 +115,12 @@ def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, int, list
 
 
 def _fast_size(pixels: int) -> int:
-    """Return the next size whose transform is fast: a multiple of four with small factors."""
+    """Return the next size with a fast transform: a multiple of four with small factors."""
     return 4 * next_fast_len(-(-pixels // 4))
 
 
 def _at_once(planes: Tensor) -> int:
-    """Return how many of complex planes (..., n, m) are transformed at once: all on a GPU."""
+    """Return the number of complex planes (..., n, m) to transform at once: all of them on a GPU."""
     count = planes[..., 0, 0].numel()
     return max(1, _PLANE_BYTES * count // planes.nbytes) if planes.device.type == "cpu" else count
 
@@ -129,10 +130,10 @@ class PsfCamera:
 
     Args:
         psf: (F, 3, K, K) one PSF per field and colour, K odd.
-        outside_window: "veil" as above, or "renormalise" the PSF to unit energy, without light outside the window.
-        colour: convolution of sRGB values ("srgb", our reading of the paper) or of "linear" light.
-        sensor: sensor; None: neither noise nor rounding.
-        illumination: (F,) relative illumination of the fields, for a sensor; None: as on the axis.
+        outside_window: "veil" as above, or "renormalise": PSFs of unit energy, without light outside the window.
+        colour: convolution of sRGB values ("srgb", our interpretation of the paper) or of "linear" light.
+        sensor: sensor; None: no noise and no quantisation.
+        illumination: (F,) relative illumination of the fields, for a sensor; None: 1 everywhere.
     """
 
     def __init__(
@@ -153,47 +154,47 @@ class PsfCamera:
 
     @classmethod
     def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "PsfCamera":
-        """Return the camera of capture settings, through PSFs and at the relative illumination of their file."""
+        """Build the camera for capture settings, from the PSFs and relative illumination of a PSF file."""
         return cls(psf, capture.outside_window, capture.colour, capture.sensor, illumination)
 
     def grid(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
-        `generator` is that of the noise, drawn image by image; without one it is the same at every call.
+        `generator` draws the noise, image by image; without a generator, the noise is the same at every call.
         """
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
             pairs = torch.cat([block, block[: len(block) % 2]]).unflatten(0, (-1, 2))
             runs = [_Run(field, 0, len(pairs)) for field in range(len(self.psf))]
-            found = self._render(pairs, runs).unflatten(0, (len(runs), -1))
-            captures.append(found.flatten(1, 2)[:, : len(block)])
-        found = captures[0] if len(captures) == 1 else torch.cat(captures, 1)
+            output = self._render(pairs, runs).unflatten(0, (len(runs), -1))
+            captures.append(output.flatten(1, 2)[:, : len(block)])
+        output = captures[0] if len(captures) == 1 else torch.cat(captures, 1)
         if self.sensor is None:
-            return found
-        illumination = self.illumination[:, None].expand(found.shape[:2])
-        drawn = noise(found.transpose(0, 1).shape, generator).transpose(0, 1)
-        return expose(found, self.sensor, illumination, drawn.to(found))
+            return output
+        illumination = self.illumination[:, None].expand(output.shape[:2])
+        sample = noise(output.transpose(0, 1).shape, generator).transpose(0, 1)
+        return expose(output, self.sensor, illumination, sample.to(output))
 
     def single(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
 
-        A sensor needs `noise`, standard normal numbers like the images.
+        A sensor needs `noise`: standard normal numbers in the shape of the images.
         """
-        order: list[int] = []  # of the images by field, an even number each
+        order: list[int] = []  # image indices sorted by field, an even number per field
         runs = []
-        at = fields.tolist()
-        for field in sorted(set(at)):
-            chosen = [image for image, other in enumerate(at) if other == field]
+        numbers = fields.tolist()
+        for field in sorted(set(numbers)):
+            indices = [image for image, other in enumerate(numbers) if other == field]
             start = len(order) // 2
-            order += chosen + chosen[: len(chosen) % 2]
+            order += indices + indices[: len(indices) % 2]
             runs.append(_Run(field, start, len(order) // 2))
         captures = self._render(images[order].unflatten(0, (-1, 2)), runs).flatten(0, 1)
         position = {image: place for place, image in enumerate(order)}
-        found = captures[[position[image] for image in range(len(images))]]
+        output = captures[[position[image] for image in range(len(images))]]
         if self.sensor is None:
-            return found
+            return output
         assert noise is not None
-        return expose(found, self.sensor, self.illumination[fields], noise.to(found))
+        return expose(output, self.sensor, self.illumination[fields], noise.to(output))
 
     def _render(self, images: Tensor, runs: list[_Run]) -> Tensor:
         """Render pairs of images (P, 2, 3, H, W) to captures (N, 2, 3, H, W), in the order of the runs.
@@ -210,7 +211,7 @@ class PsfCamera:
         images = images.float().transpose(0, 2)  # colours first
         mean = images.mean((-2, -1), keepdim=True)
         size = _fast_size(height + 2 * half), _fast_size(width + 2 * half)
-        # Reflection fills the whole transform where it can: what lies beyond the border has no effect.
+        # Reflection fills as much of the transform as possible; values beyond the border have no effect.
         far = [min(n - half - side, side - 1) for n, side in zip(size, (height, width), strict=True)]
         padded = F.pad(torch.complex(*(images - mean).unbind(1)), (half, far[1], half, far[0]), mode="reflect")
         means = torch.complex(*mean[..., 0, 0].unbind(1))
@@ -223,22 +224,22 @@ class PsfCamera:
 
 
 def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:
-    """Return standard normal numbers; without a generator always the same."""
+    """Return standard normal numbers; without a generator, always the same numbers."""
     return torch.randn(tuple(shape), generator=generator or torch.Generator().manual_seed(0))
 
 
 def expose(captures: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:
-    """Expose a sensor to captures: shot and read noise, correction of the illumination, sRGB values of a few bits.
+    """Expose a sensor to captures: shot and read noise, illumination correction, and quantised sRGB values.
 
     N = W E + sqrt(W E + r^2) z,  value = N / W,  W = illumination * full_well / gain
 
-    E is the linear light of the capture, 1 for white, and r the read noise. The Gaussian has the mean and variance of
-    Poisson's distribution. The gradient passes the rounding unchanged.
+    E is the linear light of the capture (1 is white), r the read noise. The Gaussian has the mean and variance of the
+    Poisson distribution. The gradient passes through the quantisation unchanged.
 
     Args:
         captures: (..., 3, H, W) sRGB values; clipped to [0, 1].
         illumination: (...) relative illumination.
-        noise: standard normal numbers z, like `captures`.
+        noise: standard normal numbers z, in the shape of `captures`.
     """
     white = (sensor.full_well / sensor.gain * illumination).clamp(min=1e-6)[..., None, None, None]
     electrons = white * rgb_to_linear_rgb(captures.clamp(0, 1))

@@ -14,7 +14,7 @@ ABSENT = [name for name in ("chromium", "chromedriver") if shutil.which(name) is
 OPTIONS = [
     *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "hide-scrollbars"),
     *("disable-background-networking", "disable-component-update", "disable-sync"),
-    "force-prefers-reduced-motion",  # else a click may miss what is being scrolled to
+    "force-prefers-reduced-motion",  # otherwise a click may miss its moving target
 ]
 
 
@@ -34,7 +34,7 @@ def browser(profile: Path) -> Iterator[Chrome]:
 
 
 def window(opened: Chrome, width: int, height: int) -> None:
-    """Give the page a width, also one below the 500 pixels of the narrowest window."""
+    """Set the width of the page, even below 500 pixels, the narrowest window."""
     metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
@@ -45,7 +45,7 @@ def colour_scheme(opened: Chrome, scheme: str) -> None:
 
 
 def requests(opened: Chrome, page: str) -> set[str]:
-    """The addresses that a page asked for; of those that hold their data only the kind, `data:` or `blob:`."""
+    """Addresses that a page requested; an address that holds its data is cut to its scheme, `data:` or `blob:`."""
     events = (json.loads(entry["message"])["message"] for entry in opened.get_log("performance"))
     sent = (event["params"] for event in events if event["method"] == "Network.requestWillBeSent")
     addresses = {params["request"]["url"] for params in sent if params["documentURL"] == page}

@@ -1,9 +1,9 @@
-"""One thread of the CPU for every test: sums are then taken in one order everywhere. And the lens of many tests."""
+"""One CPU thread for every test, so that sums have the same order everywhere, and a lens that many tests share."""
 
 import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
-os.environ["NUMBA_NUM_THREADS"] = "1"  # parallel code of Optiland else gives torch two threads again, and they wait
+os.environ["NUMBA_NUM_THREADS"] = "1"  # otherwise parallel code of Optiland resets torch to two threads, and they wait
 os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 import numpy
@@ -27,7 +27,7 @@ def start():
     return random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]
 
 
-# Those that take longest, which two processes begin with: else the last of them would keep one waiting.
+# The longest tests, with which two processes begin: otherwise the last of them would leave one process idle.
 LONGEST = (
     "test_workflow_runs.py",
     "test_structure.py",

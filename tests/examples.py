@@ -1,4 +1,4 @@
-"""Lenses, rays, networks and studies that several test files build on, and differences to check gradients against."""
+"""Lenses, rays, networks and studies that several test files share, and finite differences to check gradients."""
 
 import csv
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def materials(*names: str) -> tuple[Material, ...]:
 
 
 def make_lens(curvature, thickness, media, *, conic=None, alpha=None, semi_diameter=None, stop=0) -> Lens:
-    """A lens in float64; spherical, without aspheres and unlimited where nothing else is said; media may be names."""
+    """A lens in float64; by default spherical, without aspheres and with unlimited apertures; media may be names."""
     surfaces = len(media)
     return Lens(
         curvature=f64(curvature),
@@ -156,9 +156,9 @@ def trained_network(seed: int, **settings) -> nn.Module:
 
 
 def by_descents(start, criterion, problem, *parts, candidates=None, checkpoint=NO_CHECKPOINT, **design):
-    """A design by descents of a maker of criteria: its lens, what its file says of its origin, and its history."""
-    given = {"batch_size": 4, "rays": 16, "augment": False, "start": tuple(candidates or ()) or "flat"}
-    settings = GradientDesignSettings(descents=parts, **(given | design))
+    """Design a lens by descents; return the lens, the origin for its file, and the history."""
+    options = {"batch_size": 4, "rays": 16, "augment": False, "start": tuple(candidates or ()) or "flat"}
+    settings = GradientDesignSettings(descents=parts, **(options | design))
     return descents.design(start, candidates or {}, criterion, problem, settings, checkpoint)[:3]
 
 
@@ -222,12 +222,12 @@ def with_imported(**catalogues) -> dict:
 
 
 def changed(study, key: str, value):
-    """A copy of a study's mapping with the value at a dotted key replaced or added; numbers are of entries of lists."""
+    """A copy of a study's mapping with the value at a dotted key replaced or added; numbers index lists."""
     head, _, rest = key.partition(".")
     if isinstance(study, list):
-        found = list(study)
-        found[int(head)] = changed(found[int(head)], rest, value) if rest else value
-        return found
+        items = list(study)
+        items[int(head)] = changed(items[int(head)], rest, value) if rest else value
+        return items
     return study | {head: changed(study.get(head, {}), rest, value) if rest else value}
 
 
@@ -247,14 +247,14 @@ def lens_file(study: str, lens: str, seed: int = 0, name: str = "lens.yaml") -> 
 
 
 def measurements_of(study: str, contents) -> Measurements:
-    """The measurements that a table of lenses, or claims, are about."""
+    """Files of the measurements that a table or the claims need."""
     lenses = {key: lens_file(study, *key) for key in contents.lens_keys}
     metrics, predictions, frozen = (
         {key: measurement(study, *key, kind) for key in contents.measured_keys}
         for kind in ("", "-predictions", "-frozen")
     )
-    shown = {key: frozen[key] for key in getattr(contents, "frozen_keys", [])}
-    return Measurements(lenses, metrics, predictions, shown)
+    frozen_files = {key: frozen[key] for key in getattr(contents, "frozen_keys", [])}
+    return Measurements(lenses, metrics, predictions, frozen_files)
 
 
 def write(path: str | Path, text: str) -> None:

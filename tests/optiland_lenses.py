@@ -1,4 +1,4 @@
-"""Our lenses in Optiland, another ray tracer, for tests that ask for its opinion: by its public calls."""
+"""Our lenses in Optiland, another ray tracer, for tests that compare with it through its public interface."""
 
 import os
 
@@ -11,7 +11,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 
-os.environ.setdefault("MPLBACKEND", "Agg")  # it draws; nothing is drawn here
+os.environ.setdefault("MPLBACKEND", "Agg")  # Optiland imports matplotlib; the tests draw nothing
 import optiland.backend
 from optiland.distribution import BaseDistribution
 from optiland.materials.base import BaseMaterial
@@ -61,7 +61,7 @@ def in_optiland(lens: Lens, looks: View) -> tuple[Optic, numpy.ndarray]:
         optic.surfaces.add(index=i + 1, **shape, **medium)
     optic.surfaces.add(index=len(lens.media) + 1)
     if stop_is_inside(lens):
-        # By the diameter of the stop: with that of the entrance pupil its aiming takes the stop of a real marginal ray.
+        # By the stop's diameter: from an entrance pupil's, Optiland takes the stop of a real marginal ray.
         radius = float(lens.semi_diameter[lens.stop])
         optic.set_aperture("float_by_stop_size", 2 * radius)
         optic.surfaces[lens.stop + 1].set_semi_aperture(radius)

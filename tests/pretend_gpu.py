@@ -1,8 +1,8 @@
 """A GPU that is not there: tensors say that they are on it, compute on the CPU, and refuse to mix with others.
 
-CUDA refuses an operation on tensors of two devices, except with numbers (tensors of no dimension) of the CPU, and
-indices. So does this, which finds in code for GPUs what no run on a CPU finds: a tensor that was not sent, a result
-that was not fetched, a generator of the other device. Half precision is left out.
+CUDA refuses an operation on tensors of two devices, except for scalars (tensors without dimensions) on the CPU, and
+indices. This module refuses the same, and so finds errors that no run on a CPU finds: a tensor not moved to the GPU, a
+result not copied back, a generator on the other device. It does not cover half precision.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 GPU = torch.device("cuda", 0)
 CPU = torch.device("cpu")
 aten = torch.ops.aten
-# What copies between devices, and what takes indices or values of the CPU.
+# Operations that copy between devices, and operations that take indices or values of the CPU.
 COPIES = {aten._to_copy.default, aten.copy_.default, aten._local_scalar_dense.default}
 LAZY = {aten._conj.default: aten.conj_physical.default, aten._neg_view.default: aten.neg.default}  # but for marks
 INDEXED = {aten.index.Tensor, aten.index_put_.default, aten.index_put.default, aten._index_put_impl_.default}
@@ -29,12 +29,12 @@ class OnGpu(torch.Tensor):
 
     @staticmethod
     def __new__(cls, values: torch.Tensor) -> "OnGpu":
-        # For torch on no device, since it would ask a driver about a GPU's.
-        found = torch.Tensor._make_wrapper_subclass(
+        # On the meta device for torch, which would ask a driver about a tensor on a GPU.
+        tensor = torch.Tensor._make_wrapper_subclass(
             cls, values.shape, values.stride(), values.storage_offset(), dtype=values.dtype, device="meta"
         )
-        found.values = values
-        return found
+        tensor.values = values
+        return tensor
 
     @property
     def device(self) -> torch.device:
@@ -46,9 +46,9 @@ class OnGpu(torch.Tensor):
 
     def __getitem__(self, index):
         parts = index if isinstance(index, tuple) else (index,)  # a list would become a tensor of no values
-        return super().__getitem__(tuple(torch.tensor(each) if isinstance(each, list) else each for each in parts))
+        return super().__getitem__(tuple(torch.tensor(part) if isinstance(part, list) else part for part in parts))
 
-    def tolist(self) -> object:  # torch's own is not for other classes
+    def tolist(self) -> object:  # torch's own method refuses other classes
         return self.values.tolist()
 
     def pin_memory(self, *_):
@@ -56,7 +56,7 @@ class OnGpu(torch.Tensor):
 
 
 class PretendGpu(TorchDispatchMode):
-    """While it is active, tensors can be on the GPU; `operations` counts those that ran there."""
+    """While this mode is active, tensors can be on the GPU; `operations` counts the operations that ran there."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -64,33 +64,33 @@ class PretendGpu(TorchDispatchMode):
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         flat, tree = tree_flatten((args, kwargs or {}))
-        tensors = [each for each in flat if isinstance(each, torch.Tensor)]
-        here = [each for each in tensors if isinstance(each, OnGpu)]
-        there = [each for each in tensors if not isinstance(each, OnGpu) and each.dim() > 0]
-        if here and there and function not in COPIES | INDEXED:
-            shapes = ", ".join(str(tuple(each.shape)) for each in there)
+        tensors = [value for value in flat if isinstance(value, torch.Tensor)]
+        gpu_tensors = [value for value in tensors if isinstance(value, OnGpu)]
+        cpu_tensors = [value for value in tensors if not isinstance(value, OnGpu) and value.dim() > 0]
+        if gpu_tensors and cpu_tensors and function not in COPIES | INDEXED:
+            shapes = ", ".join(str(tuple(value.shape)) for value in cpu_tensors)
             raise RuntimeError(f"{function}: expected all tensors on {GPU}, found {shapes} on the CPU")
-        generators = [each for each in flat if isinstance(each, torch.Generator)]
-        asked = (kwargs or {}).get("device")
-        on_gpu = bool(here) if asked is None else torch.device(asked).type in (GPU.type, "meta")
+        generators = [value for value in flat if isinstance(value, torch.Generator)]
+        target = (kwargs or {}).get("device")
+        on_gpu = bool(gpu_tensors) if target is None else torch.device(target).type in (GPU.type, "meta")
         if function is aten.copy_.default:
             on_gpu = isinstance(args[0], OnGpu)
-        if on_gpu and any(each.device == CPU for each in generators):
+        if on_gpu and any(value.device == CPU for value in generators):
             raise RuntimeError(f"{function}: expected a generator of {GPU}, found one of the CPU")
-        values = [each.values if isinstance(each, OnGpu) else each for each in flat]
-        values = [CPU if isinstance(each, torch.device) else each for each in values]
+        values = [value.values if isinstance(value, OnGpu) else value for value in flat]
+        values = [CPU if isinstance(value, torch.device) else value for value in values]
         args, kwargs = tree_unflatten(values, tree)
-        found = LAZY.get(function, function)(*args, **kwargs)
+        result = LAZY.get(function, function)(*args, **kwargs)
         self.operations += on_gpu
-        known = {id(each.values): each for each in here}
-        return tree_map(lambda each: self._placed(each, on_gpu, known), found)
+        wrappers = {id(value.values): value for value in gpu_tensors}
+        return tree_map(lambda value: self._placed(value, on_gpu, wrappers), result)
 
     @staticmethod
-    def _placed(value, on_gpu: bool, known: dict[int, OnGpu]):
+    def _placed(value, on_gpu: bool, wrappers: dict[int, OnGpu]):
         if not isinstance(value, torch.Tensor) or not on_gpu:
             return value
-        found = known.get(id(value))  # what an operation changed in place stays itself
-        return OnGpu(value) if found is None else found
+        wrapper = wrappers.get(id(value))  # a tensor changed in place keeps its wrapper
+        return OnGpu(value) if wrapper is None else wrapper
 
 
 @contextmanager
@@ -101,7 +101,7 @@ def pretend_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[PretendGpu]:
     before = torch.__future__.get_overwrite_module_params_on_conversion()
     torch.__future__.set_overwrite_module_params_on_conversion(
         True
-    )  # else a network that is moved keeps its parameters
+    )  # otherwise a moved network keeps its old parameters
     try:
         with PretendGpu() as gpu:
             yield gpu

@@ -1,15 +1,15 @@
-"""Reference data of the tests: files of tests/data, and more of the same in ../shared where a developer has it."""
+"""Reference data of the tests: files of tests/data, and more of the same in ../shared if it exists."""
 
 from pathlib import Path
 
 SHIPPED = Path(__file__).parent / "data"
-SHARED = Path(__file__).parents[2] / "shared"  # larger, and in part under licences that do not let us distribute it
+SHARED = Path(__file__).parents[2] / "shared"  # larger, and in part under licences that forbid distribution
 
 
 def reference_files(pattern: str) -> list[Path]:
-    """Files that match, by name; of one that is in both places that of ../shared, of which ours may be a part."""
-    found = {path.relative_to(root): path for root in (SHIPPED, SHARED / "data") for path in root.glob(pattern)}
-    return [found[name] for name in sorted(found)]
+    """Return matching files by name; ../shared wins over tests/data, which may hold only a part of the same file."""
+    paths = {path.relative_to(root): path for root in (SHIPPED, SHARED / "data") for path in root.glob(pattern)}
+    return [paths[name] for name in sorted(paths)]
 
 
 def original_of(path: Path) -> Path:

@@ -29,7 +29,7 @@ def with_indices(indices: dict | None, name: str = "reference") -> Material:
 
 
 def reference_lens(path: Path, apertures: bool = False) -> Lens:
-    """The lens of a file with the stop that its F-number asks for, clear apertures only where asked for."""
+    """The lens of a file, with the stop of its F-number; clear apertures only on request."""
     content = json.loads(path.read_text())
     surfaces = content["surfaces"][:-1]  # without the image plane
     alpha = torch.zeros(len(surfaces), 10, dtype=torch.float64)

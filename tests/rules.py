@@ -20,7 +20,7 @@ from tasklens.study.loading import at_points, parse
 from tasklens.study.study import TABLES, Study
 
 ROOT = Path(__file__).parents[1]
-_APIS = []  # an API that is collected tears its workflow down
+_APIS = []  # garbage collection of the API would tear down its workflow
 
 
 @cache
@@ -50,7 +50,7 @@ class Job:
     log: Path
 
     def run(self) -> None:
-        """Do the job in this process."""
+        """Run the job in this process."""
         outputs = {name: str(path) for name, path in self.outputs.items()}
         job.run(self.function, self.settings, self.code, {**self.inputs, **self.unawaited}, outputs, self.log)
 
@@ -94,10 +94,10 @@ def outputs(name: str, study: Study, **wildcards: str | int) -> SimpleNamespace:
 
 
 def finish(name: str, study: Study, **wildcards: str | int) -> SimpleNamespace:
-    """Do a job of a study in the present folder; returns its outputs."""
-    found = job_of(name, study, **wildcards)
-    found.run()
-    return SimpleNamespace(**found.outputs)
+    """Run a job of a study in the current folder and return its outputs."""
+    current_job = job_of(name, study, **wildcards)
+    current_job.run()
+    return SimpleNamespace(**current_job.outputs)
 
 
 def wildcards_of(name: str, study: Study) -> Iterator[dict]:
@@ -114,15 +114,15 @@ def wildcards_of(name: str, study: Study) -> Iterator[dict]:
         "task": study.tasks.networks,
         "seed": study.seeds,
     }
-    own = [wildcard for wildcard in ranges if wildcard in workflow().get_rule(name).wildcard_names]
-    for values in itertools.product(*(ranges[wildcard] for wildcard in own)):
-        found = dict(zip(own, values, strict=True))
-        if not (found.get("lens") == names.SHARP and names.split(found.get("measured_name", ""))[1]):
-            yield found  # sharp images are not restored
+    keys = [wildcard for wildcard in ranges if wildcard in workflow().get_rule(name).wildcard_names]
+    for values in itertools.product(*(ranges[wildcard] for wildcard in keys)):
+        wildcards = dict(zip(keys, values, strict=True))
+        if not (wildcards.get("lens") == names.SHARP and names.split(wildcards.get("measured_name", ""))[1]):
+            yield wildcards  # sharp images are not restored
 
 
 def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
-    """Every job that a study may have, by the name of its rule and its wildcards but for the seed."""
+    """Every job that a study may have, by the name of its rule and its wildcards except the seed."""
     left_out = set() if study.sweep else {"sweep_table"}
     left_out |= set() if study.tasks.networks else {"scenes", "tasks_table"}
     left_out |= {"production", "tolerances_table"} if study.capture.diffraction else {"diffraction"}
@@ -135,7 +135,7 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
 
 def slices(mapping: dict) -> dict[tuple, list[str]]:
     """Settings that Snakemake compares, for every job of a study and each seed."""
-    found: dict[tuple, list[str]] = {}
-    for key, each in every_job(parse(mapping)):
-        found.setdefault(key, []).append(each.settings)
-    return found
+    settings: dict[tuple, list[str]] = {}
+    for key, one_job in every_job(parse(mapping)):
+        settings.setdefault(key, []).append(one_job.settings)
+    return settings

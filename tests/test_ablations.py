@@ -25,7 +25,7 @@ def with_ablation(ablation: dict) -> dict:
 
 
 def test_a_variant_is_its_design_changed_in_what_it_names():
-    """Keys deep inside too, and nothing else; it stands in no table of the paper."""
+    """Nested keys change too, and nothing else does; a variant is in no table of the paper."""
     study = parse(with_ablation(RAYS))
     base, variant = study.lens("singlet-tasklens"), study.lens("singlet-tasklens_mine_few")
     first, *others = base.design.descents
@@ -52,7 +52,7 @@ def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
 
 
 def test_an_ablation_changes_its_own_jobs_and_no_others():
-    """A new one adds jobs; another number of rays designs the variant anew; the report is of the whole study."""
+    """A new ablation adds jobs; another ray count redesigns the variant; the report covers the whole study."""
     variant = "singlet-tasklens_mine_few"
     before, after = slices(tiny_study()), slices(with_ablation(RAYS))
     assert {job for job in before if before[job] != after[job]} == {("report_page",)}
@@ -109,7 +109,7 @@ def test_an_unknown_ablation_is_named():
 
 @pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, "suggests +")])
 def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
-    """The design first, then its variants with their gain over it, which one seed only suggests."""
+    """The design is first, then its variants with their gains; a single seed only suggests a gain."""
     monkeypatch.chdir(tmp_path)
     study = parse(changed(with_ablation(RAYS), "seeds", list(range(seeds))))
     base, variant = "singlet-tasklens", "singlet-tasklens_mine_few"
@@ -119,10 +119,10 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     results(study, lambda lens, *_: lenses[lens], lenses=lenses)
     worst = outputs("design", study, lens=variant, seed=seeds - 1).lens
     content = yaml.safe_load(worst.read_text())
-    content["worst_margin"]["value"] = -0.2  # in one seed of five, too, it is the worst
+    content["worst_margin"]["value"] = -0.2  # the worst margin counts even if only one seed of five has it
     worst.write_text(yaml.safe_dump(content))
-    made = finish("ablation", study, ablation="mine")
-    rows = pandas.read_csv(made.csv).set_index("lens")
+    job = finish("ablation", study, ablation="mine")
+    rows = pandas.read_csv(job.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
     first, other = (rows.loc[lens] for lens in lenses)
     assert pandas.isna(first["difference"]) and other["verdict"].startswith(judged)
@@ -130,5 +130,5 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     assert other["low"] < other["difference"] < other["high"]
     assert other["rms_spot_um"] == 9.0 and other["worst_margin"] == -0.2
     assert first["worst_margin"] == 0.01
-    text = made.md.read_text()
+    text = job.md.read_text()
     assert variant in text and f"{other['difference']:+.2f}" in text and "nan" not in text

@@ -1,4 +1,4 @@
-"""Rays aimed at a stop inside the lens: exact, differentiable, lost where nothing reaches the stop, else as before."""
+"""Rays aimed at a stop inside the lens: exact, differentiable, and lost if they cannot reach the stop."""
 
 import math
 from dataclasses import replace
@@ -55,14 +55,14 @@ def looking(tangents: torch.Tensor, wavelengths: tuple[float, ...] = WAVELENGTHS
 
 
 def assert_on_stop(lens: Lens, rays: Rays, points: torch.Tensor, wavelengths: tuple[float, ...]) -> None:
-    """Rays that were aimed pass the real stop at the points; those lost behind it included."""
+    """Aimed rays pass the real stop at the points, including rays that are lost behind it."""
     image, behind = trace_full(lens, rays, lens.refractive_indices(wavelengths))
-    at, aimed = behind[lens.stop], rays.valid
+    stop_rays, aimed = behind[lens.stop], rays.valid
     assert not (aimed & (image.lost_at >= 0) & (image.lost_at <= lens.stop)).any()
     expected = (points * lens.semi_diameter[lens.stop]).expand(*aimed.shape, 2)
     # A ray that is lost behind the stop, or reflected at it, is still recorded where it met it.
-    found = torch.stack([at.x, at.y], -1)
-    torch.testing.assert_close(found[aimed], expected[aimed], rtol=0, atol=1e-12)
+    stop_points = torch.stack([stop_rays.x, stop_rays.y], -1)
+    torch.testing.assert_close(stop_points[aimed], expected[aimed], rtol=0, atol=1e-12)
 
 
 # ---- exact
@@ -102,32 +102,32 @@ def test_a_wide_angle_lens_keeps_its_full_field():
     first_order = paraxial(lens, WAVELENGTHS[1])
     point = MANY * first_order.entrance_pupil_radius - tangents[:, None, None] * first_order.entrance_pupil_z
     unaimed = replace(aimed, x=point[..., 0].expand_as(aimed.x), y=point[..., 1].expand_as(aimed.x))
-    kept = trace(lens, unaimed, indices).valid.double().mean((1, 2)).tolist()
-    assert kept[0] > 0.9 and kept[2] < 0.6 and kept[4] == 0
+    shares = trace(lens, unaimed, indices).valid.double().mean((1, 2)).tolist()
+    assert shares[0] > 0.9 and shares[2] < 0.6 and shares[4] == 0
 
 
 def test_a_curved_first_surface_is_filled_as_a_stop():
-    """As the stop: rays meet the surface itself, not its vertex plane, at their pupil points, and pass."""
+    """Rays meet the curved stop itself, not its vertex plane, at their pupil points, and pass."""
     glass = model_glass(1.6, 60.0, 0.0)
     lens = make_lens([1 / 20, -1 / 60], [8.0, 25.0], (glass, "air"), conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
     rays = launch_fields(lens, looking(f64([[0.0, 0.0], [0.1, 0.2]])), FEW)
     _, behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))
     assert behind[0].valid.all()
-    for found, expected in ((behind[0].x, FEW[:, 0]), (behind[0].y, FEW[:, 1])):
-        torch.testing.assert_close(found, (9.0 * expected).expand_as(found), rtol=0, atol=1e-12)
+    for coordinate, expected in ((behind[0].x, FEW[:, 0]), (behind[0].y, FEW[:, 1])):
+        torch.testing.assert_close(coordinate, (9.0 * expected).expand_as(coordinate), rtol=0, atol=1e-12)
 
 
 def test_the_chief_ray_passes_the_centre_of_the_stop():
     lens = reverse_telephoto()
     view = looking(tangents_of(0, 30, 70))
-    at = chief_rays_full(lens, view)[2][lens.stop]
-    assert float(torch.hypot(at.x, at.y).max()) < 1e-13
+    stop_rays = chief_rays_full(lens, view)[2][lens.stop]
+    assert float(torch.hypot(stop_rays.x, stop_rays.y).max()) < 1e-13
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
 @pytest.mark.parametrize("path", INNER_STOPS, ids=lambda path: path.stem)
 def test_rays_on_the_rim_pass_the_stop(path, dtype):
-    """Rounding to single precision included."""
+    """In double precision, and after rounding to single precision."""
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
     names = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
     lens = replace(lens, **{name: getattr(lens, name).to(dtype) for name in names})
@@ -145,7 +145,7 @@ def test_a_smaller_stop_is_the_inner_part_of_the_pupil():
         torch.testing.assert_close(getattr(stopped, name), getattr(inner, name), rtol=0, atol=1e-13)
 
 
-# ---- only where it is needed
+# ---- only if it is needed
 
 
 def unaimed(lens: Lens, tangents: torch.Tensor, points: torch.Tensor, wavelengths: tuple[float, ...]) -> Rays:
@@ -160,7 +160,7 @@ def unaimed(lens: Lens, tangents: torch.Tensor, points: torch.Tensor, wavelength
 
 
 def test_a_stop_in_front_changes_nothing(monkeypatch):
-    """Bit for bit, and without a call: plane stops as first surface, and behind planes in air."""
+    """Plane stops as first surface, or behind planes in air: same bits, and no call of the solver."""
     monkeypatch.setattr(pupil, "aim", None)
     in_air = make_lens([0, 0, 0.1, -0.1], [1.0, 0.5, 2.0, 9.0], ("air", "air", "COC", "air"), stop=1)
     in_air.semi_diameter[1] = 0.7
@@ -171,9 +171,9 @@ def test_a_stop_in_front_changes_nothing(monkeypatch):
     for lens in [*lenses, in_air, *plane]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)
         expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
-        found = launch_fields(lens, looking(tangents_of(0, 2), wavelengths), FEW)
+        rays = launch_fields(lens, looking(tangents_of(0, 2), wavelengths), FEW)
         for name, value in vars(expected).items():
-            assert torch.equal(getattr(found, name), value), name
+            assert torch.equal(getattr(rays, name), value), name
 
 
 # ---- differentiable
@@ -192,16 +192,16 @@ def image_points(make, name: str):
         value = value[lens.stop : lens.stop + 1]
 
     def image(value: torch.Tensor) -> torch.Tensor:
-        given = dict(values)
+        inputs = dict(values)
         changed = lens
         if name == "semi_diameter":
             radii = torch.full((len(lens.media),), torch.inf, dtype=torch.float64)
             changed = replace(lens, semi_diameter=torch.where(torch.arange(len(radii)) == lens.stop, value, radii))
         elif name in values:
-            given[name] = value
+            inputs[name] = value
         else:
             changed = replace(lens, **{name: value})
-        rays = launch_fields(changed, looking(given["tangents"]), given["pupil"])
+        rays = launch_fields(changed, looking(inputs["tangents"]), inputs["pupil"])
         # The rim of the stop is not an aperture here: a difference moves rays across it.
         opened = replace(changed, semi_diameter=torch.full_like(changed.curvature.detach(), torch.inf))
         rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
@@ -232,7 +232,7 @@ def test_derivatives_through_aiming(make, name):
 
 
 def test_derivatives_of_bundles_that_a_polynomial_starts():
-    """The sum over many rays, by all curvatures and spaces at once."""
+    """Derivative of a sum over many rays with respect to all curvatures and spaces at once."""
     lens = reverse_telephoto()
     generator = torch.Generator().manual_seed(6)
     directions = {name: torch.randn(5, generator=generator, dtype=torch.float64) for name in ("curvature", "thickness")}
@@ -245,9 +245,9 @@ def test_derivatives_of_bundles_that_a_polynomial_starts():
         return (rays.x.square() + rays.y.square()).mean()
 
     zero, one = f64([0.0]), f64([1.0])
-    found = float(torch.autograd.functional.jacobian(merit, zero))
-    assert found == pytest.approx(float(difference(merit, zero, 1e-5)), rel=1e-7)
-    assert float(torch.func.jvp(merit, (zero,), (one,))[1]) == pytest.approx(found, rel=1e-11)
+    derivative = float(torch.autograd.functional.jacobian(merit, zero))
+    assert derivative == pytest.approx(float(difference(merit, zero, 1e-5)), rel=1e-7)
+    assert float(torch.func.jvp(merit, (zero,), (one,))[1]) == pytest.approx(derivative, rel=1e-11)
 
 
 # ---- lost rays
@@ -281,10 +281,10 @@ def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
     clipped = replace(lens, semi_diameter=lens.semi_diameter.clone())
     clipped.semi_diameter[0] = 8.0
     rays = launch_fields(lens, looking(tangents), MANY)
-    same = launch_fields(clipped, looking(tangents), MANY)
-    assert torch.equal(rays.x, same.x) and torch.equal(rays.y, same.y)
+    clipped_rays = launch_fields(clipped, looking(tangents), MANY)
+    assert torch.equal(rays.x, clipped_rays.x) and torch.equal(rays.y, clipped_rays.y)
     behind = trace_full(lens, rays, indices)[1][0]
-    image = trace(clipped, same, indices)
+    image = trace(clipped, clipped_rays, indices)
     assert torch.equal(image.vignetted, torch.hypot(behind.x, behind.y) > 8.0)
     assert 0.3 < image.valid[1].double().mean() < 0.9 and (image.lost_at[image.vignetted] == 0).all()
 
@@ -293,9 +293,9 @@ def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
 
 
 def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_width: float, count: int) -> torch.Tensor:
-    """Illuminance of fields in the image: what all rays of a grid that pass the lens cover in direction cosines.
+    """Illuminance of fields: the area in direction cosines that the rays of a grid cover behind the lens.
 
-    Rays start on a square of the first vertex plane, whatever the pupil; the cosines are differentiated by it.
+    Rays start on a square of the first vertex plane, whatever the pupil; the area is a Jacobian on that plane.
     """
     axis = (torch.arange(count, dtype=torch.float64) + 0.5) * (2 * half_width / count) - half_width
     grid = torch.cartesian_prod(axis, axis).T
@@ -312,7 +312,7 @@ def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_widt
 
     areas = []
     for tangent in tangents:
-        centre = launch_fields(lens, looking(tangent[None], (wavelength,)), CENTRE)  # only places the square
+        centre = launch_fields(lens, looking(tangent[None], (wavelength,)), CENTRE)  # only centres the square
         behind = partial(cosines, tangent, centre)
         _, (lx, mx), valid = torch.func.jvp(behind, (x, y), (one, zero), has_aux=True)
         _, (ly, my), _ = torch.func.jvp(behind, (x, y), (zero, one), has_aux=True)
@@ -328,9 +328,9 @@ NORMAL = (cooke_triplet, (0, 10, 20), 7.0)
 @pytest.mark.parametrize("clipped", [False, True])
 @pytest.mark.parametrize("make, angles, half_width", [WIDE, NORMAL])
 def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, clipped):
-    """Against 400 x 400 rays over the first surface; 4e-3 where an aperture cuts the pupil, 1e-3 else."""
+    """Compared with 400 x 400 rays over the first surface: within 4e-3 if an aperture cuts the pupil, else 1e-3."""
     lens, tangents = make(), tangents_of(*angles)
-    if clipped:  # less than the light of the largest field needs
+    if clipped:  # smaller than the beam of the largest field
         rays = launch_fields(lens, looking(tangents), rim(64))
         behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))[1][-2]
         height = torch.hypot(behind.x, behind.y)[-1]
@@ -338,8 +338,8 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
     view = looking(tangents)
     area = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
     expected = area / area[0]
-    found = relative_illumination(lens, view)
-    torch.testing.assert_close(found, expected, rtol=0, atol=4e-3 if clipped else 1e-3)
+    illumination = relative_illumination(lens, view)
+    torch.testing.assert_close(illumination, expected, rtol=0, atol=4e-3 if clipped else 1e-3)
 
 
 def test_it_tells_a_stop_inside():

@@ -1,4 +1,4 @@
-"""Spots, ray fans, distortion, MTF and clear apertures, from rays that are known or traced one by one."""
+"""Spots, ray fans, distortion, MTF and clear apertures, from constructed or individually traced rays."""
 
 import math
 from dataclasses import replace
@@ -37,7 +37,7 @@ def test_spot_figures_of_a_ring():
     torch.testing.assert_close(middle, f64([[2.0, 1.0]]), rtol=0, atol=1e-15)
     for radius in (rms_spot_radius(rays, middle), *(encircled_energy_radius(rays, middle, q) for q in (0.1, 0.5, 1))):
         assert float(radius) == pytest.approx(0.5, abs=1e-14)
-    # About another point d away: RMS^2 = 0.5^2 + d^2
+    # about a point at distance d: RMS^2 = 0.5^2 + d^2
     assert float(rms_spot_radius(rays, f64([[2.0, 2.2]]))) == pytest.approx(math.hypot(0.5, 1.2), abs=1e-14)
 
 
@@ -82,40 +82,40 @@ def lens():
 
 
 def test_clear_semi_diameters_pass_all_light_and_not_more(lens):
-    """A lens cut to them loses no ray of the rim; cut a little smaller at any surface it does."""
-    lens, looks = lens
-    used = clear_semi_diameters(lens, looks)
-    assert trace_fields(replace(lens, semi_diameter=used), looks, rim(64)).valid.all()
-    for i in range(1, len(used)):
-        cut = used.clone()
+    """A lens with these apertures loses no rim ray; with a slightly smaller aperture on any surface it does."""
+    lens, view = lens
+    apertures = clear_semi_diameters(lens, view)
+    assert trace_fields(replace(lens, semi_diameter=apertures), view, rim(64)).valid.all()
+    for i in range(1, len(apertures)):
+        cut = apertures.clone()
         cut[i] *= 0.999
-        rays = trace_fields(replace(lens, semi_diameter=cut), looks, rim(64))
+        rays = trace_fields(replace(lens, semi_diameter=cut), view, rim(64))
         assert set(rays.lost_at[~rays.valid].tolist()) == {i}
         assert (rays.status[~rays.valid] == RayStatus.VIGNETTED).all()
 
 
 def test_ray_fans_are_the_real_rays_of_the_field_turned(lens):
-    """Errors along and across the field, through pupil points along and across it, wherever the field stands."""
-    lens, looks = lens
-    fans = ray_fans(lens, looks, 9)
-    chief = chief_points(lens, looks)
-    for f, along in enumerate(looks.directions):
+    """Ray errors along and across the field, for pupil points along and across it, in any meridian."""
+    lens, view = lens
+    fans = ray_fans(lens, view, 9)
+    chief = chief_points(lens, view)
+    for f, along in enumerate(view.directions):
         across = torch.stack([along[1], -along[0]])  # right-handed: (across, along) are (x, y) turned
-        for direction, found in ((along, fans.tangential), (across, fans.sagittal)):
-            one = replace(looks, fields=looks.fields[f : f + 1])
-            rays = trace_fields(lens, one, fans.pupil[:, None] * direction)
+        for direction, fan in ((along, fans.tangential), (across, fans.sagittal)):
+            one_field = replace(view, fields=view.fields[f : f + 1])
+            rays = trace_fields(lens, one_field, fans.pupil[:, None] * direction)
             errors = spot_diagram(rays, chief[f : f + 1])[0]
             expected = torch.stack([errors @ across, errors @ along], -1)
-            torch.testing.assert_close(found[f], expected, rtol=0, atol=1e-13)
+            torch.testing.assert_close(fan[f], expected, rtol=0, atol=1e-13)
     assert float(fans.tangential[:, 1, 4].abs().max()) == 0  # the chief ray itself
     torch.testing.assert_close(fans.tangential[0, ..., 1], fans.sagittal[0, ..., 0], rtol=0, atol=1e-14)  # on the axis
 
 
 def test_a_lost_ray_has_no_place_in_a_fan(lens):
-    lens, looks = lens
+    lens, view = lens
     narrow = replace(lens, semi_diameter=lens.semi_diameter.clone())
     narrow.semi_diameter[1] = 0.2
-    fans = ray_fans(narrow, replace(looks, fields=looks.fields[:1]), 5)
+    fans = ray_fans(narrow, replace(view, fields=view.fields[:1]), 5)
     assert fans.tangential[0, 0, :, 0].isnan().tolist() == [True, False, False, False, True]
 
 
@@ -159,8 +159,8 @@ def test_mtf_of_a_uniform_disc():
         worst = 0.0
         for seed in range(4):
             points = radius * sobol_disc(count, seed) + f64([0.3, -0.7])
-            found = geometric_mtf(landed(*points.T[:, None, None]), f64([[0.8, 0.6]]), FREQUENCIES[1:])
-            worst = max(worst, *(float((v[0] - exact.abs()).abs().max()) for v in found))
+            mtf = geometric_mtf(landed(*points.T[:, None, None]), f64([[0.8, 0.6]]), FREQUENCIES[1:])
+            worst = max(worst, *(float((v[0] - exact.abs()).abs().max()) for v in mtf))
         errors.append(worst)
     assert errors[1] < errors[0] / 8 and errors[2] < errors[1] / 8  # a random set would gain 4 each time
     assert errors[1] < 1e-3
@@ -177,7 +177,7 @@ def test_mtf_of_a_gaussian():
 
 
 def test_losing_rays_gains_no_contrast():
-    """A disc of which only the core arrives: the MTF begins at the valid fraction and stays below it."""
+    """Only the core of a disc arrives: the MTF begins at the valid fraction and stays below it."""
     points = 6e-3 * sobol_disc(1024, 0)
     core = points.norm(dim=-1) < 3e-3
     tangential, _ = geometric_mtf(landed(*points.T[:, None, None], core[None, None]), ALONG_Y, FREQUENCIES)
@@ -196,10 +196,10 @@ def test_diffraction_of_a_perfect_lens():
 
 def test_directions_of_the_fields():
     """Unit vectors along the fields, +y on the axis; turning the fields onto +y keeps their distances."""
-    looks = View(f64([[0, 0], [3, 4], [-1, 0]]), 5.0, WAVELENGTHS, 1.8, 3)
-    torch.testing.assert_close(looks.directions, f64([[0, 1], [0.6, 0.8], [-1, 0]]), rtol=0, atol=1e-15)
-    torch.testing.assert_close(looks.in_meridian().fields, f64([[0, 0], [0, 5], [0, 1]]), rtol=0, atol=1e-15)
-    assert looks.in_reference().wavelengths == (WAVELENGTHS[1],)
+    view = View(f64([[0, 0], [3, 4], [-1, 0]]), 5.0, WAVELENGTHS, 1.8, 3)
+    torch.testing.assert_close(view.directions, f64([[0, 1], [0.6, 0.8], [-1, 0]]), rtol=0, atol=1e-15)
+    torch.testing.assert_close(view.in_meridian().fields, f64([[0, 0], [0, 5], [0, 1]]), rtol=0, atol=1e-15)
+    assert view.in_reference().wavelengths == (WAVELENGTHS[1],)
 
 
 def test_a_defocused_lens_has_the_mtf_of_its_cone():
@@ -209,8 +209,8 @@ def test_a_defocused_lens_has_the_mtf_of_its_cone():
     lens = make_lens(
         [0.0, -1 / (f * (n - 1))], [1.0, f + 0.4], ("COC", "air"), conic=[0.0, -(n**2)], semi_diameter=[0.5, torch.inf]
     )
-    looks = View(f64([[0.0, 0.0]]), f, (0.5893,), 1.8, 3)
-    tangential, sagittal = geometric_mtf(trace_fields(lens, looks, sobol_disc(4096, 0)), looks.directions, FREQUENCIES)
+    view = View(f64([[0.0, 0.0]]), f, (0.5893,), 1.8, 3)
+    tangential, sagittal = geometric_mtf(trace_fields(lens, view, sobol_disc(4096, 0)), view.directions, FREQUENCIES)
     x = 2 * math.pi * (0.4 * 0.5 / f) * FREQUENCIES[1:]
     exact = (2 * torch.special.bessel_j1(x) / x).abs()
     torch.testing.assert_close(tangential[0, 1:], exact, rtol=0, atol=1e-3)
@@ -218,7 +218,7 @@ def test_a_defocused_lens_has_the_mtf_of_its_cone():
 
 
 def test_a_field_without_light_does_not_keep_a_lens_out_of_focus():
-    """A field of 60 mm, of which no ray comes through: the focus is that of the axis, and of no light there is none."""
+    """No ray of a field at 60 mm passes: the focus is the focus of the axis; without any light there is none."""
     lens = cooke_triplet()
     both = View(f64([[0.0, 0.0], [0.0, 60.0]]), 50.0, (0.5876,), 5.0, 31)
     axis = replace(both, fields=both.fields[:1])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import test_zemax
-import torch  # noqa: F401  # before the processes are forked, which would each import it
+import torch  # noqa: F401  # imported once, before the processes are forked
 import yaml
 from examples import changed, tiny_study, write
 from test_messages import INNER_WORDS
@@ -23,7 +23,7 @@ from tasklens.recognition import classifiers  # noqa: F401
 
 DOUBLET = Path(__file__).parents[1] / "docs/results/headline/lenses/doublet-imaging2.yaml"
 CORPUS = yaml.safe_load(Path(__file__).with_name("bad_inputs.yaml").read_text())
-SECONDS, BYTES = 20, 2**30  # that a message may take; a thousandth of that is usual
+SECONDS, BYTES = 20, 2**30  # time limit of a message; a thousandth of it is usual
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 
@@ -32,9 +32,9 @@ def at(content, key: str, value):
     """A copy of nested mappings and lists with the value at a dotted key."""
     head, _, rest = key.partition(".")
     if isinstance(content, list):
-        found = list(content)
-        found[int(head)] = at(found[int(head)], rest, value) if rest else value
-        return found
+        items = list(content)
+        items[int(head)] = at(items[int(head)], rest, value) if rest else value
+        return items
     return content | {head: at(content[head], rest, value) if rest else value}
 
 
@@ -122,8 +122,8 @@ def run(arguments: list[str]) -> tuple[int, str]:
         sys.stdout = sys.stderr = os.fdopen(os.open("errors", os.O_CREAT | os.O_WRONLY), "w")
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(SECONDS)
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + BYTES, used + BYTES))
+        memory = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (memory + BYTES, memory + BYTES))
         try:
             status = main(arguments)
             sys.stderr.flush()
@@ -146,4 +146,4 @@ def test_a_bad_input_is_refused(tmp_path, monkeypatch, capsys, prepare, says):
     assert status == 2, message
     assert "Traceback" not in message and len(message.splitlines()) <= 12, message
     assert [words for words in says if words not in message] == [], message
-    assert not Path("broken").exists()  # what a file would have run
+    assert not Path("broken").exists()  # written only if code in a file was run

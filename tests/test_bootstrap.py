@@ -1,4 +1,4 @@
-"""Intervals against cases whose error is known: binomial counts, captures in clusters, seeds."""
+"""Bootstrap intervals of cases with a known error: binomial counts, clustered captures, seeds."""
 
 import math
 
@@ -12,21 +12,21 @@ from tasklens.report.bootstrap import interval as interval_of_means
 Z = 1.96
 
 
-def interval(values, seed=1, **given):
-    """Of the mean of values (N, S) of images and seeds."""
-    by_seed = resampled_means(values, 2 * seed, **given)
+def interval(values, seed=1, **options):
+    """Interval of the mean of values (N, S) of N images and S seeds."""
+    by_seed = resampled_means(values, 2 * seed, **options)
     return interval_of_means(resampled_over_seeds(by_seed, values.mean(0), 2 * seed + 1))
 
 
 def test_holm_by_hand():
-    """Of p = 0.01, 0.04, 0.03, 0.005: 4 x 0.005, 3 x 0.01, 2 x 0.03, and 0.04, which may not be below 0.06."""
+    """For p = 0.01, 0.04, 0.03, 0.005: 4 x 0.005, 3 x 0.01, 2 x 0.03, then 0.06 again, not 0.04: no decrease."""
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([0.9, 0.8]) == [1.0, 1.0] and holm([]) == []
 
 
 @pytest.mark.parametrize("null", [0.0, -1.0, 2.5])
 def test_a_p_value_agrees_with_the_interval_and_with_the_normal_distribution(null):
-    """Of 10 000 quantiles of a normal distribution of mean 1 and deviation 1."""
+    """For 10 000 quantiles of a normal distribution with mean 1 and standard deviation 1."""
     means = 1 + scipy.stats.norm.ppf((numpy.arange(10_000) + 0.5) / 10_000)
     expected = 2 * scipy.stats.norm.sf(abs(1 - null))
     assert p_value(means, 1, null) == pytest.approx(expected, abs=3e-4)
@@ -36,7 +36,7 @@ def test_a_p_value_agrees_with_the_interval_and_with_the_normal_distribution(nul
 
 
 def test_a_p_value_of_five_seeds_is_that_of_students_test():
-    """Without noise of images, within a tenth: resampled deviations differ by 2 %, p far out, for Holm, by more."""
+    """Without image noise, within a tenth: resampled deviations differ by 2 %, and small p, for Holm, by more."""
     for values in ([0.4, 0.7, 1.0, 1.3, 1.6], [3.0, 3.1, 2.9, 3.2, 3.3], [0.1, -0.2, 0.3, 0.2, 0.0]):
         means = resampled_over_seeds(numpy.tile(values, (10_000, 1)), numpy.array(values))
         expected = scipy.stats.ttest_1samp(values, 0).pvalue
@@ -50,7 +50,7 @@ def test_identical_lenses_differ_by_nothing():
 
 
 def test_means_of_draws_with_replacement():
-    """Their mean is that of the values, their deviation the standard error; columns see the same draws."""
+    """Their mean is the mean of the values, their deviation is the standard error; columns share the draws."""
     values = numpy.random.default_rng(0).normal(size=(400, 1)) * [1, -2]
     means = resampled_means(values)
     assert means.shape == (10_000, 2)
@@ -103,10 +103,10 @@ def test_the_interval_of_one_seed_is_that_of_scipy(seed):
         method="percentile",
         rng=numpy.random.default_rng(100 + seed),
     )
-    found = interval((task - imaging)[:, None])
+    ends = interval((task - imaging)[:, None])
     error = oracle.standard_error
     assert error == pytest.approx((task - imaging).std() / math.sqrt(300), rel=0.02)
-    assert found == pytest.approx(tuple(oracle.confidence_interval), abs=0.112 * error)
+    assert ends == pytest.approx(tuple(oracle.confidence_interval), abs=0.112 * error)
 
 
 def covered(seeds: int, of_seeds: float, of_images: float, of_both: float) -> float:
@@ -122,7 +122,7 @@ def covered(seeds: int, of_seeds: float, of_images: float, of_both: float) -> fl
 
 @pytest.mark.parametrize("seeds, spread", [(1, (0, 1, 0)), (5, (1, 0.1, 0.1)), (5, (0, 1, 0))])
 def test_intervals_cover_the_truth_in_95_of_100_studies(seeds, spread):
-    """400 draws know a share of 0.95 to 0.011; with five seeds the interval may err on the wide side."""
+    """400 draws determine a share of 0.95 to 0.011; with five seeds the interval may be too wide."""
     assert 0.915 <= covered(seeds, *spread) <= 0.985
 
 
@@ -132,11 +132,11 @@ def test_intervals_of_seeds_and_images_together_are_not_too_short():
 
 @pytest.mark.parametrize("of_seeds, of_images, of_both", [(0.05, 0, 1), (0.1, 0.5, 1), (1, 0.1, 0)])
 def test_a_difference_of_nothing_is_seldom_found(of_seeds, of_images, of_both):
-    """At 5 %: in at most 7 of 100 synthetic studies of five seeds, also where each seed has images of its own luck."""
-    generator, found = numpy.random.default_rng(3), 0
+    """At 5 %: in at most 7 of 100 synthetic studies of five seeds, even if the seeds have independent image noise."""
+    generator, count = numpy.random.default_rng(3), 0
     for k in range(400):
         values = of_seeds * generator.normal(size=(1, 5)) + of_images * generator.normal(size=(150, 1))
         values = values + of_both * generator.normal(size=(150, 5))
         means = resampled_over_seeds(resampled_means(values, k, resamples=800), values.mean(0), k + 1)
-        found += p_value(means, 5) < 0.05
-    assert 1 <= found <= 28
+        count += p_value(means, 5) < 0.05
+    assert 1 <= count <= 28

@@ -1,4 +1,4 @@
-"""Whatever happens to a file of a lens or of materials, it is read or refused with a FileError that names it."""
+"""A damaged file of a lens or of materials is read, or refused with a FileError that names it."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""A lens in front of a network of one's own: captures, gradients, limits, training."""
+"""`Camera`, a lens in front of the user's own network: captures, gradients, limits, training."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ import tasklens
 from tasklens.runtime.errors import InputError
 from tasklens.study.settings import SensorSettings
 
-SMALL = [  # the stop is in front, so that the aim of rays does not depend on the lens
+SMALL = [  # the stop is in front, so ray aiming does not depend on the lens
     {"radius": float("inf"), "thickness": 0.1, "stop": True},
     {"radius": 1.6, "thickness": 0.7, "material": "COC"},
     {"radius": -4.0},
@@ -29,7 +29,7 @@ def images():
 
 
 def test_captures_are_those_of_simulate(lens, images):
-    """Of one field each, and of all fields."""
+    """Captures of one field per image, and of all fields."""
     camera = tasklens.Camera(*lens, rays=4096)
     grid = camera.all_fields(images)
     assert grid.shape == (9, 4, 3, 32, 32)
@@ -40,17 +40,17 @@ def test_captures_are_those_of_simulate(lens, images):
 
 
 def test_fields_are_drawn_by_torch(lens, images):
-    """The same after the same seed, and not always the same."""
+    """The same seed gives the same fields; another seed gives others."""
     camera = tasklens.Camera(*lens, rays=64)
-    found = []
+    captures = []
     for seed in (0, 0, 1):
         torch.manual_seed(seed)
-        found.append(camera(images).detach())
-    assert torch.equal(found[0], found[1]) and not torch.equal(found[0], found[2])
+        captures.append(camera(images).detach())
+    assert torch.equal(captures[0], captures[1]) and not torch.equal(captures[0], captures[2])
 
 
 def test_gradients_at_the_parameters_are_differences(lens, images):
-    """Of the contrast of captures, by each curvature; a change of pixels from ray to ray averages out over many."""
+    """Gradient of the captures' contrast at each curvature; with many rays, their jumps between pixels average out."""
     camera = tasklens.Camera(*lens, {"curvature": None}, rays=4096)
     ((name, parameter),) = camera.named_parameters()
     assert name == "variables.curvature" and parameter.shape == (2,)
@@ -67,7 +67,7 @@ def test_gradients_at_the_parameters_are_differences(lens, images):
 
 
 def test_what_is_not_free_stays(lens, images):
-    """And a camera without anything free has no parameters."""
+    """A camera without free variables has no parameters."""
     camera = tasklens.Camera(*lens, {"thickness": [2]}, rays=64)
     optimizer = torch.optim.AdamW(camera.parameters(), lr=1e-2, weight_decay=0.1)
     camera(images).square().mean().backward()
@@ -81,7 +81,7 @@ def test_what_is_not_free_stays(lens, images):
 
 
 def test_a_camera_is_saved_and_loaded(lens, images):
-    """By its state_dict, as any module."""
+    """By its state_dict, like any module."""
     first, second = (tasklens.Camera(*lens, rays=64) for _ in range(2))
     with torch.no_grad():
         first.variables["curvature"] += 0.01
@@ -92,7 +92,7 @@ def test_a_camera_is_saved_and_loaded(lens, images):
 
 
 def test_a_lens_and_a_network_are_trained_together(lens, images):
-    """By one optimiser: the loss falls, the lens moves, and its penalty, zero at first, keeps it within its limits."""
+    """With one optimiser: the loss falls, the lens moves, and the penalty, zero at first, keeps its limits."""
     torch.manual_seed(0)
     network = nn.Sequential(nn.Conv2d(3, 4, 3, 2), nn.ReLU(), nn.Flatten(), nn.Linear(900, 2))
     camera = tasklens.Camera(*lens, rays=128)
@@ -113,7 +113,7 @@ def test_a_lens_and_a_network_are_trained_together(lens, images):
 
 
 def test_a_lens_without_light_is_refused(lens):
-    """A network would look at uniform grey if all light is stopped."""
+    """If all light is stopped, the network would see uniform grey."""
     dark = replace(lens[0], semi_diameter=torch.tensor([1.0, 1e-6, 1e-6], dtype=torch.float64))
     with pytest.raises(InputError, match="no light arrives at the field"):
         tasklens.Camera(dark, lens[1])
@@ -122,7 +122,7 @@ def test_a_lens_without_light_is_refused(lens):
 
 
 def test_noise_and_wrong_images(lens, images):
-    """A sensor's noise differs from capture to capture; images without batch are refused."""
+    """A sensor's noise differs from capture to capture; images without a batch dimension are refused."""
     camera = tasklens.Camera(*lens, rays=64, sensor=SensorSettings(full_well=100))
     fields = torch.zeros(4, dtype=torch.long)
     assert not torch.equal(camera(images, fields), camera(images, fields))

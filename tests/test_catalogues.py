@@ -1,4 +1,4 @@
-"""Files of materials: Zemax's catalogues in every encoding, our YAML, and which of several defines a name."""
+"""Files of materials: Zemax's catalogues in every encoding, our YAML, and which file defines a name."""
 
 import pytest
 import yaml
@@ -35,8 +35,8 @@ def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
     text = AGF.replace("a catalogue", "a catalogue" if encoding == "ascii" else "Gläser").replace("\n", newline)
     bom = b"\xfe\xff" if encoding == "utf-16-be" else b""
     (tmp_path / "mine.AGF").write_bytes(bom + text.encode(encoding))
-    found = catalogues.read(tmp_path / "mine.AGF")
-    assert found == {
+    materials = catalogues.read(tmp_path / "mine.AGF")
+    assert materials == {
         "CROWN": Material("CROWN", "schott", (2.29, -0.0102, 0.0134, 2e-4, 0, 0), (0.4, 0.8), "mine.AGF", "mine CROWN"),
         "FLINT": Material("FLINT", "conrady", (1.5, 0.01, 0.002), (0.35, 0.9), "mine.AGF", "mine FLINT"),
     }
@@ -56,7 +56,7 @@ def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
     ],
 )
 def test_a_broken_glass_is_refused_with_its_line(tmp_path, old, new, words):
-    """If it is used; the other glass of the catalogue is read. Lines in front of the first glass refuse the file."""
+    """Only if it is used; the other glass is read. Bad lines in front of the first glass refuse the file."""
     assert old in AGF
     (tmp_path / "mine.agf").write_text(AGF.replace(old, new))
     with pytest.raises(FileError) as error:
@@ -75,10 +75,10 @@ def test_what_is_no_file_of_materials_is_refused(tmp_path, name, content):
 
 
 def test_the_first_file_that_has_a_name_defines_it(tmp_path):
-    """Before all built-in ones; other names stay as they are."""
-    mine = builtin("PMMA").definition()
+    """Its definition precedes built-in materials; other names stay as they are."""
+    definition = builtin("PMMA").definition()
     for name, index in (("a", 1.4), ("b", 1.6)):
-        entry = mine | {"formula": "conrady", "coefficients": [index, 0, 0]}
+        entry = definition | {"formula": "conrady", "coefficients": [index, 0, 0]}
         (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump({"COC": entry, name: entry}))
     library = Library([tmp_path / "a.yaml", tmp_path / "b.yaml"])
     assert library.glass("COC").refractive_index(0.5) == 1.4 and library.glass("b").refractive_index(0.5) == 1.6

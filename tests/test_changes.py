@@ -1,4 +1,4 @@
-"""Changed values of a study: how they are told, and which finished results they would overwrite."""
+"""Changed values of a study: how they are reported, and which finished results they would overwrite."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def base() -> dict:
 
 
 def jobs_of(study: Study) -> dict[str, PlannedJob]:
-    """All jobs of tables 1 and 2, as Snakemake plans them if each is to run."""
+    """All jobs of tables 1 and 2, as Snakemake plans them if every job has to run."""
     jobs: dict[str, PlannedJob] = {}
 
     def add(label: str, *needs: str, **wildcards: str | int) -> None:
@@ -53,18 +53,18 @@ def jobs_of(study: Study) -> dict[str, PlannedJob]:
 
 @pytest.fixture
 def found():
-    """Finished results that a changed study overwrites, if every job of the first one is finished but `missing`."""
+    """Function: results that a changed study overwrites if every job of the first study but `missing` is finished."""
     before = parse(base())
     write("results/tiny/study.yaml", dump(before))
-    made = jobs_of(before)
+    first_jobs = jobs_of(before)
 
     def find(after: dict, missing: tuple[str, ...] = (), only: tuple[str, ...] = ()):
         jobs = {}
         for label, job in jobs_of(parse(after)).items():
             if not only or job.rule in only:
-                known = made[label].settings if label in made else None
+                settings = first_jobs[label].settings if label in first_jobs else None
                 jobs[label] = replace(
-                    job, outputs=("file",) if label in made and label not in missing else (), made_with=known
+                    job, outputs=("file",) if label in first_jobs and label not in missing else (), made_with=settings
                 )
         return overwritten(parse(after), jobs)
 
@@ -88,13 +88,13 @@ def said(found, tmp_path, cores: int = 1) -> list[str]:
     ],
 )
 def test_a_changed_value_is_told_in_one_line(key, value, words):
-    """By its dotted key; nothing else differs, defaults neither."""
+    """With its dotted key; nothing else differs, not even defaults."""
     (change,) = changes(resolved(parse(base())), resolved(parse(changed(base(), key, value))))
     assert str(change).startswith(words) and len(str(change)) < 100 and "\n" not in str(change)
 
 
 def test_changes_are_those_of_the_values_alone():
-    """The same values in another order are none; what is gone is told from what it was."""
+    """Another order of the same values is no change; a removed value is reported with its old value."""
     study = base()
     assert changes(resolved(parse(study)), resolved(parse(dict(reversed(study.items()))))) == []
     gone = changes({"a": {"b": {"c": 1}, "d": 2}}, {"a": {"d": 2}})
@@ -102,9 +102,9 @@ def test_changes_are_those_of_the_values_alone():
 
 
 def test_a_changed_value_overwrites_what_reads_it(found, tmp_path):
-    """F/2 in place of F/2.8: both lenses and what was measured through them; the networks of sharp images stay."""
+    """F/2 instead of F/2.8: both lenses and their measurements; networks of sharp images stay."""
     after = changed(base(), "spec.f_number", 2.0)
-    only = ("design", "fine_tune", "table")  # Snakemake plans no others
+    only = ("design", "fine_tune", "table")  # Snakemake plans only these
     write(tmp_path / "benchmarks/design/a.tsv", "s\tmax_rss\n300\t1\n")
     head, line, *ways = said(found(after, only=only), tmp_path, cores=2)
     assert "finished results of the study tiny" in head and "nothing was changed" in head
@@ -114,7 +114,7 @@ def test_a_changed_value_overwrites_what_reads_it(found, tmp_path):
 
 
 def test_several_changed_values_are_told_together(found, tmp_path):
-    """The first ten of them, and how many more."""
+    """The first ten changes, and the number of the others."""
     after = changed(changed(base(), "spec.f_number", 2.0), "constraints.max_track", 4.2)
     first, second, total = (line.strip() for line in said(found(after), tmp_path)[1:-2])
     assert {first.split(":")[0], second.split(":")[0]} == {"spec.f_number", "constraints.max_track"}
@@ -126,7 +126,7 @@ def test_several_changed_values_are_told_together(found, tmp_path):
 
 
 def test_what_takes_long_is_not_overwritten_without_consent():
-    """All that is resumed if it was killed, but images, which are made of nothing else, and reproductions."""
+    """All jobs with checkpoints, except images, which have no inputs, and reproductions."""
     long = {name for name in rule_names() if workflow().get_rule(name)._restart_times}
     assert set(COUNTED) == long - {"images", "reproduce"}
 
@@ -158,13 +158,13 @@ def test_only_what_depends_on_a_changed_value_is_asked_about(found, key, value, 
     ],
 )
 def test_what_is_added_asks_nothing(found, tmp_path, key, value):
-    """Further seeds, lenses or classifiers."""
+    """Additional seeds, lenses or classifiers."""
     after = changed(base(), key, value)
     assert found(after).by_values == () and said(found(after), tmp_path) == []
 
 
 def test_what_is_not_finished_asks_nothing(found, tmp_path):
-    """Neither a study that never ran, nor jobs without results, nor those of a table."""
+    """No question about a study that never ran, jobs without results, or jobs of a table."""
     after = changed(base(), "spec.f_number", 2.0)
     none = tuple(jobs_of(parse(base())))
     assert said(found(after, missing=none), tmp_path) == []
@@ -172,28 +172,28 @@ def test_what_is_not_finished_asks_nothing(found, tmp_path):
 
 
 def test_a_removed_result_does_not_hide_what_is_made_of_it(found):
-    """The lens was deleted, the networks fine-tuned on it were not: changed limits would overwrite these."""
+    """The lens is deleted, but not the networks fine-tuned on it: changed limits would overwrite these."""
     missing = tuple(f"design/singlet-{name}-seed0" for name in LENSES)
     after = changed(base(), "constraints.max_track", 4.2)
     assert found(after, missing=missing).by_values == 6 * ("fine_tune",)
 
 
 def test_changed_code_is_told_but_not_asked_about(found, tmp_path):
-    """With equal values every job runs for another reason, which Snakemake knows."""
-    same = found(base())
-    assert same.changes == () and same.by_values == () and said(same, tmp_path) == []
-    assert amount(same.otherwise, Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
+    """If values are equal, every job runs for another reason, and Snakemake knows it."""
+    overwrites = found(base())
+    assert overwrites.changes == () and overwrites.by_values == () and said(overwrites, tmp_path) == []
+    assert amount(overwrites.otherwise, Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
 
 
 def test_settings_of_the_outputs_count(tmp_path):
-    """The study was stored by a run that left the lens alone, which was made before with two steps."""
+    """The lens was designed with two steps; a later run stored the study with three but left the lens alone."""
     before, after = (parse(changed(base(), "designs.imaging1.descents.0.steps", steps)) for steps in (2, 3))
     write("results/tiny/study.yaml", dump(after))
     label = "design/singlet-imaging1-seed0"
     job = replace(jobs_of(after)[label], made_with=jobs_of(before)[label].settings)
-    other = overwritten(after, {label: job})
-    assert other.by_values == ("design",)
-    (head, line, *_) = said(other, tmp_path)
+    overwrites = overwritten(after, {label: job})
+    assert overwrites.by_values == ("design",)
+    (head, line, *_) = said(overwrites, tmp_path)
     assert "finished results" in head and line == "  entry.design.descents.0.steps: 2 -> 3: 1 lens again"
     unknown = overwritten(after, {label: replace(job, made_with=None)})
     assert unknown.by_values == () and unknown.otherwise == ("design",)

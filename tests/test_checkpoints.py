@@ -1,4 +1,4 @@
-"""Jobs that are killed and run again end as if they had not been."""
+"""Jobs that are killed and run again give the same results as uninterrupted jobs."""
 
 import itertools
 import os
@@ -47,12 +47,12 @@ JOBS = {
 
 
 class Killed(BaseException):
-    """Stands for a signal: no stage catches it."""
+    """Replaces a signal: no stage catches it."""
 
 
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory):
-    """The tiny study with what the jobs read."""
+    """The tiny study with the inputs of the jobs."""
     folder = tmp_path_factory.mktemp("study")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -68,14 +68,14 @@ def run(job: str, study: dict = STUDY) -> None:
 
 
 def outputs(before: float) -> dict[str, bytes]:
-    """All files that were written since, but the locks of jobs, by their paths."""
-    found = [path for path in Path("results/tiny").rglob("*") if path.is_file() and "locks" not in path.parts]
-    return {str(path): path.read_bytes() for path in found if path.stat().st_mtime >= before}
+    """All files written since `before`, except job locks, by path."""
+    paths = [path for path in Path("results/tiny").rglob("*") if path.is_file() and "locks" not in path.parts]
+    return {str(path): path.read_bytes() for path in paths if path.stat().st_mtime >= before}
 
 
 @pytest.mark.parametrize("job", JOBS)
 def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
-    """To the last bit, in every file, wherever it is killed; the checkpoint is gone then."""
+    """To the last bit, in every file, wherever it is killed; at the end the checkpoint is gone."""
     monkeypatch.setattr(evaluation, "_BATCH", 8)
     if job == "reproduction":
         run("fine_tuning")
@@ -101,7 +101,7 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
         except Killed:
             assert not any(Path(path).exists() for path in expected)
             assert len(list(Path("results/tiny/checkpoints").iterdir())) == 1
-            torch.manual_seed(99)  # what a new process has drawn is nothing to it
+            torch.manual_seed(99)  # random draws of the new process do not matter
             run(job)
         else:
             break  # it writes less often
@@ -131,13 +131,13 @@ def test_a_network_that_is_not_trained_is_measured_once(workplace, monkeypatch):
 
 
 def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypatch, tmp_path):
-    """Not with the one that it began with: what was finite last is kept, too."""
+    """Not with its start: the last finite lens is part of the checkpoint."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     losses = supervision.loss_at_psf
 
     def breaking(*rest):
-        found, gradient = losses(*rest)
-        return (found * torch.nan if next(steps) > 3 else found), gradient
+        values, gradient = losses(*rest)
+        return (values * torch.nan if next(steps) > 3 else values), gradient
 
     def ended(checkpoint: Checkpoint):
         return descended(small_network(), start, steps=6, checkpoint=checkpoint)[0]
@@ -151,7 +151,7 @@ def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypa
 
 
 def test_a_changed_job_begins_anew(workplace, monkeypatch):
-    """Another step count, and no trace of the old checkpoint is left."""
+    """A changed step count restarts the job and removes the old checkpoint."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
 
     def killed(self, write=Checkpoint.write):
@@ -162,11 +162,11 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
         patch.setattr(Checkpoint, "write", killed)
         run("spot")
     (old,) = Path("results/tiny/checkpoints").iterdir()
-    found = []
-    monkeypatch.setattr(Checkpoint, "write", lambda self: found.append((self.path, next(iter(self.records.values())))))
+    saves = []
+    monkeypatch.setattr(Checkpoint, "write", lambda self: saves.append((self.path, next(iter(self.records.values())))))
     run("spot", changed(STUDY, "designs.imaging1.descents.0.steps", 4))
-    assert [record.get("step") for _, record in found] == [1, 2, 3, 4, None]  # the last: what it ended with
-    assert not old.exists() and found[0][0] != old
+    assert [record.get("step") for _, record in saves] == [1, 2, 3, 4, None]  # the last record is the result
+    assert not old.exists() and saves[0][0] != old
     run("spot")
 
 
@@ -191,7 +191,7 @@ def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
 
 
 def test_a_process_that_is_killed_while_it_writes_leaves_nothing_for_ever(tmp_path):
-    """Its half file goes with the checkpoint, also if that is never written again."""
+    """Its partial file is removed with the checkpoint, even if the checkpoint is never written again."""
     process = subprocess.Popen(["true"])
     process.wait()
     half = tmp_path / f".job.pt.{socket.gethostname()}-{process.pid}.part"
@@ -201,7 +201,7 @@ def test_a_process_that_is_killed_while_it_writes_leaves_nothing_for_ever(tmp_pa
 
 
 def test_a_job_killed_in_its_evaluation_keeps_what_it_learned(monkeypatch, tmp_path):
-    """Also if the file was last written in the middle of the training, and then in the evaluation, both times whole."""
+    """Even if the checkpoint was last written during the training and then during the evaluation."""
     settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10)
     dataset, path = random_images(80, 16, 3, seed=1), tmp_path / "job.pt"
     due = iter([*(step == 3 for step in range(1, 9)), False, True])  # after step 3; at the end; in the evaluation
@@ -216,7 +216,7 @@ def test_a_job_killed_in_its_evaluation_keeps_what_it_learned(monkeypatch, tmp_p
 
 
 def test_a_saved_state_does_not_change_with_its_network(monkeypatch, tmp_path):
-    """A part that was saved, but not finished, when a later part writes the file."""
+    """A saved but unfinished part stays as it was when a later part writes the file."""
     network, checkpoint = torch.nn.Linear(2, 2), Checkpoint(tmp_path / "job.pt")
     before = network.weight.detach().clone()
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
@@ -229,7 +229,7 @@ def test_a_saved_state_does_not_change_with_its_network(monkeypatch, tmp_path):
 
 
 def test_a_state_that_is_not_finite_is_not_kept(tmp_path, monkeypatch):
-    """The last good one stays."""
+    """The last finite state stays."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     path = tmp_path / "job.pt"
     part = Checkpoint(path).part("descent")
@@ -247,15 +247,15 @@ def test_a_file_that_is_no_checkpoint_is_named(tmp_path):
 
 
 def test_keys_follow_what_is_computed(workplace, monkeypatch):
-    """A checkpoint of other settings, other code or other inputs is not taken."""
+    """A checkpoint of other settings, code or inputs is not used."""
     rule, wildcards = JOBS["fine_tuning"]
     job, keys = job_of(rule, parse(STUDY), **wildcards), []
     checkpoint_path = runtime_job._checkpoint_path
     monkeypatch.setattr(
         runtime_job, "_checkpoint_path", lambda key, name: keys.append(key) or checkpoint_path(key, name)
     )
-    for each in (job, job, replace(job, code="other"), replace(job, settings=job.settings.replace("0.05", "0.06"))):
-        each.run()
+    for variant in (job, job, replace(job, code="other"), replace(job, settings=job.settings.replace("0.05", "0.06"))):
+        variant.run()
     os.utime(job.inputs["reference"][0])
     job.run()
     assert keys[0] == keys[1] and len(set(keys)) == 4

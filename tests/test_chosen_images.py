@@ -1,4 +1,4 @@
-"""The images that a report shows: chosen by a rule from predictions of which every one is known."""
+"""The images that a report shows: chosen by a rule from constructed predictions."""
 
 import pandas
 import pytest
@@ -28,12 +28,12 @@ def files(tmp_path):
 
 
 def test_the_first_and_those_that_divide_the_lenses_most(files):
-    """Of those recognised sharp, each of another label: shares 1 and 0.75 (dogs), 0.75 (owl), 0.25 (the second cat)."""
+    """Only images recognised when sharp, one per label: shares 1 and 0.75 (dogs), 0.75 (owl), 0.25 (second cat)."""
     assert choose(files) == [1, 3, 5]
 
 
 def test_without_the_sharp_images_all_take_part(files):
-    """The first cat and the fox too, with shares of 0.75; of equal ones the first."""
+    """The first cat and the fox too, with shares of 0.75; among equals, the first image is chosen."""
     del files[SHARP]
     assert choose(files) == [0, 2, 3]
 

@@ -1,4 +1,4 @@
-"""Folders of photographs before the first job: what is wrong is said, and little of them is looked at."""
+"""Folders of photographs before the first job: errors are reported after a look at few of the files."""
 
 import os
 import unicodedata
@@ -19,7 +19,7 @@ def images(folder, minival: int = 3) -> ImageSettings:
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two classes of two training and one test image each; nobody opens them here."""
+    """Two classes of two training and one test image each; the files are never opened."""
     for name in ("cat", "dog"):
         for file in ("train/{}/0.png", "train/{}/deep/1.JPEG", "test/{}/0.webp"):
             write(tmp_path / file.format(name), "")
@@ -27,7 +27,7 @@ def folder(tmp_path):
 
 
 def test_a_good_folder_is_accepted(folder):
-    """Also with `val` for the test images, and with other files between."""
+    """Also with `val` for the test images, and with other files among them."""
     write(folder / "train/labels.txt", "")
     class_folders.check(images(folder))
     (folder / "test").rename(folder / "val")
@@ -81,7 +81,7 @@ def test_images_lying_in_the_split_are_in_no_class(tmp_path):
 
 
 def test_a_large_folder_is_not_listed(folder, monkeypatch):
-    """Of 2000 files, as many are looked at as the minival needs, and one of each class; so a million costs nothing."""
+    """Of 2000 files, only one per class and those for the minival are looked at; a million files cost nothing more."""
     for k in range(1000):
         for name in ("cat", "dog"):
             write(folder / f"train/{name}/{k}.jpg", "")
@@ -111,7 +111,7 @@ def test_images_of_another_kind_are_not_skipped(folder, name):
 
 
 def test_pipes_and_links_to_nothing_are_named(folder):
-    """A pipe would be waited for, for ever; a loop of links is not walked."""
+    """Reading a pipe would wait for ever; a loop of links is not followed."""
     (folder / "train/cat/loop").symlink_to(folder / "train")
     assert len(list(class_folders.photographs(folder / "train/cat"))) == 2
     for name, make in (("pipe.png", os.mkfifo), ("gone.png", lambda path: path.symlink_to(folder / "nowhere"))):
@@ -137,7 +137,7 @@ def test_fewer_images_than_asked_for_are_refused(folder, counts, words):
 
 
 def test_links_in_circles_end(folder):
-    """Two of them in each class would stand for more folders than a walk ever ends with."""
+    """Two circular links per class would give a walk that never ends."""
     for name in ("cat", "dog"):
         for link in ("here", "there"):
             (folder / "train" / name / link).symlink_to(folder, target_is_directory=True)
@@ -148,7 +148,7 @@ def test_links_in_circles_end(folder):
 
 
 def test_names_of_classes_in_two_compositions(folder):
-    """Those of a copy from macOS, where letters and their marks are apart, are the same classes; two of one are not."""
+    """Names from macOS, with decomposed letters, are the same classes; both forms in one split are an error."""
     for split in ("train", "test"):
         (folder / split / "cat").rename(
             folder / split / unicodedata.normalize({"train": "NFC", "test": "NFD"}[split], "käse")
@@ -162,7 +162,7 @@ def test_names_of_classes_in_two_compositions(folder):
 
 
 def test_photographs_that_cannot_be_read_are_counted(tmp_path):
-    """All of them, and the first ones by name; a single one by its own error."""
+    """The message counts all and names the first ones; a single one has its own error."""
     for name in ("cat", "dog"):
         (tmp_path / name).mkdir()
         for k in range(4):
@@ -187,7 +187,7 @@ def test_photographs_that_cannot_be_read_are_counted(tmp_path):
 
 
 def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
-    """In turns between the classes, each photograph once; what is not asked for is the rest."""
+    """Classes take turns, each photograph is used once; the split without a number gets the rest."""
     for name in ("cat", "dog"):
         (tmp_path / name).mkdir()
         for k in range(6):
@@ -198,10 +198,10 @@ def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
     dataset.make(settings, paths)
     splits = {name: dataset.read(*files) for name, files in paths.items()}
     assert {name: len(split) for name, split in splits.items()} == {"train": 6, "minival": 2, "test": 4}
-    found = []
+    pairs = []
     for split in splits.values():
-        found += zip(split.images[:, 0, 0, 0].tolist(), split.labels.tolist(), strict=True)
-    assert sorted(found) == sorted((k, label) for k in range(6) for label in (0, 1))
+        pairs += zip(split.images[:, 0, 0, 0].tolist(), split.labels.tolist(), strict=True)
+    assert sorted(pairs) == sorted((k, label) for k in range(6) for label in (0, 1))
     assert all(2 * int(split.labels.sum()) == len(split) for split in splits.values())
     for wrong, words in (
         ({"test": None}, "has neither train nor test; say by images.test or images.train"),

@@ -34,7 +34,7 @@ def names(count: int) -> list[str]:
     [("resnt18", {}, 64), ("resnet18", {"chanels": [8]}, 64), ("vit_tiny_patch16_224", {"img_size": 64}, 80)],
 )
 def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, arguments, size):
-    """An unknown model, an unknown argument, images of another size than the network's: before any weight is made."""
+    """Unknown model, unknown argument, wrong image size: refused before any weight is initialised."""
     settings = ClassifierSettings(
         model=model, arguments=arguments, training=TrainingSettings(epochs=1, learning_rate=1e-3)
     )
@@ -44,7 +44,7 @@ def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, argumen
 
 
 def test_a_supervisor_is_built_for_every_size_that_it_sees():
-    """A ViT has one; a descent by the error of the image may have another, since no network sees that."""
+    """A ViT has a fixed size; a descent on the image error may use another size, since no network sees its images."""
     vit = {"model": "vit_tiny_patch16_224", "arguments": {"img_size": 16, "patch_size": 8}, "weights": "/nowhere"}
     study = changed(changed(tiny_study(), "supervisor", "other"), "classifiers.other", vit)
     study = changed(study, "designs.image_error.descents.0.size", 8)
@@ -55,7 +55,7 @@ def test_a_supervisor_is_built_for_every_size_that_it_sees():
 
 
 def test_a_published_head_for_other_classes_is_no_reference():
-    """Without training it would judge at random; found before anything is downloaded."""
+    """Untrained, it would classify at random; the error comes before any download."""
     with pytest.raises(InputError, match="1000 outputs, 10 are wanted"):
         classifiers.build(ClassifierSettings(model="resnet18.a1_in1k", pretrained=True), names(10))
     untrained = ClassifierSettings(
@@ -67,7 +67,7 @@ def test_a_published_head_for_other_classes_is_no_reference():
 
 @pytest.mark.parametrize("model", ["resnet18", "vit_tiny_patch16_224.augreg_in21k_ft_in1k"])
 def test_classifier_normalises_after_the_optics(model):
-    """Logits of images in [0, 1] are those of the timm network on (x - mean) / std of its own configuration."""
+    """Logits of images in [0, 1] equal those of the timm network for (x - mean) / std of its configuration."""
     if model.startswith("vit"):
         small = {"img_size": 32, "embed_dim": 12, "depth": 1}
     else:
@@ -123,13 +123,13 @@ def test_what_holds_no_weights_says_what_to_do(tmp_path, write, words):
 
 
 def test_weights_of_torch_are_tensors_and_nothing_else(tmp_path):
-    """A checkpoint of a training, under `state_dict` and from several GPUs; one that would run code is refused."""
+    """A training checkpoint with `state_dict` from several GPUs is read; one that would run code is refused."""
     network = timm.create_model("test_resnet", num_classes=4)
     state = {f"module.{key}": value for key, value in network.state_dict().items()}
     torch.save({"state_dict": state, "epoch": 3}, tmp_path / "mine.pth")
     settings = ClassifierSettings(model="test_resnet", weights=tmp_path / "mine.pth")
-    found = classifiers.build(settings, names(4)).network.state_dict()
-    assert all(torch.equal(found[key], value) for key, value in network.state_dict().items())
+    weights = classifiers.build(settings, names(4)).network.state_dict()
+    assert all(torch.equal(weights[key], value) for key, value in network.state_dict().items())
     torch.save({"state_dict": network.state_dict(), "model": network}, tmp_path / "mine.pth")
     with pytest.raises(FileError, match=r"mine\.pth"):
         classifiers.build(settings, names(4))
@@ -139,7 +139,7 @@ def test_weights_of_torch_are_tensors_and_nothing_else(tmp_path):
 
 
 def test_weights_of_numpy_are_read_by_models_that_can(tmp_path):
-    """Vision transformers were published so; a ResNet says that it cannot."""
+    """Vision transformers read their published .npz files; a ResNet says that it cannot."""
     small = {"img_size": 32, "embed_dim": 12, "num_heads": 1, "depth": 1}
     zeros, d = numpy.zeros, 12
     block, norms = "Transformer/encoderblock_0/", ("LayerNorm_0", "LayerNorm_2", "../encoder_norm")
@@ -175,7 +175,7 @@ def test_weights_of_numpy_are_read_by_models_that_can(tmp_path):
 
 
 def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
-    """Logits of the classes that there are, in the order of the folders; no other row of the head has a gradient."""
+    """Logits of the present classes, in the order of the folders; only their rows of the head have gradients."""
     settings = ClassifierSettings(
         model="test_resnet", outputs="imagenet", training=TrainingSettings(epochs=1, learning_rate=1e-2)
     )
@@ -192,7 +192,7 @@ def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
 
 
 def test_all_of_imagenets_classes_may_be_answers():
-    """The classes that there are come first, so that their labels are theirs, then the others, each once."""
+    """Present classes come first, so that labels index them; then the others, each once."""
     training = TrainingSettings(epochs=1, learning_rate=1e-2)
     settings = ClassifierSettings(model="test_resnet", outputs="all_imagenet", training=training)
     classifier = classifiers.build(settings, ["n01443537", "n02102040", "n01440764"]).eval()
@@ -207,51 +207,51 @@ def test_published_weights_reproduce_their_accuracy():
     normalised = {"mean": (0.5, 0.5, 0.5), "std": (0.5, 0.5, 0.5)}
     arguments = {"pad_type": "same", "pretrained_cfg_overlay": normalised}
     settings = ClassifierSettings(model="mobilenetv2_100", arguments=arguments, weights=weights, outputs="imagenet")
-    found = folders.find(SHARED / "data" / "imagenette", ("val",), None, 0)
-    images = torch.stack([folders.read(file, 224) for file in found.files])
-    dataset = data.ImageDataset(images, found.labels, found.classes)
-    classifier = classifiers.build(settings, found.classes).eval()
-    found = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline())
-    assert float(found.correct[0].double().mean()) == pytest.approx(0.990, abs=0.0041)
-    rows = evaluation.zero_shot(classifier, found)
+    result = folders.find(SHARED / "data" / "imagenette", ("val",), None, 0)
+    images = torch.stack([folders.read(file, 224) for file in result.files])
+    dataset = data.ImageDataset(images, result.labels, result.classes)
+    classifier = classifiers.build(settings, result.classes).eval()
+    result = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline())
+    assert float(result.correct[0].double().mean()) == pytest.approx(0.990, abs=0.0041)
+    rows = evaluation.zero_shot(classifier, result)
     assert [row["metric"] for row in rows] == ["zero_shot_accuracy"]
     assert rows[0]["value"] == pytest.approx(75.6, abs=0.41)
 
 
 @pytest.mark.parametrize("model", ["test_resnet", "test_efficientnet", "test_vit"])
 def test_a_frozen_copy_judges_alike_and_remembers_less(model):
-    """Same logits and gradients at the images; convolutional networks keep at most 0.7 of the memory for them."""
+    """Same logits and gradients at the images; convolutional networks save at most 0.7 of the bytes for them."""
     torch.manual_seed(0)
     classifier = classifiers.Classifier(timm.create_model(model, num_classes=5)).double()
     for module in classifier.modules():
-        if isinstance(module, nn.BatchNorm2d):  # as after training: statistics that do something
+        if isinstance(module, nn.BatchNorm2d):  # nontrivial statistics, as after training
             nn.init.uniform_(module.weight, 0.5, 1.5)
             nn.init.normal_(module.running_mean, std=0.1)
             nn.init.uniform_(module.running_var, 0.5, 1.5)
     size = classifier.network.pretrained_cfg["input_size"][-1]
     images = torch.rand(2, 3, size, size, dtype=torch.float64)
-    frozen, found = classifiers.frozen(classifier, images), []
+    frozen, results = classifiers.frozen(classifier, images), []
     assert classifier.training and all(p.requires_grad for p in classifier.parameters())
     assert not frozen.training and not any(p.requires_grad for p in frozen.parameters())
     for network in (frozen, classifier.eval().requires_grad_(False)):
-        kept: dict[int, int] = {}
+        sizes: dict[int, int] = {}
 
-        def keep(tensor, kept=kept):
-            kept[tensor.untyped_storage().data_ptr()] = tensor.untyped_storage().nbytes()
+        def keep(tensor, sizes=sizes):
+            sizes[tensor.untyped_storage().data_ptr()] = tensor.untyped_storage().nbytes()
             return tensor
 
         leaf = images.clone().requires_grad_()
         with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
             logits = network(leaf)
         logits.square().sum().backward()
-        found.append((logits.detach(), leaf.grad, sum(kept.values())))
-    for a, b in zip(found[0][:2], found[1][:2], strict=True):
+        results.append((logits.detach(), leaf.grad, sum(sizes.values())))
+    for a, b in zip(results[0][:2], results[1][:2], strict=True):
         torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-12)
-    assert found[0][2] <= (1.0 if model == "test_vit" else 0.7) * found[1][2]
+    assert results[0][2] <= (1.0 if model == "test_vit" else 0.7) * results[1][2]
 
 
 def test_batch_norms_of_a_frozen_network_by_the_batch():
-    """Captures of half the contrast give what the whole gives; nothing stored changes, and no weight has a gradient."""
+    """Captures of half the contrast give the same logits; stored statistics stay, and no weight has a gradient."""
     classifier = trained_network(0)
     before = copy.deepcopy(classifier.state_dict())
     images, _ = random_images(12, 16, 3, seed=1).batch(torch.arange(12))
@@ -269,7 +269,7 @@ def test_batch_norms_of_a_frozen_network_by_the_batch():
 
 
 def test_a_hub_out_of_reach_is_said_at_once(monkeypatch):
-    """Without its library's minute of trying again; with the weights in the cache nobody asks."""
+    """At once, without a minute of retries; with cached weights the hub is not contacted."""
     asked = []
 
     def refuse(address, timeout):
@@ -308,7 +308,7 @@ def number(num_classes):
 
 @pytest.fixture
 def own_module(tmp_path, monkeypatch):
-    """A module of the user's in the present folder."""
+    """A module of the user in the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
     (tmp_path / "own_networks.py").write_text(OWN)
@@ -317,7 +317,7 @@ def own_module(tmp_path, monkeypatch):
 
 
 def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
-    """For images in [0, 1], without a normalisation; its weights are from a file, its text is in the settings."""
+    """For images in [0, 1], without a normalisation; weights come from a file, its source is in the settings."""
     settings = ClassifierSettings(
         model="own_networks:small", arguments={"width": 4}, weights=tmp_path / "mine.safetensors"
     )
@@ -348,7 +348,7 @@ def test_a_function_that_makes_no_classifier_is_refused(own_module, function, wo
 
 
 def test_weights_with_the_head_of_imagenet(tmp_path):
-    """For images of ten classes: the message says which setting takes its thousand outputs."""
+    """With images of ten classes, the message names the setting that accepts its thousand outputs."""
     path = tmp_path / "published.safetensors"
     save_file(timm.create_model("test_resnet", num_classes=1000).state_dict(), path)
     with pytest.raises(FileError, match="its head has 1000 outputs: those of ImageNet are `outputs: imagenet`"):

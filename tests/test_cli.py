@@ -1,4 +1,4 @@
-"""Jobs of a study of a few seconds: what each leaves, and how it complains."""
+"""Jobs of a study of a few seconds: their files and their errors."""
 
 import subprocess
 import sys
@@ -59,7 +59,7 @@ def values(path: Path, metric: str) -> list[float]:
 
 @pytest.fixture(scope="module")
 def lenses(workplace):
-    """All six designs with their PSFs, the imaging designs judged, one restoration."""
+    """All six designs with their PSFs, and classifiers fine-tuned on imaging designs and on sharp images."""
     for name in ("image_error", "imaging1", "imaging2", "tasklens", "end_to_end_from_flat"):
         design(name)
     for name in ("image_error", "imaging1", "imaging2"):
@@ -75,7 +75,7 @@ def test_check_says_what_a_study_holds(workplace, capsys):
 
 
 def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
-    """Though it frees nothing: what it writes to a pipe is complete."""
+    """It frees no memory at exit, but its output to a pipe is complete."""
     program = [sys.executable, "-m", "tasklens.cli"]
     done = subprocess.run([*program, "study", "check", "--no-weights", "study.yaml"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "tiny: 6 lenses, 2 classifiers, seeds [0]\n")
@@ -100,7 +100,7 @@ def test_every_design_leaves_a_readable_lens(lenses):
 
 
 def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch):
-    """Of a gradient that is not finite at the third step, the lens of the second is left."""
+    """If the gradient is not finite at the third step, the lens of the second step is written."""
     change, steps = AdamWOptimizer.change, iter((1.0, 1.0, float("nan")))
     monkeypatch.setattr(AdamWOptimizer, "change", lambda *rest: next(steps) * change(*rest))
     finish("design", STUDY, lens="singlet-imaging1", seed=9)
@@ -144,7 +144,7 @@ def test_metrics_are_tidy(lenses):
 
 
 def test_restoration_and_drawings(lenses):
-    """The rest of the journey: restored captures have metrics of their own; a page and images come out."""
+    """Restored captures have their own metrics; drawings and the certificate are written."""
     finish("restore", STUDY, lens="singlet-imaging1", seed=0)
     fine_tune("singlet-imaging1", "small-restored")
     restored = metrics("singlet-imaging1", "small-restored")
@@ -157,7 +157,7 @@ def test_restoration_and_drawings(lenses):
 
 
 def test_an_imported_lens_goes_the_same_way(lenses, capsys):
-    """From its file, by name, to its PSF and figure; what cannot be used is said by `check`, before any job."""
+    """From its file to its PSF and figure; `check` reports unusable lenses before any job."""
     prescription.write(lenses / "theirs.yaml", Prescription(cooke_triplet()), {})
     entry = {"elements": "triplet", "file": "theirs.yaml"}
     study = changed(tiny_study(), "imported.cooke", entry)
@@ -208,7 +208,7 @@ def test_analyse_needs_a_field_and_a_number_of_rays(lenses, capsys):
     ],
 )
 def test_nonsense_in_a_lens_file_is_refused(lenses, capsys, keys, value, words):
-    """Analysed, none of it exits 0 or prints a table: one message that names the file, the key and the value."""
+    """`analyse` prints no table and does not exit with 0: one message names the file, the key and the value."""
     content = lens_content("singlet-imaging1")
     entry = content
     for key in keys[:-1]:

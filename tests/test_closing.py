@@ -1,4 +1,4 @@
-"""The last words of a run: the study's answer, where its results are, what failed, and what to type next."""
+"""Closing message of a run: the study's answer, the place of its results, failures, and the next commands."""
 
 from dataclasses import replace
 
@@ -43,14 +43,14 @@ def study(**changes):
 
 
 def run_of(*labels: str) -> runs.Run:
-    """A run of five minutes, all of whose jobs are done."""
-    made = runs.Run("tiny", FOLDER, 1, {label: runs.Job(label.split("/")[0], runs.DONE) for label in labels})
-    made.started -= 300
-    return made
+    """A run of five minutes with all jobs done."""
+    run = runs.Run("tiny", FOLDER, 1, {label: runs.Job(label.split("/")[0], runs.DONE) for label in labels})
+    run.started -= 300
+    return run
 
 
 def test_a_study_that_has_verdicts_gives_its_answer():
-    """With jobs and duration, the page, and the next commands, which take the study as it was run."""
+    """With jobs, duration, page, and next commands for the study as it was run."""
     verdicts(*CLAIMS)
     write(f"{FOLDER}/report.html", "")
     run = run_of("design/a", "verdicts_table", "report_page")
@@ -58,7 +58,7 @@ def test_a_study_that_has_verdicts_gives_its_answer():
     run.finish()
     lines = closing.success(study(), {"tiny": run}).splitlines()
     first = lines.index("Study tiny: 3 jobs in 5 min.") + 1
-    assert lines[first : first + len(SENTENCES)] == SENTENCES  # the main questions alone, and how sure that is
+    assert lines[first : first + len(SENTENCES)] == SENTENCES  # only the main questions, with their certainty
     assert lines[lines.index(f"Results: {FOLDER}/") + 1].strip() == f"{FOLDER}/report.html"
     commands = [line for line in lines if line.startswith("  snakemake")]
     assert len(commands) == 3 and all(f"--configfile {FOLDER}/study.yaml" in line for line in commands)
@@ -67,15 +67,15 @@ def test_a_study_that_has_verdicts_gives_its_answer():
 
 
 def test_a_run_that_made_no_verdicts_does_not_repeat_old_ones():
-    """Nor an old page; if nothing was to be done, the answer and the page stand."""
+    """It does not show an old page either; if no job had to run, answer and page are shown."""
     verdicts(*CLAIMS)
     write(f"{FOLDER}/report.html", "")
     run = run_of("certificate/a")
     run.jobs["certificate/a"].result = f"{FOLDER}/lenses/a/certificate.md"
     run.finish()
-    said = closing.success(study(), {"tiny": run})
-    assert "accurate" not in said and f"  {FOLDER}/lenses/a/certificate.md" in said.splitlines()
-    assert f"  {FOLDER}/report.html" not in said.splitlines()
+    text = closing.success(study(), {"tiny": run})
+    assert "accurate" not in text and f"  {FOLDER}/lenses/a/certificate.md" in text.splitlines()
+    assert f"  {FOLDER}/report.html" not in text.splitlines()
     again = closing.success(study(), {}).splitlines()
     assert {*SENTENCES, f"  {FOLDER}/report.html"} <= {*again}
 
@@ -90,13 +90,13 @@ def test_a_run_of_other_studies_says_where_they_are():
 def test_without_verdicts_all_tables_come_next():
     run = run_of("design/a")
     run.finish()
-    said = closing.success(study(), {"tiny": run})
-    assert "accurate" not in said and f"Results: {FOLDER}/" in said
-    assert f"snakemake -j2 tables --configfile {FOLDER}/study.yaml" in said and "verify" not in said
+    text = closing.success(study(), {"tiny": run})
+    assert "accurate" not in text and f"Results: {FOLDER}/" in text
+    assert f"snakemake -j2 tables --configfile {FOLDER}/study.yaml" in text and "verify" not in text
 
 
 def test_a_failed_run_says_what_failed_and_how_to_go_on():
-    """Each failed job with its last word and its log."""
+    """Each failed job with the last line of its error and its log."""
     run = run_of("images", "design/a", "design/b", "table/table1")
     run.jobs["table/table1"].state = runs.WAITING
     run.end("design/a", runs.FAILED, 3.0, "tasklens: no such file")

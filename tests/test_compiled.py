@@ -1,4 +1,4 @@
-"""The tracer's compilation: once for each installation and text of its modules, and the same rays without it."""
+"""Compilation of the tracer: once per installation and source text; uncompiled code traces the same rays."""
 
 import os
 import subprocess
@@ -38,21 +38,21 @@ def run(code: str, **environment: str) -> str:
 
 
 def test_plain_python_traces_the_same_rays(tmp_path):
-    """NUMBA_DISABLE_JIT=1, for machines on which nothing can be compiled, runs the same text slowly."""
-    found = {}
+    """NUMBA_DISABLE_JIT=1 runs the same code slowly, for machines without compilation."""
+    traces = {}
     for name, environment in {"compiled": {}, "plain": {"NUMBA_DISABLE_JIT": "1"}}.items():
         out = str(tmp_path / name)
         is_compiled = run(TRACE.format(tests=str(Path(__file__).parent), out=out), **environment)
         assert is_compiled == str(name == "compiled")
-        found[name] = torch.load(out)
-    assert len(found["plain"][2].unique()) > 1
-    for plain, compiled in zip(found["plain"], found["compiled"], strict=True):
+        traces[name] = torch.load(out)
+    assert len(traces["plain"][2].unique()) > 1
+    for plain, compiled in zip(traces["plain"], traces["compiled"], strict=True):
         torch.testing.assert_close(plain, compiled, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.slow
 def test_a_processor_without_wide_vectors(tmp_path):
-    """The same rays, compiled for the least x86-64 (or this architecture's) processor."""
+    """The same rays, compiled for the baseline x86-64 processor (or that of this architecture)."""
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from examples import WAVELENGTHS, random_lens, random_rays\n"
@@ -66,7 +66,7 @@ def test_a_processor_without_wide_vectors(tmp_path):
 
 @pytest.mark.slow
 def test_compiled_code_is_kept_on_disk(tmp_path):
-    """In a folder for this text of the modules; another process loads it, and traces the same bits with it."""
+    """In a folder per source text; another process loads the code and traces the same bits."""
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from examples import WAVELENGTHS, random_lens, random_rays\n"
@@ -90,7 +90,7 @@ def test_compiled_code_is_kept_on_disk(tmp_path):
 
 
 def test_the_folder_follows_every_module(tmp_path, monkeypatch):
-    """numba alone would look at the file of a function, not at those that it calls."""
+    """numba alone checks only the file of a function, not the files of the functions that it calls."""
     before = block._cache_folder()
     changed = tmp_path / "tracing"
     changed.mkdir()
@@ -113,7 +113,7 @@ def test_a_folder_that_cannot_be_made_does_not_stop_it(tmp_path):
 
 
 def test_single_precision():
-    """Agrees with double precision, and stays single."""
+    """Results agree with double precision and stay in single precision."""
     lens, rays = random_lens(0), random_rays(50, 0)
     single = replace(lens, **{k: v.float() for k, v in vars(lens).items() if isinstance(v, torch.Tensor)})
     indices = lens.refractive_indices(WAVELENGTHS)

@@ -1,4 +1,4 @@
-"""What every design has to keep: margins, penalties, shortfalls."""
+"""Constraints of every design: margins, penalties, violations."""
 
 import math
 from dataclasses import replace
@@ -55,7 +55,7 @@ def test_a_broken_limit_reports_by_how_much(limit):
 
 @pytest.mark.parametrize("semi", [(SEMI, SEMI, 0.6), (SEMI, 0.6, SEMI)])
 def test_edges_end_in_flanges(semi):
-    """An element is moulded up to where light leaves either surface; the other is flat beyond its own light."""
+    """An element extends to the larger of its two beams; beyond its own beam a surface is a flat flange."""
     lens, _ = BROKEN["min_edge_thickness"]
     margins = manufacturing_margins(lens, LIMITS, f64(semi))
     expected = 0.4 - sphere_sag(R, SEMI) - sphere_sag(R, 0.6) - 0.2
@@ -63,7 +63,7 @@ def test_edges_end_in_flanges(semi):
 
 
 def test_elements_that_overlap_only_between_axis_and_rim_are_found():
-    """Air gaps are checked at several heights: aspheres may touch where neither vertex nor edge shows it."""
+    """Air gaps are checked at several heights: aspheres may touch between vertex and edge."""
     alpha = torch.zeros(5, 5, dtype=torch.float64)
     alpha[3, 0], alpha[3, 1] = -0.64, 1.0  # sag r^2 (r^2 - 0.64): zero at the vertex and at r = 0.8, -0.1 between
     base = flat(materials("COC", "OKP4"), SPEC, LIMITS)
@@ -73,9 +73,9 @@ def test_elements_that_overlap_only_between_axis_and_rim_are_found():
 
 
 def test_focal_length_and_distortion_margins(start):
-    """A lens 5 % too long, and chief rays 6 % too far out, miss their limits of 2 and 3 % by the rest.
+    """A lens 5 % too long, and chief rays 6 % too far out, exceed their limits of 2 and 3 % by the difference.
 
-    The angle of a chief ray, where it has a limit, is that to the axis, in any meridian; the axis itself has none.
+    If it is limited, the chief-ray angle is the angle to the axis, in any meridian; the axis field has no limit.
     """
     longer = replace(LOOKS, efl=LOOKS.efl / 1.05)
     x, y = 1.06 * longer.fields.T[..., None, None]
@@ -101,14 +101,14 @@ def test_penalty_is_zero_inside_and_pushes_outward():
         return torch.autograd.grad(penalty(replace(lens, **{name: leaf}), limits, LOOKS), leaf)[0]
 
     assert slope(plates([0.2, 0.1, 2.0]), "thickness")[1] < 0
-    assert slope(plates([0.2, 1.0, 3.5]), "thickness").min() > 0  # track: every space shrinks
+    assert slope(plates([0.2, 1.0, 3.5]), "thickness").min() > 0  # the track limit shrinks every space
     for sign in (1, -1):
         assert sign * slope(plates([0.6, 1.0, 2.0], [0, sign / 1.1, 0]), "curvature")[1] > 0
-    assert float(penalty(good, LIMITS, LOOKS)) > 0.9  # no power instead of all of it
+    assert float(penalty(good, LIMITS, LOOKS)) > 0.9  # zero power instead of the full power
 
 
 def test_shortfall_begins_before_the_limit():
     """Designs aim a buffer inside: at the limit itself the violation is already positive, far inside it is zero."""
-    found = violation({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
-    assert found[0] > 0 and found[1] == 0 and float(found[2] - found[0]) == pytest.approx(0.5)
-    assert 0 < found[3] < found[0]
+    violations = violation({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
+    assert violations[0] > 0 and violations[1] == 0 and float(violations[2] - violations[0]) == pytest.approx(0.5)
+    assert 0 < violations[3] < violations[0]

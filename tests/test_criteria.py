@@ -38,8 +38,8 @@ def expected(along: float, across: float) -> float:
 def test_contrast_of_a_point_beside_the_centre(direction, column, row):
     """It falls with the cosine of the shift, along the field and across it; at half a period it is reversed."""
     ex, ey = direction[0].tolist()
-    found = float(Contrast(direction).losses(point(column, row)))
-    assert found == pytest.approx(expected(ex * column + ey * row, ex * row - ey * column), abs=1e-12)
+    loss = float(Contrast(direction).losses(point(column, row)))
+    assert loss == pytest.approx(expected(ex * column + ey * row, ex * row - ey * column), abs=1e-12)
 
 
 def test_light_beside_the_window_has_no_contrast():
@@ -53,12 +53,12 @@ def test_contrast_of_a_gaussian():
     psf = torch.exp(-(x[:, None] ** 2 + x**2) / (2 * 1.5**2))
     grid = (psf / psf.sum()).expand(2, 3, -1, -1)
     contrast = [math.exp(-2 * (math.pi * f * 1.5) ** 2) for f in (1 / 8, 1 / 4)]
-    found = Contrast(torch.cat([UP, SLANTED])).losses(grid)
-    torch.testing.assert_close(found, f64([1 - sum(contrast) / 2] * 2), rtol=0, atol=1e-6)
+    losses = Contrast(torch.cat([UP, SLANTED])).losses(grid)
+    torch.testing.assert_close(losses, f64([1 - sum(contrast) / 2] * 2), rtol=0, atol=1e-6)
 
 
 def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
-    """At PSFs of a lens, without a look at the images: differences of a loss that is linear in the PSFs are exact."""
+    """At PSFs of a lens, without images: the loss is linear in the PSFs, so finite differences are exact."""
     lens = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     criterion = Contrast(LOOKS.directions)
     supervisor = Supervisor(criterion, problem(), None, False, 1)
@@ -68,20 +68,20 @@ def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
         return supervisor.loss(replace(lens, curvature=curvature), pupil, 20.0, None, seed=0)
 
     curved = lens.curvature + f64([0, 0.1, -0.1, 0.05, -0.1])
-    found = loss(curved.requires_grad_())
-    assert found.fields.shape == (9,) and float(found.value.detach()) == pytest.approx(float(found.fields.mean()))
-    (gradient,) = torch.autograd.grad(found.value, curved)
+    result = loss(curved.requires_grad_())
+    assert result.fields.shape == (9,) and float(result.value.detach()) == pytest.approx(float(result.fields.mean()))
+    (gradient,) = torch.autograd.grad(result.value, curved)
     expected = difference(lambda c: loss(c).fields.mean(), curved.detach(), 1e-6)
     torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
 
 
 def test_contrast_alone_makes_a_lens():
-    """From plates, without classifier or images: a quarter of the contrast that was lost is found again."""
+    """From plates, without classifier or images: the loss of contrast falls by a quarter."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast(LOOKS.directions)
     lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
     supervisor = Supervisor(contrast, problem(), None, False, 1)
-    before, after = (supervisor.validation_loss(each, 10.0) for each in (plates, lens))
+    before, after = (supervisor.validation_loss(candidate, 10.0) for candidate in (plates, lens))
     assert after == pytest.approx(origin["validation_loss"], rel=1e-9) and after < 0.75 * before
 
 
@@ -92,7 +92,7 @@ def images_and_captures():
 
 
 def test_correlation_does_not_see_haze():
-    """Nor brightness nor contrast: a capture scaled, with a veil of another colour, loses as much; blur loses more."""
+    """Nor brightness or contrast: a scaled capture with a coloured veil has the same loss; blur has a larger one."""
     images, captures = images_and_captures()
     labels = torch.zeros(4)
     loss = Correlation().losses(captures, images, labels)

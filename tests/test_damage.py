@@ -1,4 +1,4 @@
-"""Results that are damaged, and disks and memories that are full: the file is named, and what to do."""
+"""Damaged results, full disks, full memory: the message names the file and the remedy."""
 
 import os
 import resource
@@ -30,9 +30,9 @@ def good_psfs() -> FieldPsfs:
 
 
 def test_psfs_come_back(tmp_path):
-    found = good_psfs()
-    psf_files.write(tmp_path / "psf.safetensors", found, {"fields_mm": [[0, 0], [1, 0]]})
-    assert all(torch.equal(a, b) for a, b in zip(found, psf_files.read(tmp_path / "psf.safetensors"), strict=True))
+    psfs = good_psfs()
+    psf_files.write(tmp_path / "psf.safetensors", psfs, {"fields_mm": [[0, 0], [1, 0]]})
+    assert all(torch.equal(a, b) for a, b in zip(psfs, psf_files.read(tmp_path / "psf.safetensors"), strict=True))
 
 
 @pytest.mark.parametrize(
@@ -72,12 +72,12 @@ TABLES = {
 
 @pytest.mark.parametrize("read", TABLES, ids=lambda read: read.__name__)
 def test_a_table_that_is_cut_off_anywhere_is_named(tmp_path, read):
-    """At every byte but those that end a row; nothing, a byte of rubbish and another file are named too."""
+    """Cut at every byte except row ends; empty files, one junk byte and other files are named too."""
     path, text = tmp_path / "table.csv", TABLES[read]
     path.write_text(text)
     read(path)
     cuts = [text[:end] for end in range(len(text)) if text[end - 1 : end] != "\n"]
-    others = [] if read is read_table else ["\0\n", text.replace(",", ";", 1)]  # tables as well, of something else
+    others = [] if read is read_table else ["\0\n", text.replace(",", ";", 1)]  # valid tables, with other content
     for content in [*cuts, "\n", *others]:
         path.write_text(content)
         with pytest.raises(FileError, match=r"table\.csv: .*; delete it and run again"):
@@ -102,7 +102,7 @@ def test_results_of_other_kinds_are_named(tmp_path):
 
 
 def in_a_fork(call) -> str:
-    """Return the error of a call in a process that may write no more than 4 kB to a file, as on a full disk."""
+    """Error of a call in a process with a file size limit of 4 kB, which acts like a full disk."""
     read, write = os.pipe()
     if not (process := os.fork()):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -122,8 +122,8 @@ def in_a_fork(call) -> str:
 @pytest.mark.parametrize("kind", ["text", "rows", "tensors", "checkpoint", "array"])
 def test_a_file_that_does_not_fit_is_named_and_leaves_nothing(tmp_path, kind):
     def array():
-        with files.writing_array(tmp_path / "large", (100, 100), "uint8") as found:
-            found[:] = 1
+        with files.writing_array(tmp_path / "large", (100, 100), "uint8") as pixels:
+            pixels[:] = 1
 
     checkpoint = Checkpoint(tmp_path / "large")
     checkpoint.records = {"a": {"x": torch.ones(5000)}}
@@ -134,8 +134,8 @@ def test_a_file_that_does_not_fit_is_named_and_leaves_nothing(tmp_path, kind):
         "checkpoint": checkpoint.write,
         "array": array,
     }
-    said = in_a_fork(calls[kind])
-    assert str(tmp_path / "large") in said, said
+    message = in_a_fork(calls[kind])
+    assert str(tmp_path / "large") in message, message
     assert not (tmp_path / "large").exists()
 
 

@@ -29,7 +29,7 @@ def paths_in(folder: Path) -> dict[str, tuple[Path, Path]]:
 
 
 def made(folder: Path, images: ImageSettings) -> dict[str, data.ImageDataset]:
-    """The splits, by way of their files in `folder`."""
+    """The splits, written to and read from files in `folder`."""
     data.make(images, paths_in(folder))
     return {split: data.read(*paths) for split, paths in paths_in(folder).items()}
 
@@ -39,12 +39,12 @@ def as_set(dataset: data.ImageDataset) -> set[bytes]:
 
 
 def test_splits_are_disjoint_and_deterministic(tmp_path):
-    """The minival is cut out of the training images; no image stands in two splits."""
+    """The minival comes from the training images; no image is in two splits."""
     settings = ImageSettings(size=16, train=40, minival=15, test=55, seed=3)
     splits, again = (made(tmp_path / name, settings) for name in ("first", "again"))
     assert {name: len(part) for name, part in splits.items()} == {"train": 40, "minival": 15, "test": 55}
-    seen = [as_set(part) for part in splits.values()]
-    assert len(set.union(*seen)) == sum(map(len, seen)) == 110
+    sets = [as_set(part) for part in splits.values()]
+    assert len(set.union(*sets)) == sum(map(len, sets)) == 110
     for name, part in splits.items():
         assert torch.equal(part.images, again[name].images) and torch.equal(part.labels, again[name].labels)
     other = made(tmp_path / "other", settings.model_copy(update={"seed": 4}))
@@ -53,26 +53,26 @@ def test_splits_are_disjoint_and_deterministic(tmp_path):
 
 
 def test_images_survive_their_file(tmp_path):
-    """Numpy reads the images too, and any reader of JSON the labels."""
+    """Plain numpy reads the images, and any JSON reader the labels."""
     dataset, paths = random_images(6, 16, 3, seed=0), paths_in(tmp_path)["train"]
     data.write(dataset, *paths)
-    found = data.read(*paths)
-    assert torch.equal(found.images, dataset.images) and torch.equal(found.labels, dataset.labels)
-    assert found.classes == dataset.classes and found.labels.dtype == torch.long
+    reread = data.read(*paths)
+    assert torch.equal(reread.images, dataset.images) and torch.equal(reread.labels, dataset.labels)
+    assert reread.classes == dataset.classes and reread.labels.dtype == torch.long
     assert (numpy.load(paths[0]) == dataset.images.numpy()).all()
     assert json.loads(paths[1].read_text()) == {"classes": ["class0", "class1", "class2"], "labels": [0, 1, 2] * 2}
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux tells what is mapped how")
 def test_images_are_mapped_and_not_held(tmp_path):
-    """Shared and read only, as Linux allows it for files larger than memory and swap; the values are the file's."""
+    """The mapping is shared and read-only, so the file may exceed memory and swap; values equal the file's."""
     path, labels = paths_in(tmp_path)["train"]
     dataset = random_images(6, 16, 3, seed=0)
     data.write(dataset, path, labels)
-    found = data.read(path, labels)
+    mapped = data.read(path, labels)
     mappings = [line.split() for line in Path("/proc/self/maps").read_text().splitlines() if str(path) in line]
     assert [fields[1] for fields in mappings] == ["r--s"]
-    assert torch.equal(found.batch(torch.tensor([4, 1]))[0], dataset.batch(torch.tensor([4, 1]))[0])
+    assert torch.equal(mapped.batch(torch.tensor([4, 1]))[0], dataset.batch(torch.tensor([4, 1]))[0])
 
 
 @pytest.mark.parametrize("kept", [0, 5, 100, -100])
@@ -107,7 +107,7 @@ def test_labels_that_are_not_those_of_the_images_are_named(tmp_path, text, words
 
 
 def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
-    """Images of one grey per file: 10, 20, ... for cats, 110, 120, ... for dogs; tests are one brighter."""
+    """Images of one grey per file: 10, 20, ... for cats, 110, 120, ... for dogs; test images are one level brighter."""
     for split, count in (("train", train), (test_name, test)):
         for k, name in enumerate(classes):
             (root / split / name).mkdir(parents=True)
@@ -159,29 +159,29 @@ def test_sixteen_bits_are_scaled(tmp_path):
     assert (test.images.flatten(1).int() - 30000 * 255 // 65535).abs().max(1).values.min() <= 1
 
 
-PHOTOGRAPHS = SHIPPED / "photographs"  # one photograph of 48 x 48 pixels, stored in every way
+PHOTOGRAPHS = SHIPPED / "photographs"  # one photograph of 48 x 48 pixels in every format
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in PHOTOGRAPHS.iterdir()))
 def test_a_photograph_looks_alike_in_every_format(name):
-    """Nothing is lost but what the format loses, and colours where it has none; 22 levels lie between the two."""
+    """Only the loss of the format, or of colour in grey formats; grey and colour differ by 22 levels."""
     with Image.open(PHOTOGRAPHS / "original.png") as original:
-        shown = original.convert("L").convert("RGB") if "grey" in name else original.convert("RGB")
-    expected = torch.from_numpy(numpy.array(shown)).permute(2, 0, 1)
-    found = folders.read(PHOTOGRAPHS / name, 48)
+        converted = original.convert("L").convert("RGB") if "grey" in name else original.convert("RGB")
+    expected = torch.from_numpy(numpy.array(converted)).permute(2, 0, 1)
+    pixels = folders.read(PHOTOGRAPHS / name, 48)
     lossless = name in ("original.png", "alpha.webp", "deep_grey.png", "deep_colour.png")
-    difference = (found.float() - expected.float()).abs().mean()
+    difference = (pixels.float() - expected.float()).abs().mean()
     assert difference == 0 if lossless else difference < 5
 
 
 def test_the_formats_of_the_photographs():
-    """By what the files say of themselves, more than one decoder and every conversion is tried."""
-    found = set()
+    """By format and mode in the files: several decoders and every conversion are tested."""
+    kinds = set()
     for path in PHOTOGRAPHS.iterdir():
         with Image.open(path) as image:
-            found.add((image.format, image.mode, image.getexif().get(0x0112, 1)))
-    assert found >= {("JPEG", mode, 1) for mode in ("RGB", "L", "CMYK")} | {("JPEG", "RGB", 6)}
-    assert found >= {("PNG", mode, 1) for mode in ("RGB", "P", "I;16")} | {
+            kinds.add((image.format, image.mode, image.getexif().get(0x0112, 1)))
+    assert kinds >= {("JPEG", mode, 1) for mode in ("RGB", "L", "CMYK")} | {("JPEG", "RGB", 6)}
+    assert kinds >= {("PNG", mode, 1) for mode in ("RGB", "P", "I;16")} | {
         ("WEBP", mode, 1) for mode in ("RGB", "RGBA")
     }
 
@@ -199,11 +199,11 @@ def test_the_central_square_is_kept(tmp_path):
 def test_a_turned_camera_is_turned_back(tmp_path):
     """EXIF orientation 6: stored lying on its side, white part left; shown with the white part on top."""
     folder = make_folder(tmp_path)
-    lying = Image.new("RGB", (32, 32))
-    lying.paste((255, 255, 255), (0, 0, 16, 32))
+    sideways = Image.new("RGB", (32, 32))
+    sideways.paste((255, 255, 255), (0, 0, 16, 32))
     exif = Image.Exif()
     exif[0x0112] = 6
-    lying.save(folder / "val" / "cat" / "turned.png", exif=exif)
+    sideways.save(folder / "val" / "cat" / "turned.png", exif=exif)
     test = made(tmp_path, ImageSettings(size=32, minival=1, folder=folder))["test"]
     bright = test.images[test.images.flatten(1).float().std(1).argmax()]
     assert (bright[:, :15] == 255).all() and (bright[:, 17:] == 0).all()
@@ -216,32 +216,32 @@ def test_an_image_of_any_size_is_read(tmp_path):
 
 
 def test_threads_change_nothing(tmp_path, monkeypatch):
-    """As many as torch may use decode at once."""
+    """The number of decoding threads is torch's number of threads."""
     settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=150))
     pools = []
     pool = folders.ThreadPoolExecutor
     monkeypatch.setattr(folders, "ThreadPoolExecutor", lambda threads: (pools.append(threads), pool(threads))[1])
-    one = made(tmp_path / "1", settings)
+    single = made(tmp_path / "1", settings)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
     four = made(tmp_path / "4", settings)
     assert pools == [1, 1, 1, 4, 4, 4]
-    for split, dataset in one.items():
+    for split, dataset in single.items():
         assert torch.equal(dataset.images, four[split].images) and torch.equal(dataset.labels, four[split].labels)
 
 
 @pytest.mark.parametrize("writes", [1, 5, 9])
 def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
-    """Images decoded before are not decoded again, and the files come out equal to the byte."""
+    """Images decoded before are not decoded again, and the files are equal to the byte."""
     settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=20))
     paths = paths_in(tmp_path)
-    every = [path for pair in paths.values() for path in pair]
+    all_paths = [path for pair in paths.values() for path in pair]
     read, decoded = folders.read, []
     monkeypatch.setattr(folders, "read", lambda *rest: (decoded.append(rest), read(*rest))[1])
     monkeypatch.setattr(folders, "_BLOCK", 4)
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     data.make(settings, paths)
-    expected, everything = {path: path.read_bytes() for path in every}, len(decoded)
-    for path in every:
+    expected, everything = {path: path.read_bytes() for path in all_paths}, len(decoded)
+    for path in all_paths:
         path.unlink()
 
     def killed() -> None:
@@ -254,33 +254,33 @@ def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     process.join()
     assert process.exitcode == 9
     decoded.clear()
-    for path in every:  # as Snakemake does before it runs a job again
+    for path in all_paths:  # as Snakemake does before it runs a job again
         path.unlink(missing_ok=True)
     data.make(settings, paths, checkpoint=Checkpoint(tmp_path / "job.pt"))
-    assert {path: path.read_bytes() for path in every} == expected
+    assert {path: path.read_bytes() for path in all_paths} == expected
     assert len(decoded) == everything - 4 * writes
     assert sorted(tmp_path.glob("*.npy")) == sorted(path for path, _ in paths.values())
     assert not [path for path in written(tmp_path) if path.name.startswith(".")]
 
 
 def test_a_folder_is_known_by_its_digest(tmp_path):
-    """An image renamed, removed or changed makes another, also behind a link."""
+    """A renamed, removed or changed image changes the digest, also behind a link."""
     folder = tmp_path / "linked"
     folder.symlink_to(make_folder(tmp_path / "images"))
     assert folder_digest(folder) == folder_digest(folder)
-    found = {folder_digest(folder)}
+    digests = {folder_digest(folder)}
     image = folder / "val" / "cat" / "1.png"
     image.rename(folder / "val" / "cat" / "2.png")
-    found.add(folder_digest(folder))
+    digests.add(folder_digest(folder))
     (folder / "val" / "cat" / "2.png").unlink()
-    found.add(folder_digest(folder))
+    digests.add(folder_digest(folder))
     Image.new("RGB", (64, 64)).save(folder / "val" / "dog" / "0.png")
-    found.add(folder_digest(folder))
-    assert len(found) == 4 and folder_digest(tmp_path / "nowhere") not in found
+    digests.add(folder_digest(folder))
+    assert len(digests) == 4 and folder_digest(tmp_path / "nowhere") not in digests
 
 
 def written(folder: Path) -> list[Path]:
-    """Files in a folder, without the locks of those that were to be written, which stay."""
+    """Files in a folder, except lock files, which stay."""
     return sorted(path for path in folder.glob("*") if path.suffix != ".lock")
 
 
@@ -336,7 +336,7 @@ def test_a_bad_folder_is_named(tmp_path, spoil):
 
 @pytest.mark.parametrize("folder, key", [("nowhere", "images.folder"), (None, "images.minival")])
 def test_a_folder_that_cannot_serve(tmp_path, folder, key):
-    """No such folder; or fewer images than the minival wants."""
+    """A missing folder, or fewer images than the minival needs."""
     path = tmp_path / folder if folder else make_folder(tmp_path)
     with pytest.raises(FileError) as error:
         made(tmp_path, ImageSettings(size=16, minival=8, folder=path))
@@ -344,8 +344,8 @@ def test_a_folder_that_cannot_serve(tmp_path, folder, key):
 
 
 def test_rendered_images_are_the_same_on_any_number_of_cores(tmp_path):
-    """Two threads sum in another order than one: a pixel of a few hundred images was another level."""
-    settings, found = ImageSettings(size=64, train=300, minival=30, test=60), []
+    """Two threads sum in another order than one, which once changed a pixel in a few hundred images by a level."""
+    settings, contents = ImageSettings(size=64, train=300, minival=30, test=60), []
     for threads in (1, 2):
         torch.set_num_threads(threads)
         try:
@@ -353,5 +353,5 @@ def test_rendered_images_are_the_same_on_any_number_of_cores(tmp_path):
             data.make(settings, paths)
         finally:
             torch.set_num_threads(1)
-        found.append([path.read_bytes() for path, _ in paths.values()])
-    assert found[0] == found[1]
+        contents.append([path.read_bytes() for path, _ in paths.values()])
+    assert contents[0] == contents[1]

@@ -1,4 +1,4 @@
-"""The figures of a lens in its file, and the table made of them: every number says what the rays say."""
+"""Figures in a lens file and their table: every number agrees with traced rays."""
 
 import math
 from dataclasses import replace
@@ -35,84 +35,84 @@ def found(lens):
     return figures(*lens, RAYS)
 
 
-def spec_of(looks: View) -> dict:
+def spec_of(view: View) -> dict:
     return {
-        "fields_mm": looks.fields.tolist(),
-        "efl_mm": looks.efl,
-        "wavelengths_um": list(looks.wavelengths),
-        "pixel_pitch_um": looks.pixel_pitch,
-        "kernel_size": looks.kernel_size,
+        "fields_mm": view.fields.tolist(),
+        "efl_mm": view.efl,
+        "wavelengths_um": list(view.wavelengths),
+        "pixel_pitch_um": view.pixel_pitch,
+        "kernel_size": view.kernel_size,
     }
 
 
 def test_figures_agree_with_the_psf_and_the_rays(lens, found):
-    """Valid share, energy in the window, RMS, MTF, distortion and foci, field by field."""
-    lens, looks = lens
-    rays = trace_fields(lens, looks, sobol_disc(RAYS, 0))
-    grid = evaluation_psf(lens, looks, RAYS)
+    """Valid fraction, energy in the window, RMS, MTF, distortion and foci, field by field."""
+    lens, view = lens
+    rays = trace_fields(lens, view, sobol_disc(RAYS, 0))
+    grid = evaluation_psf(lens, view, RAYS)
     # A ray within the outermost half pixel counts as inside, while the PSF shares it with the pixel beyond.
     assert (f64(found["energy_in_window"]) - grid.sum((-2, -1)).mean(1)).abs().max() < 0.02
     assert found["valid_fraction"] == [1.0] * 3
     torch.testing.assert_close(f64(found["rms_centroid_um"]), 1e3 * rms_spot_radius(rays, centroid(rays)))
-    real = chief_points(lens, looks)[1:].norm(dim=-1) / looks.radii[1:] - 1
+    real = chief_points(lens, view)[1:].norm(dim=-1) / view.radii[1:] - 1
     torch.testing.assert_close(f64(found["distortion_percent"][1:]), 100 * real)
     assert found["distortion_percent"][0] == 0
     nyquist = 1 / (2 * 9e-3)
-    mtf = geometric_mtf(rays, looks.directions, [nyquist / 4, nyquist / 2])
+    mtf = geometric_mtf(rays, view.directions, [nyquist / 4, nyquist / 2])
     names = [[f"mtf_{d}_{f}_nyquist" for f in ("quarter", "half")] for d in ("tangential", "sagittal")]
     torch.testing.assert_close(f64([[found[name] for name in row] for row in names]), torch.stack(mtf).mT)
-    opd = wavefront(lens, looks.in_reference(), sobol_disc(RAYS, 0)).opd[:, 0]
+    opd = wavefront(lens, view.in_reference(), sobol_disc(RAYS, 0)).opd[:, 0]
     torch.testing.assert_close(f64(found["rms_wavefront_waves"]), rms_wavefront_error(opd, sobol_disc(RAYS, 0)))
-    foci = torch.stack(field_curvature(lens, looks))
+    foci = torch.stack(field_curvature(lens, view))
     torch.testing.assert_close(f64([found["focus_tangential_um"], found["focus_sagittal_um"]]), 1e3 * foci)
     assert all(a <= b for a, b in zip(found["rms_centroid_um"], found["rms_chief_ray_um"], strict=True))
     assert all(a <= b for a, b in zip(found["core_radius_um"], found["radius_80_um"], strict=True))
 
 
 def test_figures_of_the_whole_lens(lens, found):
-    lens, looks = lens
+    lens, view = lens
     assert found["track_mm"] == pytest.approx(float(lens.thickness.sum()))
     assert found["entrance_pupil_diameter_mm"] == pytest.approx(0.6)
-    first_order = paraxial(lens, looks.reference)
+    first_order = paraxial(lens, view.reference)
     assert found["exit_pupil_z_mm"] == float(first_order.exit_pupil_z)
     assert found["exit_pupil_diameter_mm"] == 2 * float(first_order.exit_pupil_radius)
     assert found["f_number"] == pytest.approx(found["efl_mm"] / 0.6)
     cutoff = found["diffraction_cutoff_per_mm"]
-    assert cutoff == pytest.approx(1e3 / (looks.reference * abs(found["f_number"])))
+    assert cutoff == pytest.approx(1e3 / (view.reference * abs(found["f_number"])))
     assert found["airy_radius_um"] == pytest.approx(1.22e3 / cutoff, rel=1e-3)
-    sums = {name: 1e3 * float(values.sum()) for name, values in vars(seidel_sums(lens, looks)).items()}
+    sums = {name: 1e3 * float(values.sum()) for name, values in vars(seidel_sums(lens, view)).items()}
     assert found["seidel_um"] == pytest.approx(sums, rel=1e-12)
 
 
 def test_the_track_begins_at_the_first_surface():
-    """With the stop inside, what stands in front of it belongs to the track."""
+    """If the stop is inside, elements in front of it are part of the track."""
     lens = make_lens([0.3, 0.0, -0.3], [0.5, 0.7, 3.0], ("COC", "air", "COC"), semi_diameter=[9, 0.3, 9], stop=1)
-    looks = View(f64([[0.0, 0.1]]), 3.0, (0.5893,), 1.8, 3)
-    assert figures(lens, looks, 16)["track_mm"] == pytest.approx(4.2)
+    view = View(f64([[0.0, 0.1]]), 3.0, (0.5893,), 1.8, 3)
+    assert figures(lens, view, 16)["track_mm"] == pytest.approx(4.2)
 
 
 def test_a_lost_field_has_no_good_figure():
-    """No light, no contrast, no finite spot, and nothing about a chief ray that is not there."""
+    """Zero light and contrast, an infinite spot, and NaN for figures of the lost chief ray."""
     lens = make_lens([0.0, 0.3], [1.0, 5.0], ("air", "COC"), semi_diameter=[0.1, 0.5])
-    found = figures(lens, View(f64([[0.0, 0.0], [0.0, 2.0]]), 2.0, (0.5893,), 1.8, 31), 64)
-    assert math.isfinite(found["rms_centroid_um"][0]) and found["rms_centroid_um"][1] == math.inf
+    values = figures(lens, View(f64([[0.0, 0.0], [0.0, 2.0]]), 2.0, (0.5893,), 1.8, 31), 64)
+    assert math.isfinite(values["rms_centroid_um"][0]) and values["rms_centroid_um"][1] == math.inf
     about_chief = ("rms_chief_ray_um", "core_radius_um", "radius_80_um", "rms_wavefront_waves", "distortion_percent")
     for name in (*about_chief, "focus_tangential_um", "focus_sagittal_um"):
-        assert math.isfinite(found[name][0]) and math.isnan(found[name][1]), name
-    mtf = [name for name in found if name.startswith("mtf_")]
+        assert math.isfinite(values[name][0]) and math.isnan(values[name][1]), name
+    mtf = [name for name in values if name.startswith("mtf_")]
     for name in ("valid_fraction", "energy_in_window", "relative_illumination", *mtf):
-        assert found[name][0] > 0 and found[name][1] == 0, name
+        assert values[name][0] > 0 and values[name][1] == 0, name
 
 
 def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_path):
     """Written with its spec and read again: the same figures to the last bit."""
-    lens, looks = lens
+    lens, view = lens
     prescription.write(
-        tmp_path / "lens.yaml", prescription.Prescription(lens), {"spec": spec_of(looks), "figures": found}
+        tmp_path / "lens.yaml", prescription.Prescription(lens), {"spec": spec_of(view), "figures": found}
     )
-    found_again, content = prescription.read(tmp_path / "lens.yaml")
-    again = found_again.lens
-    assert figures(again, view_of(again, content, "lens.yaml"), RAYS) == content["figures"] == found
+    reread, content = prescription.read(tmp_path / "lens.yaml")
+    reread_lens = reread.lens
+    assert figures(reread_lens, view_of(reread_lens, content, "lens.yaml"), RAYS) == content["figures"] == found
 
 
 @pytest.mark.parametrize(
@@ -139,10 +139,10 @@ def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, found, tmp_p
     ],
 )
 def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
-    lens, looks = lens
+    lens, view = lens
     content = {}
     if change is not None:
-        content = {"spec": {k: v for k, v in (spec_of(looks) | change).items() if v is not ...}}
+        content = {"spec": {k: v for k, v in (spec_of(view) | change).items() if v is not ...}}
     with pytest.raises(FileError, match=words) as error:
         view_of(lens, content, "some/lens.yaml")
     assert str(error.value).startswith("some/lens.yaml: ")
@@ -150,25 +150,25 @@ def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
 
 @pytest.mark.parametrize("radius", [0.0, -0.3, math.nan, math.inf])
 def test_a_lens_whose_stop_is_no_disc_has_no_figures(lens, radius):
-    """Through a point every lens is perfect: refused with the surface and the radius, in a file with its name."""
-    lens, looks = lens
+    """Refused with surface and radius, and for a file with its name: through a point every lens would be perfect."""
+    lens, view = lens
     semi_diameter = lens.semi_diameter.clone()
     semi_diameter[lens.stop] = radius
     lens = replace(lens, semi_diameter=semi_diameter)
     words = f"surface 0: semi_diameter: the radius of the stop is {radius} mm"
     with pytest.raises(InputError, match=words):
-        figures(lens, looks, 16)
+        figures(lens, view, 16)
     with pytest.raises(FileError, match=f"^lens.yaml: {words}"):
-        view_of(lens, {"spec": spec_of(looks)}, "lens.yaml")
+        view_of(lens, {"spec": spec_of(view)}, "lens.yaml")
 
 
 def test_certificate_shows_the_numbers_of_the_file(lens, found):
-    """A row per field and per surface with their figures, the totals last, the worst margin where it is known."""
-    lens, looks = lens
-    by_surface = seidel_by_surface(lens, looks)
+    """A row per field and per surface with their figures, the totals last, the worst margin if it is known."""
+    lens, view = lens
+    by_surface = seidel_by_surface(lens, view)
     content = {"figures": found, "worst_margin": {"limit": "max_slope", "value": -0.0123}}
     content["origin"] = {"validation_loss": 0.25, "candidate_losses": {"imaging2": 0.5}}
-    text = certificate.markdown("a lens", looks.fields.tolist(), content, by_surface)
+    text = certificate.markdown("a lens", view.fields.tolist(), content, by_surface)
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     pairs = dict(line for line in lines if len(line) == 2)
     assert float(pairs["focal length [mm]"]) == pytest.approx(found["efl_mm"], abs=1e-4)
@@ -187,9 +187,9 @@ def test_certificate_shows_the_numbers_of_the_file(lens, found):
     assert [row[0] for row in surfaces] == ["0", "1", "2", "3", "4", "sum"]
     columns = f64([[float(v) for v in row[1:]] for row in surfaces])
     torch.testing.assert_close(columns[:-1].sum(0), columns[-1], rtol=0, atol=4e-3)
-    assert "worst margin" not in certificate.markdown("a lens", looks.fields.tolist(), {"figures": found}, by_surface)
+    assert "worst margin" not in certificate.markdown("a lens", view.fields.tolist(), {"figures": found}, by_surface)
 
 
 def test_figures_survive_a_plain_yaml(found):
-    """Plain numbers only, no tensors: a person's own reader gets them."""
+    """Plain numbers only, no tensors: any YAML reader can load them."""
     assert yaml.safe_load(yaml.safe_dump(found)) == found

@@ -1,4 +1,4 @@
-"""One descent for all methods: the steps of before, keys that fit each other, and what is penalised."""
+"""One descent for all methods: steps of the earlier classes, consistent keys, and penalties."""
 
 import math
 from dataclasses import replace
@@ -44,7 +44,7 @@ COLD = {
 TRAINED = {"network_learning_rate": 1e-2}
 
 
-# Losses of the first four steps by the classes that one descent has replaced, at commit c0538e9; of the spot descent
+# Losses of the first four steps of the earlier classes, at commit c0538e9; for the spot descent
 # the mean RMS spot radius [um].
 @pytest.mark.parametrize(
     "settings, expected",
@@ -72,14 +72,14 @@ def test_steps_are_those_of_the_methods_before(settings, expected):
     }[part.criterion]()
     if part.trains_network:
         criterion = JointTaskLoss(small_network(), 1e-2, 4, 0.1)
-    posed = replace(problem(), seed=0)
+    design_problem = replace(problem(), seed=0)
     design = GradientDesignSettings(descents=[part], batch_size=4, rays=32)
-    descent = Descent(plates, Supervisor(criterion, posed, None, False, 36), design, part, seed=0)
-    found = []
+    descent = Descent(plates, Supervisor(criterion, design_problem, None, False, 36), design, part, seed=0)
+    losses = []
     for step in range(1, 5):
         numbers, spots = descent.step(step)
-        found.append(1e3 * float(spots.mean()) if part.criterion == "spot" else numbers["loss"])
-    assert found == pytest.approx(expected, rel=1e-5)
+        losses.append(1e3 * float(spots.mean()) if part.criterion == "spot" else numbers["loss"])
+    assert losses == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def wedge(curvature=0.0):
 
 
 def test_incidence_on_a_plate_is_the_angle_of_the_field():
-    """30 degrees on the front, in the glass asin(sin 30 / n): every ray is beyond a limit of 15 degrees by the rest."""
+    """30 degrees on the front, in the glass asin(sin 30 / n): every ray exceeds 15 degrees by the difference."""
     lens, view = wedge()
     index = float(lens.refractive_indices((0.5893,))[2, 0])
     inside = math.asin(0.5 / index)
@@ -133,7 +133,7 @@ def test_incidence_on_a_plate_is_the_angle_of_the_field():
 
 
 def test_incidence_on_a_sphere_as_traced_by_hand():
-    """The angle between the ray and the radius through its point, for all rays that are penalised."""
+    """The angle between a ray and the radius at its point, for all penalised rays."""
     lens, view = wedge(curvature=-0.4)
     from tasklens.design.constraints import _INCIDENT
     from tasklens.optics.analysis.pupil import launch_fields
@@ -155,15 +155,15 @@ def test_incidence_on_a_sphere_as_traced_by_hand():
 
 
 def test_gradient_of_the_incidence_penalty_is_that_of_differences(start):
-    found = {}
+    gradients = {}
     for name in ("curvature", "thickness", "alpha"):
         value = getattr(start, name).clone().requires_grad_()
-        (found[name],) = torch.autograd.grad(incidence_penalty(replace(start, **{name: value}), LOOKS, 25.0), value)
+        (gradients[name],) = torch.autograd.grad(incidence_penalty(replace(start, **{name: value}), LOOKS, 25.0), value)
         expected = difference(
             lambda v, name=name: incidence_penalty(replace(start, **{name: v}), LOOKS, 25.0), value.detach(), 1e-5
         )
         assert float(expected.abs().max()) > 0
-        torch.testing.assert_close(found[name], expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
+        torch.testing.assert_close(gradients[name], expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
 
 
 # ---- starts
@@ -177,7 +177,7 @@ def with_start(file, start):
 
 
 def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
-    """Its shape and materials; coefficients that its file does not have are zero, and free."""
+    """Shape and materials are from the file; missing aspheric coefficients are zero, and free."""
     plain = replace(start, alpha=start.alpha[:, :0])
     prescription.write(tmp_path / "phone.yaml", prescription.Prescription(plain), {})
     settings = lens_design(parse(with_start(tmp_path / "phone.yaml", ["phone"])), "singlet-mine", 0)
@@ -195,7 +195,7 @@ def test_designs_that_begin_with_each_other_are_refused():
 
 
 def test_least_squares_stops_at_a_spot():
-    """At 12 um on the average over fields of the merit function, which are near those of the view."""
+    """At a mean spot of 12 um over the fields of the merit function, which are close to those of the view."""
     settings = LeastSquaresSettings(method="least_squares", starts=60, evaluations=2000, spot_um={"doublet": 12.0})
     assert settings.of_elements("triplet").spot_um is None
     view, plates = view_of_spec(Spec()), flat(materials("COC", "OKP4"), Spec(), LIMITS)

@@ -1,4 +1,4 @@
-"""Descent of a classifier's loss, and what every finished design is."""
+"""Descent on a classifier's loss, and properties of every finished design."""
 
 import copy
 from dataclasses import replace
@@ -38,10 +38,10 @@ def small_network(seed: int = 0) -> nn.Module:
     return nn.Sequential(*layers, nn.Linear(24, 3))
 
 
-def coarse(lens, looks=LOOKS):
-    """PSFs on coarse pixels, where light of a bad lens falls into the window."""
-    rays = trace_fields(lens, looks, sobol_disc(32, 0))
-    return psf(rays, looks.fields, 20.0, 11)
+def coarse(lens, view=LOOKS):
+    """PSFs on coarse pixels, so that the light of a bad lens falls into the window."""
+    rays = trace_fields(lens, view, sobol_disc(32, 0))
+    return psf(rays, view.fields, 20.0, 11)
 
 
 def whole_losses(criterion, captures, images, labels):
@@ -74,10 +74,10 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_
             )
             grid.backward(upstream.double())
         else:
-            whole = whole_losses(criterion, PsfCamera(grid, colour=colour).grid(images), images, labels)
-            whole.mean().backward()
+            direct_losses = whole_losses(criterion, PsfCamera(grid, colour=colour).grid(images), images, labels)
+            direct_losses.mean().backward()
         gradients.append(torch.cat([values[name].grad for name in values]))
-    torch.testing.assert_close(losses, whole.mean(1).detach().to(losses), rtol=1e-5, atol=0)
+    torch.testing.assert_close(losses, direct_losses.mean(1).detach().to(losses), rtol=1e-5, atol=0)
     assert float(gradients[1].abs().max()) > 0
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
 
@@ -90,7 +90,7 @@ def problem(limits=LIMITS, classes=3):
 
 
 class Contrast(nn.Module):
-    """A network whose first logit is the contrast of an image: blur is all it sees."""
+    """A network whose first logit is the image contrast: it sees only blur."""
 
     def forward(self, images):
         contrast = (images - F.avg_pool2d(images, 3, 1, 1)).square().mean((1, 2, 3))
@@ -98,20 +98,20 @@ class Contrast(nn.Module):
 
 
 def descended(network, lens, checkpoint=NO_CHECKPOINT, classes=3, **settings):
-    """A lens by a descent of AdamW with this network, trained in place or frozen, and its history."""
-    given = {"optimizer": "adamw", "steps": 3, "learning_rates": RATES, "final": 1.0, "network_learning_rate": 1e-3}
-    part, posed = DescentSettings(**(given | settings)), problem(classes=classes)
+    """Lens and history of a descent by AdamW with this network, trained in place or frozen."""
+    defaults = {"optimizer": "adamw", "steps": 3, "learning_rates": RATES, "final": 1.0, "network_learning_rate": 1e-3}
+    part, design_problem = DescentSettings(**(defaults | settings)), problem(classes=classes)
 
     def criterion(part):
         if part.network_learning_rate is None:
             return TaskLoss(network.eval().requires_grad_(False))
         return JointTaskLoss(network, part.network_learning_rate, part.steps, part.final)
 
-    return by_descents(lens, criterion, posed, part, augment=True, micro_batch=36, checkpoint=checkpoint)[::2]
+    return by_descents(lens, criterion, design_problem, part, augment=True, micro_batch=36, checkpoint=checkpoint)[::2]
 
 
 def test_a_design_may_see_smaller_images(start):
-    """Reduced to `size` by averaging; without it, as they are."""
+    """Images are averaged down to `size`; without `size` they stay as they are."""
     dataset = random_images(4, 32, 3, seed=0)
     indices = torch.tensor([2, 0])
     sharp = Problem(LOOKS, LIMITS, 0, CaptureSettings(), dataset)
@@ -134,7 +134,7 @@ def test_end_to_end_design_moves_the_network_too(start):
 
 
 def test_the_plain_protocol_leaves_the_network_alone(start):
-    """Without a learning rate of its own the classifier is frozen, in `eval()`, and the lens descends alone."""
+    """Without a learning rate of its own the classifier is frozen, in `eval()`, and only the lens changes."""
     network = small_network()
     before = copy.deepcopy(network.state_dict())
     _, history = descended(network, start, network_learning_rate=None)
@@ -143,18 +143,18 @@ def test_the_plain_protocol_leaves_the_network_alone(start):
 
 
 def test_a_descent_that_destroys_a_lens_returns_its_best(start):
-    """At rates a hundred times too large: the lens of the least loss on the fixed images, with which another begins."""
-    given = {"network_learning_rate": None, "classes": 1}
+    """At rates a hundred times too large: the lens with the least validation loss comes back."""
+    options = {"network_learning_rate": None, "classes": 1}
     rates = RATES.model_copy(update={"curvature": 1.0})
-    lens, history = descended(Contrast(), start, steps=20, learning_rates=rates, **given)
+    lens, history = descended(Contrast(), start, steps=20, learning_rates=rates, **options)
     validated = [row["validation_loss"] for row in history]
     assert len(validated) == 20 and validated[-1] > min(validated) + 0.003
-    _, again = descended(Contrast(), lens, steps=2, **given)
+    _, again = descended(Contrast(), lens, steps=2, **options)
     assert again[0]["validation_loss"] == pytest.approx(min(validated), rel=1e-6)
 
 
 class Confident(Contrast):
-    """The same with a weight on the answer, so that training it lowers the loss whatever the lens does."""
+    """`Contrast` with a trainable bias of the answer, so that training lowers the loss whatever the lens does."""
 
     def __init__(self):
         super().__init__()
@@ -165,13 +165,13 @@ class Confident(Contrast):
 
 
 def test_a_network_that_learns_does_not_hide_that_its_lens_is_destroyed(start):
-    """The loss is least at the end, by what the network has learned; the lens is still that of the least blur."""
-    given = {"steps": 20, "learning_rates": RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
-    lens, history = descended(Confident(), start, network_learning_rate=0.5, **given)
+    """The loss is least at the end, since the network has learned; the lens is still the one with the least blur."""
+    options = {"steps": 20, "learning_rates": RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
+    lens, history = descended(Confident(), start, network_learning_rate=0.5, **options)
     validated = [row["validation_loss"] for row in history]
     assert min(validated) == validated[-1] < validated[0] - 0.1
     blur = {"network_learning_rate": None, "steps": 2, "classes": 1}
-    before, after = (descended(Contrast(), each, **blur)[1][0]["validation_loss"] for each in (start, lens))
+    before, after = (descended(Contrast(), candidate, **blur)[1][0]["validation_loss"] for candidate in (start, lens))
     assert after <= before + 1e-9
 
 
@@ -190,7 +190,7 @@ def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
 
 
 def test_a_design_that_diverges_is_a_result(start):
-    """Steps without measure: the descent stops, the last finite lens comes back, and the history says so."""
+    """With huge steps the descent stops, returns the last finite lens, and the history says so."""
     rates = LearningRates.model_construct(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0, normalised=True)
     lens, history = descended(small_network(), start, steps=6, learning_rates=rates)
     assert history[-1]["phase"] == "descent 1, diverged" and history[-1]["step"] <= 6
@@ -200,14 +200,14 @@ def test_a_design_that_diverges_is_a_result(start):
 
 
 class Broken(nn.Module):
-    """A network of finite logits whose gradient is NaN: the slope of a root at zero, times zero."""
+    """A network with finite logits and a NaN gradient: zero times the slope of a square root at zero."""
 
     def forward(self, images):
         return (0 * images).sum((1, 2, 3)).sqrt()[:, None].repeat(1, 3)
 
 
 def test_a_lens_of_nan_is_not_the_best(start):
-    """Its captures are grey, of a finite loss perhaps less than that of plates, and no limit says that it is broken."""
+    """Its grey captures may have a smaller loss than plates, and no limit is violated."""
     lens, history = descended(Broken(), start, network_learning_rate=None)
     assert history[-1]["phase"] == "descent 1, diverged"
     for name in ("curvature", "thickness", "alpha"):
@@ -215,7 +215,7 @@ def test_a_lens_of_nan_is_not_the_best(start):
 
 
 def test_the_cause_of_a_divergence_has_a_name(start):
-    """The field whose loss broke, and the surface whose numbers did; or the network, where neither did."""
+    """The field whose loss broke, and the surface whose numbers did; or the network, if neither did."""
     pupil, losses = sobol_disc(16, 0), torch.zeros(9)
     losses[[2, 5]] = torch.nan
     x, y = LOOKS.fields[2].tolist()
@@ -225,14 +225,14 @@ def test_the_cause_of_a_divergence_has_a_name(start):
     alpha = start.alpha.clone()
     alpha[3, 1] = torch.inf
     broken = replace(start, alpha=alpha)
-    found = str(divergence(broken, LOOKS, pupil, torch.zeros(9)))
-    assert found == "no field; surface 3 has a shape that is not finite"
+    cause = str(divergence(broken, LOOKS, pupil, torch.zeros(9)))
+    assert cause == "no field; surface 3 has a shape that is not finite"
 
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
-    wanted = lens_design(study, "doublet-imaging1", 0)
-    lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, LOOKS), wanted, {"method": "spot"})
+    job_settings = lens_design(study, "doublet-imaging1", 0)
+    lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, LOOKS), job_settings, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()
     assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
     valid = trace_fields(start, LOOKS, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
@@ -246,13 +246,15 @@ def test_finished_lens_passes_its_light_and_tells_its_margins(start):
 
 
 def test_rays_that_go_astray_are_stopped(start):
-    """A clear aperture that light would use a little more of cuts what is outside, and limits are asked within it."""
+    """A clear aperture slightly below the beam cuts the outer rays, and limits apply within it."""
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
-    wanted = lens_design(study, "doublet-imaging1", 0)
-    used = clear_semi_diameters(start, LOOKS)
-    clear = used.clone()
+    job_settings = lens_design(study, "doublet-imaging1", 0)
+    semi_diameters = clear_semi_diameters(start, LOOKS)
+    clear = semi_diameters.clone()
     clear[-1] *= 0.97
-    whole, cut = (methods.with_notes(start, each, wanted, {}) for each in (1.01 * used, clear))
+    whole, cut = (
+        methods.with_notes(start, apertures, job_settings, {}) for apertures in (1.01 * semi_diameters, clear)
+    )
     fractions = [sum(notes["figures"]["valid_fraction"]) for _, notes in (whole, cut)]
     assert 0.8 * fractions[0] < fractions[1] < fractions[0]
     assert torch.equal(cut[0].semi_diameter[1:], clear[1:])

@@ -1,4 +1,4 @@
-"""`tasklens design`: one lens without a study, its file, and what is refused."""
+"""`tasklens design`: one lens without a study, its file, and refused options."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """Forty images of each of three classes, one brighter than the other, and weights of a network that knows them."""
+    """Forty images of each of three classes that differ in brightness, and weights of a network trained on them."""
     folder, images = tmp_path_factory.mktemp("trained"), random_images(120, 40, 3, seed=0)
     write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
     torch.manual_seed(0)
@@ -52,39 +52,39 @@ def design(*arguments) -> int:
 
 
 def test_a_lens_by_least_squares(folder, capsys):
-    """At the F-number and field that are asked for, and within its limits, one of which is asked for too."""
-    given = (*QUICK, "--f-number", "4", "--field-of-view", "40", "--limit", "max_track=8")
-    assert design(*given, "-o", "lens.yaml", "--json") == 0
-    shown = json.loads(capsys.readouterr().out)
-    assert shown["file"] == "lens.yaml" and shown["materials"] == ["COC"]
-    assert shown["f_number"] == pytest.approx(4, rel=0.03)
-    assert 4.4 < shown["track_mm"] <= 8
-    assert shown["fields"]["angle_deg"][-1] == pytest.approx(20, abs=1e-9)
-    assert max(shown["fields"]["rms_centroid_um"]) < 20 and shown["worst_margin"]["value"] > 0
+    """With the given F-number and field, and within its limits, one of them given."""
+    options = (*QUICK, "--f-number", "4", "--field-of-view", "40", "--limit", "max_track=8")
+    assert design(*options, "-o", "lens.yaml", "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["file"] == "lens.yaml" and summary["materials"] == ["COC"]
+    assert summary["f_number"] == pytest.approx(4, rel=0.03)
+    assert 4.4 < summary["track_mm"] <= 8
+    assert summary["fields"]["angle_deg"][-1] == pytest.approx(20, abs=1e-9)
+    assert max(summary["fields"]["rms_centroid_um"]) < 20 and summary["worst_margin"]["value"] > 0
     content = yaml.safe_load((folder / "lens.yaml").read_text())
-    assert content["origin"]["method"] == "least_squares" and content["figures"]["efl_mm"] == shown["efl_mm"]
+    assert content["origin"]["method"] == "least_squares" and content["figures"]["efl_mm"] == summary["efl_mm"]
     assert main(["lens", "show", "lens.yaml", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["lens.yaml"]["fields"] == shown["fields"]
+    assert json.loads(capsys.readouterr().out)["lens.yaml"]["fields"] == summary["fields"]
 
-    assert design(*given, "-o", "lens.zmx") == 0
-    ours, theirs = (lens_files.read(folder / f"lens.{suffix}") for suffix in ("yaml", "zmx"))
-    assert torch.equal(ours.lens.curvature, theirs.lens.curvature)
-    assert torch.equal(ours.lens.thickness, theirs.lens.thickness)
-    assert theirs.view.radii.max() / theirs.view.efl == pytest.approx(numpy.tan(numpy.radians(20)), rel=1e-6)
+    assert design(*options, "-o", "lens.zmx") == 0
+    native, exported = (lens_files.read(folder / f"lens.{suffix}") for suffix in ("yaml", "zmx"))
+    assert torch.equal(native.lens.curvature, exported.lens.curvature)
+    assert torch.equal(native.lens.thickness, exported.lens.thickness)
+    assert exported.view.radii.max() / exported.view.efl == pytest.approx(numpy.tan(numpy.radians(20)), rel=1e-6)
 
 
 def test_a_lens_for_ones_own_network(photographs, capsys):
-    """By its loss on one's own images, from flat plates: it begins with no other lens."""
+    """By its loss on the user's images, from flat plates."""
     network = ("--classifier", "test_resnet", "--weights", "mine.safetensors", "--images", "photographs")
     descents = "descents=[{steps: 2, pixels: [20, 5]}, {steps: 2, pixels: [5, 1]}]"
-    options = [word for each in ("rays=16", "batch_size=2", "start=flat", descents) for word in ("--set", each)]
-    given = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
-    assert design(*given, "-o", "mine.yaml") == 0
+    options = [word for setting in ("rays=16", "batch_size=2", "start=flat", descents) for word in ("--set", setting)]
+    arguments = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
+    assert design(*arguments, "-o", "mine.yaml") == 0
     output = capsys.readouterr()
     assert "recognises" in output.err and "96 sharp images (guessing: 33.3%)" in output.err
     assert "descent 2  step 2/2  loss" in output.err and "design: task by descents, seed 0" in output.out
-    assert design(*given, "-o", "again.yaml") == 0
-    assert design(*given, "-o", "other.yaml", "--seed", "1") == 0
+    assert design(*arguments, "-o", "again.yaml") == 0
+    assert design(*arguments, "-o", "other.yaml", "--seed", "1") == 0
     first, again, other = (
         lens_files.read(photographs / f"{name}.yaml").lens.curvature for name in ("mine", "again", "other")
     )
@@ -92,7 +92,7 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
 
 
 def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys):
-    """From a file that has no network, with its glasses; the start and the network are those that are given."""
+    """From a lens file, with its glasses; start and network are the given ones."""
     assert design(*QUICK, "-o", "start.yaml") == 0
     network = (
         "--classifier",
@@ -116,14 +116,14 @@ def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys
 
 
 def test_a_network_that_recognises_nothing_designs_nothing(photographs, capsys):
-    """Here since it always gives the same answer; nothing is written."""
+    """This network always gives the same answer; no file is written."""
     weights = {
         name: torch.zeros_like(value)
         for name, value in timm.create_model("test_resnet", num_classes=3).state_dict().items()
     }
     save_file(weights, photographs / "zero.safetensors")
-    given = ("--method", "task", "--classifier", "test_resnet", "--weights", "zero.safetensors")
-    assert design(*given, "--images", "photographs", "--size", "32", "--kernel-size", "11", "-o", "mine.yaml") == 2
+    arguments = ("--method", "task", "--classifier", "test_resnet", "--weights", "zero.safetensors")
+    assert design(*arguments, "--images", "photographs", "--size", "32", "--kernel-size", "11", "-o", "mine.yaml") == 2
     message = capsys.readouterr().err.splitlines()[-1]
     assert "no better than guessing; check its weights, its normalisation" in message
     assert not (photographs / "mine.yaml").exists()

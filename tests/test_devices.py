@@ -1,4 +1,4 @@
-"""Jobs spread over the GPUs of a machine, and run on the CPU where there is none."""
+"""Jobs spread over the GPUs of a machine, or run on the CPU if there is none."""
 
 import multiprocessing
 from types import SimpleNamespace
@@ -14,14 +14,14 @@ CONTEXT = multiprocessing.get_context("fork")
 
 
 def pretend(monkeypatch, names: list[str]) -> None:
-    """As many GPUs as names."""
+    """Pretend that there are as many GPUs as names."""
     monkeypatch.setattr(torch.cuda, "device_count", lambda: len(names))
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda index: SimpleNamespace(uuid=names[index]))
     monkeypatch.setattr(torch.cuda, "set_device", lambda index: None)
 
 
 def test_a_group_larger_than_the_machine_is_refused(monkeypatch):
-    """It would wait for ever."""
+    """Otherwise it would wait for ever."""
     pretend(monkeypatch, ["a", "b"])
     with pytest.raises(InputError, match="3 processes need a GPU each; visible are 2"):
         devices.claim_several(3)
@@ -33,7 +33,7 @@ def test_without_a_gpu_it_is_the_cpu(monkeypatch):
 
 
 def hold(name: str, ready, done) -> None:
-    devices._locked.clear()  # what a forked process seems to hold is its parent's
+    devices._locked.clear()  # locks that a forked process seems to hold are its parent's
     assert devices._lock(name)
     ready.set()
     done.wait()
@@ -41,7 +41,7 @@ def hold(name: str, ready, done) -> None:
 
 @pytest.fixture
 def elsewhere(monkeypatch, tmp_path):
-    """A function that has another process hold the lock of a name, and returns that process."""
+    """A function that starts another process to hold the lock of a name, and returns the process."""
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr(devices, "_locked", {})
 
@@ -56,7 +56,7 @@ def elsewhere(monkeypatch, tmp_path):
 
 
 def test_a_gpu_has_one_job(monkeypatch, elsewhere):
-    """What another process holds is left to it, and free again when that ends, by whatever."""
+    """A lock of another process is respected, and is free once that process ends, for any reason."""
     names = ["one", "other"]
     pretend(monkeypatch, names)
     other = elsewhere(names[0])
@@ -69,7 +69,7 @@ def test_a_gpu_has_one_job(monkeypatch, elsewhere):
 
 
 def test_locks_are_nobody_elses(monkeypatch, tmp_path):
-    """In the user's home, with whatever TMPDIR, and under an umask that would shut out the user's other jobs."""
+    """Locks are in the user's home, whatever TMPDIR is, even under an umask that shuts out the user's other jobs."""
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("TMPDIR", str(tmp_path / "mine"))
     monkeypatch.setattr(devices, "_locked", {})
@@ -80,14 +80,14 @@ def test_locks_are_nobody_elses(monkeypatch, tmp_path):
 
 
 def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
-    """It waits for the last one while another group, which would want the first, may not begin to collect."""
+    """While it waits for the last GPU, another group that needs the first one may not begin to collect."""
     names = ["one", "other"]
     pretend(monkeypatch, names)
     other, seen = elsewhere(names[1]), []
 
     def wait(seconds: float) -> None:
         done = CONTEXT.Event()
-        done.set()  # should it get the lock, it does not keep it
+        done.set()  # if it gets the lock, it releases it
         second = CONTEXT.Process(target=hold, args=("several", CONTEXT.Event(), done))
         second.start()
         second.join()

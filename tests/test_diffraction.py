@@ -21,7 +21,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 
-WAVELENGTH = 0.5893  # um, at which the hyperboloid is made
+WAVELENGTH = 0.5893  # um, design wavelength of the hyperboloid
 
 
 def perfect() -> tuple[Lens, View, float]:
@@ -33,25 +33,25 @@ def perfect() -> tuple[Lens, View, float]:
 
 
 def encircled(v: float) -> float:
-    """Rayleigh's fraction of the energy within v = k sin(alpha) r."""
+    """Rayleigh's fraction of energy within v = k sin(alpha) r."""
     return 1 - j0(v) ** 2 - j1(v) ** 2
 
 
 def test_a_perfect_lens_has_the_pattern_of_airy():
-    """Within 0.5 % of the peak out to the sixth dark ring; the energy within 20 um is Rayleigh's within 0.2 %."""
+    """Within 0.5 % of the peak out to the sixth dark ring; the energy within 20 um is Rayleigh's to 0.2 %."""
     lens, view, k = perfect()
     x = torch.linspace(-0.02, 0.02, 201, dtype=torch.float64)
-    found = irradiance(lens, view, 0, 0, x, x).numpy()
+    pattern = irradiance(lens, view, 0, 0, x, x).numpy()
     radius = torch.hypot(x, x[:, None]).numpy()
     v = numpy.maximum(k * radius, 1e-9)
     airy = k**2 / (4 * math.pi) * (2 * j1(v) / v) ** 2
-    assert numpy.abs(found - airy).max() < 5e-3 * airy.max()
-    energy = found[radius <= 0.02].sum() * float(x[1] - x[0]) ** 2
+    assert numpy.abs(pattern - airy).max() < 5e-3 * airy.max()
+    energy = pattern[radius <= 0.02].sum() * float(x[1] - x[0]) ** 2
     assert energy == pytest.approx(encircled(0.02 * k), abs=2e-3)
 
 
 def test_pixels_share_the_energy():
-    """A window of 31 pixels holds what Rayleigh's circles inside and around it allow; halves of it are equal."""
+    """The energy of 31 pixels lies between Rayleigh's circles inside and around the window; the PSF is symmetric."""
     lens, view, k = perfect()
     grid = diffraction_psf(lens, view, f64([[0.0, 0.0]]))[0, 0]
     half = 15.5e-3 * view.pixel_pitch
@@ -63,16 +63,16 @@ def test_pixels_share_the_energy():
 
 
 def test_short_wavelengths_give_the_spot():
-    """Out of focus by 0.4 mm, 80 um wide: what differs from the geometric spot falls as the root of the wavelength."""
+    """Out of focus by 0.4 mm, 80 um wide: the difference from the spot falls as the root of the wavelength."""
     lens, view, _ = perfect()
     blurred = replace(lens, thickness=lens.thickness + f64([0.0, 0.4]))
 
     def difference(wavelength: float) -> float:
         colour = replace(view, wavelengths=(wavelength,), kernel_size=61)
-        # As sharp as at its own wavelength, but for the dispersion.
+        # Refocus each wavelength, so that the defocus stays the same.
         focus = paraxial(blurred, wavelength).bfl - paraxial(blurred, WAVELENGTH).bfl
         moved = replace(blurred, thickness=blurred.thickness + torch.stack([0 * focus, focus]))
-        pair = [evaluation_psf(moved, colour, 2**16, diffraction=each)[0, 0] for each in (False, True)]
+        pair = [evaluation_psf(moved, colour, 2**16, diffraction=with_waves)[0, 0] for with_waves in (False, True)]
         return float((pair[0] - pair[1]).abs().sum() / 2)
 
     long, short = difference(1.6), difference(0.4)
@@ -90,12 +90,12 @@ def test_lost_light_lacks_in_it_and_is_normalised():
 
 
 def test_a_ray_whose_neighbour_is_lost_has_no_wave(monkeypatch):
-    """Its Jacobian would be that of a lost ray, which has no direction; here with far neighbours, so that some are."""
+    """Its Jacobian would need the lost ray's direction; here neighbours are far, so that some are lost."""
     monkeypatch.setattr(diffraction, "_SHIFT", 2e-2)
     view = View(f64([[10.0, 10.0]]), 50.0, (0.5876,), 5.0, 31)
     clipped = cooke_triplet(semi_diameter=f64([6.5, *3 * [math.inf], 4.0, *4 * [math.inf]]))
-    whole, left = (diffraction._waves(lens, view, 0, 0, 24, 96).determinant for lens in (cooke_triplet(), clipped))
-    assert len(left) < len(whole) and left.max() <= 1.01 * whole.max()
+    whole, remaining = (diffraction._waves(lens, view, 0, 0, 24, 96).determinant for lens in (cooke_triplet(), clipped))
+    assert len(remaining) < len(whole) and remaining.max() <= 1.01 * whole.max()
 
 
 def test_a_field_without_light_is_dark():
@@ -105,7 +105,7 @@ def test_a_field_without_light_is_dark():
 
 
 def huygens_fresnel(lens: Lens, view: View, x: torch.Tensor) -> torch.Tensor:
-    """Irradiance [1/mm^2] at points (x, 0) by spherical waves from the vertex plane behind the lens, before any focus.
+    """Irradiance [1/mm^2] at points (x, 0) by spherical waves from the last vertex plane, before any focus.
 
     U = (1 / lambda) sum_i sqrt(w_i dA_i) (d / r) exp(2 pi i (L_i + r) / lambda) / r, with the area dA_i of ray i in
     that plane, the distance r from its point there, and d from the plane.
@@ -121,29 +121,29 @@ def huygens_fresnel(lens: Lens, view: View, x: torch.Tensor) -> torch.Tensor:
     px, py, path = (v.reshape(3, -1) for v in (rays.x, rays.y, rays.path))
     (dx, ex), (dy, ey) = (((v[0] - v[1:]) / shift.T) for v in (px, py))
     amplitude = torch.sqrt(weight * math.pi * weight * (dx * ey - ex * dy).abs())
-    found = []
-    for each in x:
-        r = torch.sqrt((px[0] - each) ** 2 + py[0] ** 2 + distance**2)
+    values = []
+    for position in x:
+        r = torch.sqrt((px[0] - position) ** 2 + py[0] ** 2 + distance**2)
         wave = torch.polar(amplitude * distance / r**2, 2 * math.pi * (path[0] + r - distance) / wavelength)
-        found.append((wave.sum() / wavelength).abs() ** 2)
-    return torch.stack(found)
+        values.append((wave.sum() / wavelength).abs() ** 2)
+    return torch.stack(values)
 
 
 @pytest.mark.parametrize("alpha_10, moved_mm, share", [(0.0, 0.0, 1e-5), (0.02, 1.9, 0.04)])
 def test_a_rim_that_is_given_up(monkeypatch, alpha_10, moved_mm, share):
     """In focus, and with an outer part of the pupil where the wavefront diverges, against spherical waves.
 
-    Without its quarter wave the centre of the second has half of the irradiance. Directions alone, without the place of
+    Without the quarter wave the centre of the second has half the irradiance. Directions alone, without the position of
     the rim, leave a difference of 3 % there.
     """
-    monkeypatch.setattr(diffraction, "_MARGIN", 32.0)  # all light of a symmetric lens meets on its axis
+    monkeypatch.setattr(diffraction, "_MARGIN", 32.0)  # the light of a symmetric lens meets on its axis
     lens, view, _ = perfect()
     alpha = torch.zeros(2, 5, dtype=torch.float64)
     alpha[1, 4] = alpha_10
     lens = replace(lens, alpha=alpha, thickness=lens.thickness + f64([0.0, moved_mm]))
     x = torch.linspace(-0.03, 0.03, 41, dtype=torch.float64)
-    found, expected = irradiance(lens, view, 0, 0, x, f64([0.0, 0.0]))[0], huygens_fresnel(lens, view, x)
-    assert float((found - expected).abs().max() / expected.max()) < share
+    profile, expected = irradiance(lens, view, 0, 0, x, f64([0.0, 0.0]))[0], huygens_fresnel(lens, view, x)
+    assert float((profile - expected).abs().max() / expected.max()) < share
 
 
 @pytest.mark.parametrize("name", ["US-12078784-B2-e6", "US-12032142-B2-e3"])
@@ -152,17 +152,19 @@ def test_against_huygens_in_optiland(name):
     optiland = pytest.importorskip("optiland_lenses")
     from optiland.psf import HuygensPSF
 
-    found = zemax.read(SHIPPED / f"lenses/cellphone/source/{name}.zmx", list((SHIPPED / "glass").glob("*.AGF")))
-    lens, channel = found.lens, found.primary
+    imported = zemax.read(SHIPPED / f"lenses/cellphone/source/{name}.zmx", list((SHIPPED / "glass").glob("*.AGF")))
+    lens, channel = imported.lens, imported.primary
     is_stop = torch.arange(len(lens.semi_diameter)) == lens.stop
     lens = replace(lens, semi_diameter=torch.where(is_stop, lens.semi_diameter, torch.inf))
-    efl = float(paraxial(lens, found.wavelengths_um[channel]).efl)
-    view = View(efl * f64([[0.0, 0.0], [0.15, 0.25]]), efl, found.wavelengths_um, 1.8, 51)
+    efl = float(paraxial(lens, imported.wavelengths_um[channel]).efl)
+    view = View(efl * f64([[0.0, 0.0], [0.15, 0.25]]), efl, imported.wavelengths_um, 1.8, 51)
     optic, fields = optiland.in_optiland(lens, view)
-    for field, theirs in enumerate(map(tuple, fields)):
-        psf = HuygensPSF(optic, theirs, view.wavelengths[channel], num_rays=128, image_size=40, pixel_pitch=0.8e-3)
+    for field, optiland_field in enumerate(map(tuple, fields)):
+        psf = HuygensPSF(
+            optic, optiland_field, view.wavelengths[channel], num_rays=128, image_size=40, pixel_pitch=0.8e-3
+        )
         x = torch.linspace(-16e-3, 16e-3, 40, dtype=torch.float64)
-        ours = irradiance(lens, view, field, channel, x + float(psf.cx), x + float(psf.cy)).flatten()
-        other = f64(numpy.asarray(psf.psf)).flatten()
-        scale = (ours @ other) / (other @ other)  # of their unit, 100 for the peak of a perfect lens
-        assert float((ours - scale * other).abs().max() / ours.max()) < 0.01
+        values = irradiance(lens, view, field, channel, x + float(psf.cx), x + float(psf.cy)).flatten()
+        reference = f64(numpy.asarray(psf.psf)).flatten()
+        scale = (values @ reference) / (reference @ reference)  # unit of Optiland: 100 at the peak of a perfect lens
+        assert float((values - scale * reference).abs().max() / values.max()) < 0.01

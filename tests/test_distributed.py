@@ -14,14 +14,14 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import read_tensors
 
 VIT = {
-    "model": "vit_tiny_patch16_224",  # without batch norms, whose statistics on a CPU are of each share alone
+    "model": "vit_tiny_patch16_224",  # no batch norms: on a CPU their statistics cover only each process's share
     "arguments": {"img_size": 16, "patch_size": 8, "embed_dim": 12, "depth": 1, "num_heads": 1},
     "training": {"epochs": 1, "learning_rate": 1.0e-3, "batch_size": 16},
 }
 
 
 def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
-    """Accuracies at all fields within one image, weights within rounding, and only one of them writes."""
+    """Accuracies of all fields within one image, weights within rounding; only one process writes."""
     study = changed(changed(tiny_study(), "classifiers.small", VIT), "fine_tuning.epochs", 2)
     monkeypatch.chdir(tmp_path)
     target = "results/tiny/metrics/singlet-imaging1/seed0/small.csv"
@@ -48,7 +48,7 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
 
 
 def test_batch_norms_of_a_process_group_keep_their_activations(monkeypatch):
-    """timm puts them into one layer; converted for several GPUs, a network judges as before."""
+    """timm merges norm and activation into one layer; a network converted for several GPUs gives the same logits."""
     monkeypatch.setattr(distributed, "DistributedDataParallel", lambda network: network)
     torch.manual_seed(0)
     network = timm.create_model("test_efficientnet", num_classes=5).eval()

@@ -1,4 +1,4 @@
-"""Pages: every example in Python runs as it stands, every command of the tutorial, and links lead somewhere."""
+"""Documentation: every Python example and every command of the tutorial runs, and links have targets."""
 
 import os
 import re
@@ -24,7 +24,7 @@ PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/re
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    """The blocks of code of a page."""
+    """Code blocks of a page."""
     return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
@@ -41,13 +41,13 @@ def test_examples_run(page, number, monkeypatch, capsys):
     if page.stem == "architecture":
         pytest.skip("shows code of the project")
     monkeypatch.chdir(ROOT)
-    exec(compile(blocks(page, "python")[number], str(page), "exec"), {})  # what a reader does with it
+    exec(compile(blocks(page, "python")[number], str(page), "exec"), {})  # as a reader does
     assert capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_commands_of_the_tutorial_run(tmp_path):
-    """In a folder with the photographs of the tests and the published lenses; it takes two minutes."""
+    """In a folder with the test photographs and the published lenses; this takes two minutes."""
     for name in ("docs", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -62,7 +62,7 @@ def test_commands_of_the_tutorial_run(tmp_path):
 
 SMALL = "--size 32 --kernel-size 11"
 DESCENT = "--set rays=16 --set batch_size=2 --set descents.0.steps=1 --force"
-QUICK = {  # options that make a command of the page quick, by its beginning
+QUICK = {  # options that make a command quick, by the beginning of the command
     "tasklens rank catalogue --images photographs --classifier": f"{SMALL} --photographs 20 --scale",
     "tasklens design --method task": f"{SMALL} {DESCENT} --elements COC --set start=flat",
     "tasklens design --start my.zmx --method task": f"{SMALL} {DESCENT}",
@@ -75,7 +75,7 @@ QUICK = {  # options that make a command of the page quick, by its beginning
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
-    """Those for a lens of one's own, with a Cooke triplet, few steps, and a network that tells dark from bright."""
+    """Commands for the user's own lens: a Cooke triplet, few steps, and a network that tells dark from bright."""
     monkeypatch.chdir(tmp_path)
     fields = ("angle_deg", ((0.0, 0.0), (0.0, 20.0)))
     zemax.write(tmp_path / "my.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.65, 0.55, 0.47), 1))
@@ -91,7 +91,7 @@ def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
     commands = [(line, quick) for line in lines for start, quick in QUICK.items() if line.startswith(start)]
     done = set()
     for line, quick in commands:
-        if line not in done:  # by its first, longest beginning
+        if line not in done:  # by the first, longest matching beginning
             done.add(line)
             assert main([*line.split()[1:], *quick.split()]) == 0, line
     assert len(done) == 7 and (tmp_path / "mine.html").exists() and Path("results/ranking/ranking.html").exists()

@@ -1,4 +1,4 @@
-"""Effort of designs: what each tried and took, its own and that of the lenses it was chosen from."""
+"""Effort of designs: steps, evaluations and time, of each design and of its candidate lenses."""
 
 import math
 from pathlib import Path
@@ -45,7 +45,7 @@ def collected(efforts: effort.Efforts, folder: Path) -> pandas.DataFrame:
 
 
 def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_path):
-    """Steps of every descent, of each of its lenses; evaluations; `squares` once, though both others name it."""
+    """Steps of every descent of every lens, and evaluations; `squares` counts once, though two designs name it."""
     for seed in (0, 3):
         for lens, minutes in (("squares", 2), ("spots", 1), ("error", 3), ("task", 5)):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60 * (minutes + seed))
@@ -57,7 +57,7 @@ def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_pa
 
 
 def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path):
-    """As of a job by hand, or one that was killed while its benchmark was written; not a zero."""
+    """A gap, not a zero: for a job run by hand, or killed while its benchmark was written."""
     for seed in (0, 3):
         (tmp_path / f"singlet-squares-seed{seed}.tsv").write_text("s\th:m:s\tmax_rss\n")
         for lens in ("spots", "error", "task"):

@@ -1,4 +1,4 @@
-"""What a classifier sees, and how well it recognises it."""
+"""Evaluation of classifiers on captures."""
 
 import copy
 import math
@@ -16,16 +16,16 @@ from tasklens.recognition import evaluation
 class Brightness(nn.Module):
     """Sorts images into dark, medium and bright by their mean."""
 
-    outputs = None  # as many as classes
+    outputs = None  # one output per class
 
     def forward(self, images):
         return -(images.mean((1, 2, 3))[:, None] - torch.tensor([0.1, 0.5, 0.9])).abs()
 
 
 def measured(classifiers, splits, pipeline):
-    """Rows of classifiers that are not trained in between."""
-    found = {name: evaluation.evaluate(classifiers, images, pipeline) for name, images in splits.items()}
-    return evaluation.measure(classifiers, splits["test"], **found, captured=pipeline.camera is not None)
+    """Metrics and predictions of classifiers without training."""
+    results = {name: evaluation.evaluate(classifiers, images, pipeline) for name, images in splits.items()}
+    return evaluation.measure(classifiers, splits["test"], **results, captured=pipeline.camera is not None)
 
 
 def grey_images(values, labels) -> data.ImageDataset:
@@ -34,25 +34,25 @@ def grey_images(values, labels) -> data.ImageDataset:
 
 
 def test_evaluation_against_a_hand_count():
-    """Four of five grey images are sorted as labelled; without a camera there is one field and no error."""
+    """Four of five grey images are sorted as labelled; without a camera there is one field and infinite PSNR."""
     dataset = grey_images([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
-    found = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
-    assert found.correct.tolist() == [[[True, True, True, False, True]]]
-    assert found.psnr_db.shape == (1, 5)
+    result = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
+    assert result.correct.tolist() == [[[True, True, True, False, True]]]
+    assert result.psnr_db.shape == (1, 5)
     ((rows, predictions_by_image),) = measured(
         [Brightness()], {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
     )
     assert [row["field0"] for row in predictions_by_image] == [1, 1, 1, 0, 1]
-    found = {(row["field"], row["metric"]): row["value"] for row in rows}
-    assert found.pop((0, "accuracy")) == pytest.approx(80)
-    assert found.pop((0, "minival_accuracy")) == pytest.approx(50)
-    assert found.pop(("", "chance")) == pytest.approx(100 / 3)
-    assert found.pop(("", "parameters_m")) == 0
-    assert not found
+    result = {(row["field"], row["metric"]): row["value"] for row in rows}
+    assert result.pop((0, "accuracy")) == pytest.approx(80)
+    assert result.pop((0, "minival_accuracy")) == pytest.approx(50)
+    assert result.pop(("", "chance")) == pytest.approx(100 / 3)
+    assert result.pop(("", "parameters_m")) == 0
+    assert not result
 
 
 class Dimming(PsfCamera):
-    """A camera whose fields scale the brightness: no lens does, but everything can be counted by hand."""
+    """A camera whose fields scale the brightness: unlike a lens, but results follow by hand."""
 
     def __init__(self, factors):
         super().__init__(torch.zeros(len(factors), 3, 3, 3))
@@ -68,26 +68,26 @@ class Dimming(PsfCamera):
 def test_losses_by_hand():
     """Logits are minus the distances from 0.1, 0.5 and 0.9; field 1 halves the light. 90 images take two batches."""
     dataset = grey_images([51, 204] * 45, [0, 2] * 45)
-    found = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5]))).losses[0]
-    assert found.shape == (2, 90)
+    losses = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5]))).losses[0]
+    assert losses.shape == (2, 90)
     for field, values in enumerate([(0.2, 0.8), (0.1, 0.4)]):
         for image, (value, label) in enumerate(zip(values, (0, 2), strict=True)):
             logits = [-abs(value - middle) for middle in (0.1, 0.5, 0.9)]
             expected = math.log(sum(map(math.exp, logits))) - logits[label]
-            assert found[field, image::2].tolist() == pytest.approx([expected] * 45, rel=1e-5)
-    rows = evaluation.by_image(found, dataset)
+            assert losses[field, image::2].tolist() == pytest.approx([expected] * 45, rel=1e-5)
+    rows = evaluation.by_image(losses, dataset)
     assert len(rows) == 90 and list(rows[1]) == ["image", "label", "field0", "field1"]
-    assert (rows[1]["image"], rows[1]["label"], rows[1]["field1"]) == (1, "bright", found[1, 1].item())
+    assert (rows[1]["image"], rows[1]["label"], rows[1]["field1"]) == (1, "bright", losses[1, 1].item())
 
 
 def test_every_field_is_evaluated_on_every_image():
-    """Field 1 halves the light: 240 is taken for medium there, and 120 for dark."""
+    """Field 1 halves the light: there 240 is classified as medium, and 120 as dark."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    found = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
-    assert found.correct.shape == (1, 2, 90) and found.psnr_db.shape == (2, 90)
-    assert found.correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
+    result = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    assert result.correct.shape == (1, 2, 90) and result.psnr_db.shape == (2, 90)
+    assert result.correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
-    torch.testing.assert_close(found.psnr_db[1, :3], expected, rtol=0, atol=1e-3)
+    torch.testing.assert_close(result.psnr_db[1, :3], expected, rtol=0, atol=1e-3)
     ((rows, predictions_by_image),) = measured(
         [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     )
@@ -97,12 +97,12 @@ def test_every_field_is_evaluated_on_every_image():
         {"image": 2, "label": "medium", "field0": 1, "field1": 0},
     ]
     assert [row["field"] for row in rows if row["metric"] == "psnr_db"] == [0, 1]
-    worst = [row["value"] for row in rows if row["metric"] == "worst_psnr_db"]  # the one brightest of 90
+    worst = [row["value"] for row in rows if row["metric"] == "worst_psnr_db"]  # the brightest of 90 images
     assert worst[1] == pytest.approx(float(expected[1]), abs=1e-3) and len(worst) == 2
 
 
 def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
-    """Each as if alone, with one rendering of every batch for both."""
+    """Same results as alone, but each batch is rendered once for both."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
     pipeline = evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     splits = {"test": dataset, "minival": dataset.take(torch.arange(6))}
@@ -112,7 +112,7 @@ def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
             return -super().forward(images)
 
     classifiers = [Brightness(), Contrary()]
-    alone = [measured([each], splits, pipeline)[0] for each in classifiers]
+    alone = [measured([classifier], splits, pipeline)[0] for classifier in classifiers]
     rendered = []
     grid = pipeline.camera.grid
     monkeypatch.setattr(pipeline.camera, "grid", lambda images, _: rendered.append(len(images)) or grid(images))
@@ -129,18 +129,18 @@ def test_restoration_stands_between_camera_and_classifier():
 
     dataset = grey_images([10, 240, 120], [0, 2, 1])
     pipeline = evaluation.CapturePipeline(Dimming([0.5, 0.5]), Double())
-    found = evaluation.evaluate([Brightness()], dataset, pipeline)
-    assert found.correct.all() and (found.psnr_db > 80).all()
-    seen = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
-    torch.testing.assert_close(seen, dataset.images.float() / 255, rtol=0, atol=1e-6)
+    result = evaluation.evaluate([Brightness()], dataset, pipeline)
+    assert result.correct.all() and (result.psnr_db > 80).all()
+    restored = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
+    torch.testing.assert_close(restored, dataset.images.float() / 255, rtol=0, atol=1e-6)
 
 
 def test_training_sees_a_random_field_per_image():
     """Over many images each field is seen about equally often, drawn by the generator alone."""
     pipeline, images = evaluation.CapturePipeline(Dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
-    seen = [pipeline.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
-    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
-    counts = torch.bincount((10 * seen[0]).round().long(), minlength=5)[1:]
+    means = [pipeline.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
+    assert torch.equal(means[0], means[1]) and not torch.equal(means[0], means[2])
+    counts = torch.bincount((10 * means[0]).round().long(), minlength=5)[1:]
     assert counts.sum() == 400 and counts.min() > 60
 
 
@@ -150,9 +150,9 @@ def test_the_worst_images_are_one_in_a_hundred():
     ((rows, _),) = measured(
         [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
     )
-    found = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
-    lost = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
-    assert found == pytest.approx(float(lost.mean()), abs=1e-3)
+    psnr = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
+    expected = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
+    assert psnr == pytest.approx(float(expected.mean()), abs=1e-3)
 
 
 def test_evaluation_changes_nothing():

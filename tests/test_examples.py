@@ -1,4 +1,4 @@
-"""Examples: what a reader is shown first does what the driver does."""
+"""Examples: the short example takes the same steps as the package."""
 
 import importlib.util
 import json
@@ -32,17 +32,17 @@ def example(name: str):
 
 def test_the_task_driven_example_takes_the_steps_of_the_driver(monkeypatch):
     """The same lenses and losses in six steps of AdamW from flat plates, through the same rays."""
-    network, posed = small_network().eval().requires_grad_(False), problem()
+    network, design_problem = small_network().eval().requires_grad_(False), problem()
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     monkeypatch.setattr(descent, "sobol_disc", lambda count, seed: sobol_disc(count, 0))
     rates = LearningRates(curvature=4e-3, thickness=4e-3, alpha_4=4e-3, decay=1.0, normalised=False)
     part = DescentSettings(
         optimizer="adamw", steps=6, learning_rates=rates, final=1.0, pixels=(20, 1), duration=0.8, centre="chief_ray"
     )
-    _, _, history = by_descents(plates, lambda part: TaskLoss(network), posed, part, rays=32)
-    seed = int(torch.randint(2**31, (), generator=torch.Generator().manual_seed(posed.seed)))
+    _, _, history = by_descents(plates, lambda part: TaskLoss(network), design_problem, part, rays=32)
+    seed = int(torch.randint(2**31, (), generator=torch.Generator().manual_seed(design_problem.seed)))
     order = Shuffled(12, 4, torch.Generator().manual_seed(seed))
-    batches = [posed.dataset.batch(order.next()) for _ in range(6)]
+    batches = [design_problem.dataset.batch(order.next()) for _ in range(6)]
     steps = list(example("task_driven").descend(plates, LOOKS, network, batches, rays=32))
     assert [loss for _, loss in steps] == pytest.approx([row["loss"] for row in history], rel=1e-5)
     assert not torch.equal(steps[-1][0].curvature, plates.curvature)
@@ -50,7 +50,7 @@ def test_the_task_driven_example_takes_the_steps_of_the_driver(monkeypatch):
 
 @pytest.mark.slow
 def test_the_task_driven_example_makes_a_lens(monkeypatch, tmp_path, capsys):
-    """Its light comes together on the axis within sixty steps."""
+    """Light converges on the axis within sixty steps."""
     monkeypatch.chdir(tmp_path)
     example("task_driven").main(steps=60)
     widths = [float(line.split()[-2]) for line in capsys.readouterr().out.splitlines() if line.startswith("step")]
@@ -61,7 +61,7 @@ NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
 
 
 def cells(notebook: Path) -> list[str]:
-    """The code of a notebook, cell by cell; nothing is stored of what came out of it."""
+    """Code cells of a notebook, which is stored without outputs."""
     content = json.loads(notebook.read_text(encoding="utf-8"))
     code = [cell for cell in content["cells"] if cell["cell_type"] == "code"]
     assert content["nbformat"] == 4 and all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
@@ -71,7 +71,7 @@ def cells(notebook: Path) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_without_the_repository(notebook, tmp_path):
-    """Cell after cell, in an empty folder, in less than three minutes; its cells say what they find."""
+    """All cells in order, in an empty folder, in less than three minutes; the cells print results."""
     (tmp_path / "cells.py").write_text("\n\n".join(cells(notebook)))
     variables = os.environ | {"MPLBACKEND": "agg"}
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Figures of a lens: what must be on them, and that they are the same whenever they are drawn."""
+"""Figures of a lens: required labels, and reproducible files."""
 
 import math
 from dataclasses import replace
@@ -20,8 +20,8 @@ from tasklens.study.settings import Spec
 def panel(start):
     """A random doublet, which is far from sharp."""
     view = view_of_spec(Spec(kernel_size=11))
-    found = datasheet.figures(start, view, 64)
-    return figures.panel_of("random", start, view, evaluation_psf(start, view, 64), found)
+    values = datasheet.figures(start, view, 64)
+    return figures.panel_of("random", start, view, evaluation_psf(start, view, 64), values)
 
 
 def drawn(function, panel) -> Figure:
@@ -44,9 +44,9 @@ def bars_of(figure: Figure) -> list[str]:
 
 def test_the_spots_say_what_each_colour_and_circle_is(panel):
     figure = drawn(figures.draw_spots, panel)
-    said = legend_of(figure)
-    assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == said[:3]
-    assert said[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
+    labels = legend_of(figure)
+    assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == labels[:3]
+    assert labels[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
     assert len(bars_of(figure)) == 3
     for axes, field in zip(figure.axes, panel.shown, strict=True):
         half = panel.view.kernel_size * panel.view.pixel_pitch / 2
@@ -54,8 +54,8 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
         outside = 1 - panel.figures["energy_in_window"][field]
         assert outside > 0.001 and f"{outside:.1%} of the light outside" in axes.get_xlabel()
         radii = sorted(patch.radius for patch in axes.patches)
-        known = [panel.figures[name][field] for name in ("core_radius_um", "radius_80_um")]
-        assert radii == [radius for radius in known if radius < 1e3 * half]
+        circles = [panel.figures[name][field] for name in ("core_radius_um", "radius_80_um")]
+        assert radii == [radius for radius in circles if radius < 1e3 * half]
 
 
 def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
@@ -68,11 +68,11 @@ def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
 
 def test_section_and_curves_have_legends_and_a_scale_bar(panel):
     section, curves = drawn(figures.draw_section, panel), drawn(figures.draw_curves, panel)
-    said = legend_of(section)
-    assert "stop" in said and all(any(text.startswith(name) for text in said) for name in panel.shown.values())
+    labels = legend_of(section)
+    assert "stop" in labels and all(any(text.startswith(name) for text in labels) for name in panel.shown.values())
     assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
-    said = legend_of(curves)
-    assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(said)
+    labels = legend_of(curves)
+    assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(labels)
 
 
 @pytest.mark.parametrize("width, said", [(20.0, "5 um"), (117.0, "20 um"), (3.9, "0.5 um"), (400.0, "100 um")])
@@ -86,7 +86,7 @@ def test_a_scale_bar_is_round_and_at_most_a_quarter(width, said):
 
 
 def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
-    """PNG, SVG and PDF, without a date; the SVG has text, the PNG a picture."""
+    """PNG, SVG and PDF, without a date; the SVG contains text, the PNG an image."""
     for folder in ("first", "second"):
         (tmp_path / folder).mkdir()
         figures.draw([tmp_path / folder / f"lens.{kind}" for kind in ("png", "svg", "pdf")], [panel])
@@ -100,7 +100,7 @@ def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
 
 
 def test_scale_bars_of_lenses_in_one_figure_agree(panel):
-    """Those of a lens four times as long, with windows four times as wide, have the lengths of the small one's."""
+    """Bars of a lens four times as long, with windows four times as wide, have the same lengths as the small lens's."""
     lens, view = panel.lens.scaled(4.0), replace(panel.view, pixel_pitch=4 * panel.view.pixel_pitch)
     large = figures.panel_of("large", lens, view, panel.psf, panel.figures)
     small, alone, both = (bars_of(figures.drawn(panels)) for panels in ([panel], [large], [panel, large]))

@@ -1,4 +1,4 @@
-"""A finished study, verified: what comes out again, and what is said where it does not; and its page in a browser."""
+"""A finished study: verification, its failures, and the page in a browser."""
 
 import contextlib
 import json
@@ -37,13 +37,13 @@ def finished(tmp_path_factory):
 
 
 def make() -> None:
-    """All jobs, in the order in which they need each other."""
+    """Run all jobs in the order of their dependencies."""
     finish("images", STUDY)
     finish("reference", STUDY, classifier="small")
     imaging = list(STUDY.imaging_designs)
     for name in (*imaging, *(name for name in STUDY.designs if name not in imaging)):
         finish("design", STUDY, lens=f"singlet-{name}", seed=0)
-        if name in imaging:  # the end-to-end design starts from the best
+        if name in imaging:  # the end-to-end design starts from the best of these
             finish("fine_tune", STUDY, lens=f"singlet-{name}", measured_name="small", seed=0)
     for lens, name in verification(STUDY).measured:
         if split(name)[1]:
@@ -70,11 +70,11 @@ def failed(printed: str) -> list[str]:
 
 def test_predictions_are_kept(finished):
     """A row per test image with its label; their means are the accuracies of the metrics file."""
-    found = read_rows(measured("predictions", "singlet-imaging1"))
+    rows = read_rows(measured("predictions", "singlet-imaging1"))
     labels = json.loads(outputs("images", STUDY).test_labels.read_text())
-    assert [row["image"] for row in found] == [str(k) for k in range(20)]
-    assert [row["label"] for row in found] == [labels["classes"][k] for k in labels["labels"]]
-    means = [100 * sum(int(row[f"field{k}"]) for row in found) / 20 for k in range(9)]
+    assert [row["image"] for row in rows] == [str(k) for k in range(20)]
+    assert [row["label"] for row in rows] == [labels["classes"][k] for k in labels["labels"]]
+    means = [100 * sum(int(row[f"field{k}"]) for row in rows) / 20 for k in range(9)]
     assert means == pytest.approx(accuracies(measured("metrics", "singlet-imaging1")))
     assert list(read_rows(measured("predictions", "sharp"))[0]) == ["image", "label", "field0"]
 
@@ -84,9 +84,9 @@ def test_checkpoints_of_finished_jobs_are_gone(finished):
 
 
 def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_else(finished, capsys):
-    """Designs of 3 steps violate limits: each violated one is named, exit status 1; all measurements come out again.
+    """Designs of 3 steps violate limits: each violation is named, exit status 1; all measurements are reproduced.
 
-    End-to-end design from flat, which need not converge, is not held to them.
+    End-to-end design from flat plates need not converge or keep limits.
     """
     capsys.readouterr()
     with pytest.raises(SystemExit, match="1"):
@@ -96,22 +96,22 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
     for name in STUDY.designs:
         path = outputs("design", STUDY, lens=f"singlet-{name}", seed=0).lens
         margins = yaml.safe_load(path.read_text())["margins"]
-        said = "unconstrained" if name == "end_to_end_from_flat" else "failed"
-        violated[said] |= {
-            f"{said}: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6
+        label = "unconstrained" if name == "end_to_end_from_flat" else "failed"
+        violated[label] |= {
+            f"{label}: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6
         }
     converging = [line for line in printed.splitlines() if "not converged" in line]
     assert all(line.startswith("failed: singlet-tasklens seed 0: not converged: the loss of") for line in converging)
     lines = [line.rpartition(": margin")[0] for line in printed.splitlines() if line not in converging]
-    for said, expected in violated.items():
-        assert expected and {line for line in lines if line.startswith(f"{said}: ")} == expected
+    for label, expected in violated.items():
+        assert expected and {line for line in lines if line.startswith(f"{label}: ")} == expected
     assert f"Checked 6 lenses and 11 measurements: {len(violated['failed']) + len(converging)} failures." in printed
     assert "Verdicts on the paper's claims" in printed and "fewer than five seeds" in printed
 
 
 @pytest.mark.parametrize("name", ["small", "small-restored"])
 def test_other_weights_do_not_reproduce(finished, capsys, name):
-    """The stored head turned to other classes: the captures that this changes are counted."""
+    """The stored head is rotated to other classes: the message counts the changed captures."""
 
     def again() -> None:
         finish("reproduce", STUDY, lens="singlet-imaging1", measured_name=name, seed=0)
@@ -125,18 +125,18 @@ def test_other_weights_do_not_reproduce(finished, capsys, name):
         again()
         with pytest.raises(SystemExit, match="1"):
             finish("verify", STUDY)
-        said = f"failed: singlet-imaging1 seed 0: {name}: stored predictions: "
-        assert any(line.startswith(said) for line in capsys.readouterr().out.splitlines())
+        prefix = f"failed: singlet-imaging1 seed 0: {name}: stored predictions: "
+        assert any(line.startswith(prefix) for line in capsys.readouterr().out.splitlines())
     finally:
         write_tensors(path, weights, notes)
         again()
 
 
 def test_tails_of_all_lenses(finished):
-    found = read_rows(outputs("psf_tail_table", STUDY).csv)
-    assert sorted(row["lens"] for row in found) == sorted(f"singlet-{name}" for name in STUDY.designs)
+    rows = read_rows(outputs("psf_tail_table", STUDY).csv)
+    assert sorted(row["lens"] for row in rows) == sorted(f"singlet-{name}" for name in STUDY.designs)
     curves = read_rows(outputs("psf_tail_table", STUDY).encircled_energy)
-    assert {row["lens"] for row in curves} == {row["lens"] for row in found}
+    assert {row["lens"] for row in curves} == {row["lens"] for row in rows}
     assert all(0 <= float(row["fraction"]) <= 1 for row in curves)
 
 
@@ -151,7 +151,7 @@ def page(finished):
 
 
 def test_the_page_has_every_part(page):
-    """All tables, and of every lens its drawings and files."""
+    """All tables, and drawings and files of every lens."""
     text = page.read_text()
     assert [name for name in (*TABLES, "verdicts", "psf_tail", "effort") if f'<table id="{name}">' not in text] == []
     for name in STUDY.designs:
@@ -165,11 +165,11 @@ def test_a_table_that_is_older_than_a_lens_says_so(page):
     table = outputs("merit_function_table", STUDY).csv
     table.write_text("lens,score\nsinglet-tasklens,1.0\n")
     lens = outputs("design", STUDY, lens="singlet-tasklens", seed=0).lens
-    before, said = page.read_text(), "Older than these lenses, so maybe of earlier ones: "
+    before, warning = page.read_text(), "Older than these lenses, so maybe of earlier ones: "
     for seconds, older in ((-1, True), (3600, False)):
         os.utime(table, times=(0, lens.stat().st_mtime + seconds))
         text = finish("report_page", STUDY).report.read_text()
-        assert (said in text) == older and '<table id="merit_function">' in text
+        assert (warning in text) == older and '<table id="merit_function">' in text
     table.unlink()
     page.write_text(before)
 
@@ -184,18 +184,18 @@ def test_a_page_that_is_too_large_is_refused(page, monkeypatch):
 
 @pytest.fixture(scope="module")
 def opened(page, tmp_path_factory):
-    """The page in Chromium, all of it seen once, so that every chart is drawn."""
+    """The page in Chromium, scrolled through once so that every chart is drawn."""
     if browser.ABSENT:
         pytest.skip(f"no {' or '.join(browser.ABSENT)}: apt-get install chromium chromium-driver")
-    with browser.browser(tmp_path_factory.mktemp("profile")) as found:
-        browser.window(found, 1280, 900)
-        found.get(page.as_uri())
-        charts = found.find_elements(By.CLASS_NAME, "chart")
+    with browser.browser(tmp_path_factory.mktemp("profile")) as driver:
+        browser.window(driver, 1280, 900)
+        driver.get(page.as_uri())
+        charts = driver.find_elements(By.CLASS_NAME, "chart")
         for chart in charts:
-            found.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", chart)
-            WebDriverWait(found, 10).until(lambda _, own=chart: own.find_elements(By.CSS_SELECTOR, "svg.main-svg"))
+            driver.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", chart)
+            WebDriverWait(driver, 10).until(lambda _, own=chart: own.find_elements(By.CSS_SELECTOR, "svg.main-svg"))
         assert len(charts) >= 5
-        yield found
+        yield driver
 
 
 def test_the_page_loads_nothing_and_complains_of_nothing(opened, page):
@@ -206,44 +206,44 @@ def test_the_page_loads_nothing_and_complains_of_nothing(opened, page):
 
 def test_every_picture_has_loaded_and_says_what_it_shows(opened):
     script = "return [...document.images].map(i => [i.complete && i.naturalWidth > 0, i.alt.trim()])"
-    found = opened.execute_script(script)
-    captures = read_rows(outputs("captures", STUDY).answers)  # of one network: a row per picture
-    assert len(found) == len(captures) + len(STUDY.designs) * len(("section", "spots", "psfs", "curves")) >= 30
-    assert all(loaded and len(words) > 10 for loaded, words in found)
+    images = opened.execute_script(script)
+    captures = read_rows(outputs("captures", STUDY).answers)  # of one network: a row per image
+    assert len(images) == len(captures) + len(STUDY.designs) * len(("section", "spots", "psfs", "curves")) >= 30
+    assert all(loaded and len(words) > 10 for loaded, words in images)
     charts = opened.find_elements(By.CLASS_NAME, "chart")
     assert all(len(chart.get_attribute("aria-label")) > 40 for chart in charts)
 
 
 def test_a_table_is_sorted_by_a_click(opened):
     headings = opened.find_elements(By.CSS_SELECTOR, "#table1 th")
-    column = next(k for k, each in enumerate(headings) if each.text.startswith("RMS spot"))
+    column = next(k for k, head in enumerate(headings) if head.text.startswith("RMS spot"))
     script = f"return [...document.querySelectorAll('#table1 tbody tr')].map(row => row.cells[{column}].textContent)"
 
     def values() -> list[float | None]:
-        """Numbers of the column; None of a gap."""
+        """Numbers of the column, None for gaps."""
         texts = [text.replace("★", "").strip() for text in opened.execute_script(script)]
         return [None if text == "–" else float(text) for text in texts]
 
     heading, gaps = headings[column], [value for value in values() if value is None]
-    known = sorted(value for value in values() if value is not None)
-    assert heading.get_attribute("aria-sort") == "none" and gaps and len(set(known)) > 2
+    numbers = sorted(value for value in values() if value is not None)
+    assert heading.get_attribute("aria-sort") == "none" and gaps and len(set(numbers)) > 2
     opened.execute_script("arguments[0].scrollIntoView({block: 'center'})", heading)
     for order in ("descending", "ascending", "descending"):
         heading.find_element(By.TAG_NAME, "button").click()
         assert heading.get_attribute("aria-sort") == order
-        assert values() == (known if order == "ascending" else known[::-1]) + gaps
+        assert values() == (numbers if order == "ascending" else numbers[::-1]) + gaps
     others = opened.find_elements(By.CSS_SELECTOR, "#table1 th:not([aria-sort='none'])")
     assert others == [heading]
 
 
 def test_a_filter_hides_other_lenses(opened):
     field = opened.find_element(By.CSS_SELECTOR, "#lenses input")
-    shown = "return [...document.querySelectorAll('#lenses .lens')].filter(e => !e.hidden).map(e => e.dataset.name)"
-    assert len(opened.execute_script(shown)) == 6
+    script = "return [...document.querySelectorAll('#lenses .lens')].filter(e => !e.hidden).map(e => e.dataset.name)"
+    assert len(opened.execute_script(script)) == 6
     opened.execute_script(
         "arguments[0].value = 'singlet imaging'; arguments[0].dispatchEvent(new Event('input'))", field
     )
-    assert opened.execute_script(shown) == ["singlet-imaging1", "singlet-imaging2", "singlet-end_to_end_from_imaging"]
+    assert opened.execute_script(script) == ["singlet-imaging1", "singlet-imaging2", "singlet-end_to_end_from_imaging"]
     opened.execute_script("arguments[0].value = ''; arguments[0].dispatchEvent(new Event('input'))", field)
 
 
@@ -252,35 +252,37 @@ def test_dark_mode_changes_page_and_charts(opened):
         "return [getComputedStyle(document.body).backgroundColor,"
         " getComputedStyle(document.querySelector('.chart text')).fill]"
     )
-    found = {}
+    by_scheme = {}
     for scheme in ("light", "dark"):
         browser.colour_scheme(opened, scheme)
-        found[scheme] = opened.execute_async_script(
+        by_scheme[scheme] = opened.execute_async_script(
             f"const done = arguments[0]; setTimeout(() => done((() => {{ {colours} }})()), 500)"
         )
-    brightness = {scheme: [sum(map(int, re.findall(r"\d+", c)[:3])) for c in own] for scheme, own in found.items()}
+    brightness = {
+        scheme: [sum(map(int, re.findall(r"\d+", c)[:3])) for c in fills] for scheme, fills in by_scheme.items()
+    }
     assert brightness["light"][0] > 600 > 200 > brightness["dark"][0]  # of 765
     assert brightness["light"][1] < 200 < 600 < brightness["dark"][1]
 
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_is_wider_than_the_screen(opened, width):
-    """With all parts open; wide tables scroll in their own frames. A phone would zoom out where something is wider."""
+    """With all parts open; wide tables scroll in their own frames. A phone would zoom out if something were wider."""
     browser.window(opened, width, 844)
     opened.execute_script("for (const part of document.querySelectorAll('details')) part.open = true")
     widths = "return [innerWidth, document.documentElement.scrollWidth]"
-    with contextlib.suppress(TimeoutException):  # charts follow the width after a moment
+    with contextlib.suppress(TimeoutException):  # charts follow the width with a delay
         WebDriverWait(opened, 5).until(lambda _: opened.execute_script(widths) == [width, width])
     assert opened.execute_script(widths) == [width, width]
 
 
 def test_half_a_table_of_tails_is_named(page):
-    """Rows that are lost as a whole, too."""
+    """Missing rows are found, too."""
     path = outputs("psf_tail_table", STUDY).csv
-    whole = path.read_text()
-    path.write_text("".join(whole.splitlines(keepends=True)[:3]))
+    text = path.read_text()
+    path.write_text("".join(text.splitlines(keepends=True)[:3]))
     try:
         with pytest.raises(FileError, match=r"psf_tail\.csv: without .*; delete it and run again"):
             finish("report_page", STUDY)
     finally:
-        path.write_text(whole)
+        path.write_text(text)

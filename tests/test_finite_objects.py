@@ -43,14 +43,14 @@ def looking(fields, distance: float, wavelengths=(REFERENCE,)) -> View:
 
 
 def two_hyperboloids(radius: float, stop: int) -> Lens:
-    """Conics -n^2, which image a point at 30 mm to parallel rays in the glass, and these to a point at 60 mm."""
+    """Conics -n^2: a point at 30 mm gives parallel rays in the glass, and these a point at 60 mm."""
     semi = [radius if i == stop else torch.inf for i in range(2)]
     curvature, conic = [1 / 30 / (N - 1), -1 / 60 / (N - 1)], [-(N**2)] * 2
     return make_lens(curvature, [8.0, 60.0], (GLASS, "air"), conic=conic, semi_diameter=semi, stop=stop)
 
 
 def thin_doublet(distance: float) -> Lens:
-    """Stop, and thin lenses of 40 mm and -90 mm in contact with it; the image plane is that of the object."""
+    """Stop, and thin lenses of 40 mm and -90 mm in contact with it; the image plane is conjugate to the object."""
     c = f64([1 / 40, -1 / 90]) / (N - 1)
     image = 1 / (1 / 40 - 1 / 90 - 1 / distance)
     media, semi = ("air", GLASS, "air", GLASS, "air"), [2.0, *[torch.inf] * 4]
@@ -61,10 +61,10 @@ def thin_doublet(distance: float) -> Lens:
 def test_a_perfect_lens_of_a_near_point(stop):
     """NA 0.26 and 0.13: spot below 1e-9 mm, wavefront below 1e-6 waves, Airy's first zero at the working F-number."""
     lens, view = two_hyperboloids(8.0, stop), looking([[0.0, 0.0]], 30.0)
-    rays, found = trace_fields(lens, view, PUPIL), wavefront(lens, view, PUPIL)
+    rays, wave = trace_fields(lens, view, PUPIL), wavefront(lens, view, PUPIL)
     assert rays.valid.all() and float(rays.l.abs().max()) > 0.1
     assert float(torch.hypot(rays.x, rays.y).max()) < 1e-9
-    assert float(found.opd.abs().max()) < 1e-6
+    assert float(wave.opd.abs().max()) < 1e-6
     assert magnification(lens, view) == pytest.approx(-2, rel=1e-12)
     slow = two_hyperboloids(0.5, stop)
     radius = 1e-3 * figures(slow, view, 16)["airy_radius_um"]
@@ -78,26 +78,26 @@ def test_a_thin_doublet_by_hand():
     lens = thin_doublet(distance)
     image, focal = float(lens.thickness[-1]), 1 / (1 / 40 - 1 / 90)
     view = replace(looking([[0.0, 0.0], [0.0, field * focal]], distance), efl=focal)
-    found = figures(lens, view, 64)
-    assert found["object_distance_mm"] == pytest.approx(distance, rel=1e-15)
-    assert found["magnification"] == pytest.approx(-image / distance, rel=1e-12)
-    assert found["f_number"] == pytest.approx(focal / 4, rel=1e-12)
-    assert found["working_f_number"] == pytest.approx(image / 4, rel=1e-12)
-    assert found["airy_radius_um"] == pytest.approx(1.21966989 * REFERENCE * image / 4, rel=1e-12)
-    assert found["focus_sagittal_um"][0] == pytest.approx(0, abs=1e-9)
-    assert found["focus_tangential_um"][0] == pytest.approx(0, abs=1e-9)
+    values = figures(lens, view, 64)
+    assert values["object_distance_mm"] == pytest.approx(distance, rel=1e-15)
+    assert values["magnification"] == pytest.approx(-image / distance, rel=1e-12)
+    assert values["f_number"] == pytest.approx(focal / 4, rel=1e-12)
+    assert values["working_f_number"] == pytest.approx(image / 4, rel=1e-12)
+    assert values["airy_radius_um"] == pytest.approx(1.21966989 * REFERENCE * image / 4, rel=1e-12)
+    assert values["focus_sagittal_um"][0] == pytest.approx(0, abs=1e-9)
+    assert values["focus_tangential_um"][0] == pytest.approx(0, abs=1e-9)
     # A chief ray through the middle of thin lenses goes straight to the image of its object point.
-    assert found["distortion_percent"][1] == pytest.approx(0, abs=1e-9)
-    assert found["angle_deg"][1] == pytest.approx(math.degrees(math.atan(field)), rel=1e-12)
+    assert values["distortion_percent"][1] == pytest.approx(0, abs=1e-9)
+    assert values["angle_deg"][1] == pytest.approx(math.degrees(math.atan(field)), rel=1e-12)
 
 
 @pytest.mark.parametrize("stop", [0, 2, 4])
 @pytest.mark.parametrize("seed", [0, 4])
 def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
-    """W about the paraxial image point; what the sums leave falls with the sixth power of the scale."""
+    """W about the paraxial image point; the error of the sums falls with the sixth power of the scale."""
     px, py = (0.8 * PUPIL).unbind(-1)
     square = px**2 + py**2
-    left, size = [], []
+    residuals, sizes = [], []
     for scale in (1.0, 0.5):
         lens = replace(random_lens(seed), stop=stop, semi_diameter=f64([1.0] * 5))
         view = looking(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]), 20.0)
@@ -110,55 +110,55 @@ def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
         expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
         expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
         ideal = image_scale(lens, view) * paraxial(lens, REFERENCE).efl * view.tangents
-        found = 1e-3 * REFERENCE * wavefront(lens, view, 0.8 * PUPIL, ideal).opd[:, 0]
-        left.append(float((found - expected).abs().max()))
-        size.append(float(found.abs().max()))
-    assert left[0] < 0.05 * size[0]
-    assert left[0] / left[1] == pytest.approx(64, rel=0.1)
-    assert size[0] / size[1] == pytest.approx(16, rel=0.1)
+        path_difference = 1e-3 * REFERENCE * wavefront(lens, view, 0.8 * PUPIL, ideal).opd[:, 0]
+        residuals.append(float((path_difference - expected).abs().max()))
+        sizes.append(float(path_difference.abs().max()))
+    assert residuals[0] < 0.05 * sizes[0]
+    assert residuals[0] / residuals[1] == pytest.approx(64, rel=0.1)
+    assert sizes[0] / sizes[1] == pytest.approx(16, rel=0.1)
 
 
 def test_rays_come_from_the_object_and_meet_the_stop():
-    """A stop inside, three colours: both within 1e-12 mm; the object point is seen from the entrance pupil at T."""
+    """A stop inside, three colours: both within 1e-12 mm; from the entrance pupil the object point is at tangent T."""
     lens, view = cooke_triplet(), looking([[0.0, 0.0], [0.1, 0.2]], 150.0, WAVELENGTHS)
-    for pupil in (PUPIL[:16], sobol_disc(512, seed=1)):  # solved ray by ray, and started by a polynomial
+    for pupil in (PUPIL[:16], sobol_disc(512, seed=1)):  # solved ray by ray, and with a polynomial start
         rays = launch_fields(lens, view, pupil)
         assert rays.valid.all() and rays.x.shape == (2, 3, len(pupil))
         back = torch.stack([v - 150 * cosine / rays.n for v, cosine in ((rays.x, rays.l), (rays.y, rays.m))], -1)
         expected = -view.tangents * (150 + paraxial(lens, REFERENCE).entrance_pupil_z)
         torch.testing.assert_close(back, expected[:, None, None].expand_as(back), rtol=0, atol=1e-12)
-        at = trace_fields_full(lens, view, pupil)[1][lens.stop]
-        met = torch.stack([at.x, at.y], -1)
-        torch.testing.assert_close(met, (4.0 * pupil).expand_as(met), rtol=0, atol=1e-12)
+        stop_rays = trace_fields_full(lens, view, pupil)[1][lens.stop]
+        stop_points = torch.stack([stop_rays.x, stop_rays.y], -1)
+        torch.testing.assert_close(stop_points, (4.0 * pupil).expand_as(stop_points), rtol=0, atol=1e-12)
 
 
 def test_foci_are_where_neighbouring_rays_meet():
-    """The parabasal foci beside those of rays at 1e-4 of the pupil: within 1e-6 mm."""
+    """Parabasal foci agree with rays at 1e-4 of the pupil within 1e-6 mm."""
     lens, view = cooke_triplet(), looking([[0.0, 0.0], [0.0, 0.2]], 300.0)
     foci = field_curvature(lens, view)
     near = 1e-4 * f64([[0, 1], [0, -1], [1, 0], [-1, 0]])
     rays = trace_fields(lens, view, near)
     for focus, position, cosine, (a, b) in zip(foci, (rays.y, rays.x), (rays.m, rays.l), ((0, 1), (2, 3)), strict=True):
         slope = cosine / rays.n
-        met = -((position[..., a] - position[..., b]) / (slope[..., a] - slope[..., b]))[:, 0]
-        torch.testing.assert_close(focus, met, rtol=0, atol=1e-6)
+        crossings = -((position[..., a] - position[..., b]) / (slope[..., a] - slope[..., b]))[:, 0]
+        torch.testing.assert_close(focus, crossings, rtol=0, atol=1e-6)
 
 
 def test_a_far_object_is_at_infinity():
-    """At 1e9 mm all figures are those of infinity within 1e-6 and 1e-4 of their unit; wavefronts within 1e-5 waves."""
+    """At 1e9 mm figures equal those at infinity within 1e-6 relative or 1e-4 absolute; wavefronts within 1e-5 waves."""
     lens, view = tasklens.load_lens(DOUBLET)
     far = replace(view, object_vergence=1e-9)
-    expected, found = figures(lens, view, 256), figures(lens, far, 256)
-    assert {"object_distance_mm", "magnification", "working_f_number"} == found.keys() - expected.keys()
+    expected, values = figures(lens, view, 256), figures(lens, far, 256)
+    assert {"object_distance_mm", "magnification", "working_f_number"} == values.keys() - expected.keys()
     for key, value in expected.items():
-        assert found[key] == pytest.approx(value, rel=1e-6, abs=1e-4, nan_ok=True), key
-    opd, at_infinity = (wavefront(lens, each, PUPIL).opd for each in (far, view))
+        assert values[key] == pytest.approx(value, rel=1e-6, abs=1e-4, nan_ok=True), key
+    opd, at_infinity = (wavefront(lens, variant, PUPIL).opd for variant in (far, view))
     torch.testing.assert_close(opd, at_infinity, rtol=0, atol=1e-5, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
 def test_derivatives(name):
-    """Of image points and wavefronts through a stop inside, reverse and forward, beside differences: 1e-6 relative."""
+    """Image points and wavefronts, stop inside: reverse and forward mode agree with differences to 1e-6, relative."""
     lens = replace(cooke_triplet(), alpha=1e-6 * torch.ones(9, 2, dtype=torch.float64))
     view, points = looking([[0.0, 0.0], [0.1, -0.2]], 120.0), torch.cat([0.9 * rim(5), PUPIL[:3]])
 
@@ -181,14 +181,14 @@ def test_derivatives(name):
 
 
 def test_a_sensor_sees_the_image_where_it_is():
-    """Thin lenses do not distort: every pixel shows its own place, and its field is that place over the scale."""
+    """Thin lenses do not distort: every pixel sees its own position; its field is the position over the scale."""
     distance = 100.0
     lens, focal = thin_doublet(distance), 1 / (1 / 40 - 1 / 90)
     view = replace(looking([[0.0, 0.0], [0.0, 2.0]], distance), efl=focal, wavelengths=(REFERENCE,) * 3)
     psfs = trace_field_psfs(lens, view, (40, 60), 40.0, 64, distortion=True)
     rows, columns = ((torch.arange(n) + 0.5) / (n / 2) - 1 for n in (40, 60))
-    own = torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
-    torch.testing.assert_close(psfs.source, own.float(), rtol=0, atol=1e-3)
+    positions = torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
+    torch.testing.assert_close(psfs.source, positions.float(), rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_a_sensor_sees_the_image_where_it_is():
     ids=["stop inside", "stop in front"],
 )
 def test_rays_are_those_of_optiland(lens):
-    """Image points within 1e-8 mm, from its object heights."""
+    """Image points within 1e-8 mm, for Optiland's object heights."""
     pytest.importorskip("optiland")
     import numpy
     from optiland_lenses import in_optiland
@@ -211,12 +211,12 @@ def test_rays_are_those_of_optiland(lens):
     for x, y in heights.tolist():
         optic.fields.add(x=x, y=y)
     largest = optic.fields.max_field
-    ours = trace_fields(lens, view, PUPIL[:32])
+    rays = trace_fields(lens, view, PUPIL[:32])
     for field, (x, y) in enumerate((heights / largest).tolist()):
         px, py = PUPIL[:32].T.numpy()
-        theirs = optic.trace_generic(0 * px + x, 0 * px + y, px, py, REFERENCE)
-        torch.testing.assert_close(ours.x[field, 0], torch.as_tensor(theirs.x), rtol=0, atol=1e-8)
-        torch.testing.assert_close(ours.y[field, 0], torch.as_tensor(theirs.y), rtol=0, atol=1e-8)
+        optiland_rays = optic.trace_generic(0 * px + x, 0 * px + y, px, py, REFERENCE)
+        torch.testing.assert_close(rays.x[field, 0], torch.as_tensor(optiland_rays.x), rtol=0, atol=1e-8)
+        torch.testing.assert_close(rays.y[field, 0], torch.as_tensor(optiland_rays.y), rtol=0, atol=1e-8)
 
 
 NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/results/existing_lenses.md [um]
@@ -229,36 +229,36 @@ NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/resul
     "path", [p for p in reference_files("lenses/cellphone/source/*") if p.stem in NEAR], ids=lambda path: path.stem
 )
 def test_spots_are_those_of_the_benchmark(path, monkeypatch):
-    """It launches its own rays, for the image heights in the file. CODE V has 19.08 and 7.86 um."""
+    """The benchmark launches its own rays, for the image heights in the file. CODE V gives 19.08 and 7.86 um."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
     import existing_lenses as benchmark
 
-    found = zemax.read(path, reference_files("glass/*.AGF"))
+    imported = zemax.read(path, reference_files("glass/*.AGF"))
     distance, expected = NEAR[path.stem]
-    assert found.object_distance_mm == distance
-    weights = [line.number(2) for line in read_lines(path) if line.keyword == "WAVM"][: len(found.wavelengths_um)]
+    assert imported.object_distance_mm == distance
+    weights = [line.number(2) for line in read_lines(path) if line.keyword == "WAVM"][: len(imported.wavelengths_um)]
     view = replace(
-        benchmark.view_along_y(found.lens, [0.0], found.wavelengths_um),
-        wavelengths=(found.wavelengths_um[found.primary],),
+        benchmark.view_along_y(imported.lens, [0.0], imported.wavelengths_um),
+        wavelengths=(imported.wavelengths_um[imported.primary],),
         object_vergence=1 / distance,
     )
 
     def height(y: float) -> float:
-        return float(chief_points(found.lens, replace(view, fields=f64([[0.0, y]])))[0, 1])
+        return float(chief_points(imported.lens, replace(view, fields=f64([[0.0, y]])))[0, 1])
 
-    fields = f64([[0.0, benchmark.solve(height, y)] for _, y in found.fields[1]])
+    fields = f64([[0.0, benchmark.solve(height, y)] for _, y in imported.fields[1]])
     pupil = benchmark.square_grid(101)
-    rays = trace_fields(found.lens, replace(view, fields=fields, wavelengths=found.wavelengths_um), pupil)
-    theirs = benchmark.rays_of_file(found, found.lens, pupil)
-    torch.testing.assert_close(rays.y, theirs.y, rtol=0, atol=1e-9)
+    rays = trace_fields(imported.lens, replace(view, fields=fields, wavelengths=imported.wavelengths_um), pupil)
+    file_rays = benchmark.rays_of_file(imported, imported.lens, pupil)
+    torch.testing.assert_close(rays.y, file_rays.y, rtol=0, atol=1e-9)
     assert 2e3 * float(benchmark.weighted_rms(rays, f64(weights)).max()) == pytest.approx(expected, abs=0.005)
 
 
-# ---- files, commands, and what is refused
+# ---- files, commands, and errors
 
 
 def test_the_object_is_where_the_file_has_it(tmp_path):
-    """Unless another distance is asked for; then a lens without a specification is refocused, which is a remark."""
+    """Unless the user gives another distance; then a lens without a specification is refocused, with a remark."""
     lens, view = tasklens.load_lens(ZEMAX_DOUBLET, object_distance_mm=80.0)
     tasklens.save_lens(tmp_path / "near.zmx", lens, view)
     tasklens.save_lens(tmp_path / "near.yaml", lens, view)
@@ -279,11 +279,11 @@ def test_commands_say_where_the_object_is(tmp_path, capsys):
         assert main(["lens", *map(str, arguments), "--rays", "64", "--object", "80"]) == 0
         return capsys.readouterr().out
 
-    found = json.loads(printed("analyse", DOUBLET, "--json"))
+    analysis = json.loads(printed("analyse", DOUBLET, "--json"))
     assert "object 80 mm in front of the first surface, magnification" in printed("show", DOUBLET)
-    assert f"{found['magnification']:.4g}" in printed("analyse", DOUBLET)
+    assert f"{analysis['magnification']:.4g}" in printed("analyse", DOUBLET)
     assert " 80 " in printed("compare", DOUBLET).splitlines()[1]
-    assert json.loads(printed("show", DOUBLET, "--json"))[str(DOUBLET)]["magnification"] == found["magnification"]
+    assert json.loads(printed("show", DOUBLET, "--json"))[str(DOUBLET)]["magnification"] == analysis["magnification"]
     printed("draw", DOUBLET, "-o", tmp_path / "lens.svg")
     printed("psf", DOUBLET, "-o", tmp_path / "psf.npz")
 
@@ -310,7 +310,7 @@ def test_a_lens_without_an_image_has_figures_at_infinity_alone():
 
 
 def test_an_object_in_the_first_element_is_refused():
-    """In the hollow of a surface on the axis, but in its glass beside it; a virtual object has no view."""
+    """The object is in front of the vertex, but off the axis inside the glass; a virtual object has no view."""
     lens = make_lens([-1 / 10, -1 / 3], [3.0, 40.0], (GLASS, "air"), semi_diameter=[6.0, 1.0], stop=1)
     assert trace_fields(lens, looking([[0.0, 0.0]], 1.5), PUPIL).valid.any()
     with pytest.raises(InputError, match=r"the first lens surface reaches 2 mm in front of it"):

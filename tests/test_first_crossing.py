@@ -1,4 +1,4 @@
-"""Rays meet a surface where they first cross it, or there is no crossing: against dense scanning along each ray."""
+"""Rays meet a surface at their first crossing, or are missed: compared with a dense scan along each ray."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ SAMPLES = 2000
 
 
 def profile(surface: Surface, u: numpy.ndarray) -> tuple[numpy.ndarray, numpy.ndarray]:
-    """Sag and where it is defined, by the textbook's sum."""
+    """Sag by the textbook sum, and a mask of where it is defined."""
     c, k, alpha = float(surface.curvature), float(surface.conic), surface.alpha.tolist()
     argument = 1 - (1 + k) * c * c * u
     value = c * u / (1 + numpy.sqrt(numpy.maximum(argument, 0)))
@@ -31,8 +31,8 @@ def profile(surface: Surface, u: numpy.ndarray) -> tuple[numpy.ndarray, numpy.nd
 def scanned(surface: Surface, point: numpy.ndarray, way: numpy.ndarray, reach: float) -> tuple[float, float]:
     """The first two samples (along the ray, signed) between which a ray crosses from its side, NaN without any.
 
-    From the ray's point, or where that is not above the surface, from the edge; forward in front of the surface and
-    backward behind it.
+    The scan starts at the ray's point, or at the edge if the point is not above the surface; it goes forward before
+    the surface and backward behind it.
     """
 
     def gap(t):
@@ -57,28 +57,28 @@ def scanned(surface: Surface, point: numpy.ndarray, way: numpy.ndarray, reach: f
 
 
 def assert_first(surface: Surface, before: Rays, after: Rays, reach: float) -> tuple[int, int]:
-    """Every ray (N,) meets the surface where the scan says, or not later, and at a point of it. Returns met, missed."""
-    met = 0
+    """Every ray (N,) meets the surface, at the scanned crossing or earlier. Return the counts met, missed."""
+    count = 0
     numbers = {k: getattr(before, k).flatten().numpy() for k in "xyzlmn"}
-    found = {k: getattr(after, k).flatten().numpy() for k in "xyz"}
+    points = {k: getattr(after, k).flatten().numpy() for k in "xyz"}
     missed = (after.status.flatten() == RayStatus.MISSED).numpy()
     for i in range(len(missed)):
-        point, way = numpy.array([numbers[k][i] for k in "xyz"]), numpy.array([numbers[k][i] for k in "lmn"])
-        last, first = scanned(surface, point, way, reach)
+        point, direction = numpy.array([numbers[k][i] for k in "xyz"]), numpy.array([numbers[k][i] for k in "lmn"])
+        last, first = scanned(surface, point, direction, reach)
         if missed[i]:
-            assert math.isnan(first) or grazes(surface, point, way, last, first), (i, point, way, first)
+            assert math.isnan(first) or grazes(surface, point, direction, last, first), (i, point, direction, first)
             continue
-        met += 1
-        there = numpy.array([found[k][i] for k in "xyz"])
-        t = float((there - point) @ way)
-        sag, inside = profile(surface, numpy.array(there[0] ** 2 + there[1] ** 2))
-        assert inside and abs(there[2] - sag) < 1e-11 * max(1.0, reach), (i, point, way)
-        assert math.isnan(first) or abs(t) <= abs(first) + 1e-9, (i, point, way, t, first)
-    return met, int(missed.sum())
+        count += 1
+        crossing = numpy.array([points[k][i] for k in "xyz"])
+        t = float((crossing - point) @ direction)
+        sag, inside = profile(surface, numpy.array(crossing[0] ** 2 + crossing[1] ** 2))
+        assert inside and abs(crossing[2] - sag) < 1e-11 * max(1.0, reach), (i, point, direction)
+        assert math.isnan(first) or abs(t) <= abs(first) + 1e-9, (i, point, direction, t, first)
+    return count, int(missed.sum())
 
 
 def grazes(surface: Surface, point, way, last: float, first: float) -> bool:
-    """Between the two samples the ray leaves the surface at an angle that no tracer can tell from zero."""
+    """Whether the ray crosses the surface between the samples at an angle that no tracer can tell from zero."""
     t = f64(numpy.linspace(last, first, 1000))
     x, y = point[0] + t * way[0], point[1] + t * way[1]
     slope = aspheres.sag(x * x + y * y, surface.curvature, surface.conic, surface.alpha)[1]
@@ -88,20 +88,23 @@ def grazes(surface: Surface, point, way, last: float, first: float) -> bool:
 @pytest.mark.parametrize("path", LENS_FILES, ids=lambda path: path.stem)
 @pytest.mark.parametrize("apertures", [False, True], ids=["open", "clear apertures"])
 def test_published_lenses(path, apertures):
-    """Every ray of three fields at every surface, within the clear apertures and outside."""
+    """Every ray of three fields at every surface, inside and outside the clear apertures."""
     lens, view = reference_lens(path, apertures), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
     start = launch_fields(lens, view, sobol_disc(24, seed=1))
     _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths))
     reach = 2 * float(lens.thickness.abs().max()) + 2 * float(lens.semi_diameter[lens.stop])
-    before, met = start, 0
+    before, count = start, 0
     for i, surface in enumerate(lens.surfaces):
-        at = record[i]
-        goes = (before.status == 0).flatten()
-        if bool(goes.any()):
-            part = [Rays(*(v.expand(at.x.shape).flatten()[goes] for v in vars(rays).values())) for rays in (before, at)]
-            met += assert_first(surface, *part, reach)[0]
-        before = replace(at, z=at.z - lens.thickness[i])
-    assert met > 24 * len(lens.media)
+        after = record[i]
+        arriving = (before.status == 0).flatten()
+        if bool(arriving.any()):
+            part = [
+                Rays(*(v.expand(after.x.shape).flatten()[arriving] for v in vars(rays).values()))
+                for rays in (before, after)
+            ]
+            count += assert_first(surface, *part, reach)[0]
+        before = replace(after, z=after.z - lens.thickness[i])
+    assert count > 24 * len(lens.media)
 
 
 def random_surface(generator: torch.Generator) -> Lens:
@@ -128,12 +131,12 @@ def test_random_aspheres(seed, tracer):
     n = torch.rsqrt(1 + tx**2 + ty**2)
     start = launch(1.2 * x, 1.2 * y, 0.3 * z, tx * n, ty * n, n)
     rays = tracer(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))
-    # The rays start on the stop's plane. Those that meet the asphere are on it before the image plane is.
-    begin = lens.surfaces[0].intersect(start)
-    begin = replace(begin, z=begin.z - lens.thickness[0])
-    at = lens.surfaces[1].intersect(begin) if tracer is reference_trace else behind(lens, start)
-    assert torch.equal(at.status == RayStatus.MISSED, rays.status == RayStatus.MISSED)
-    met, missed = assert_first(lens.surfaces[1], begin, at, reach=4.0)
+    # Rays start on the stop plane; `after` has them on the asphere, before the image plane.
+    before = lens.surfaces[0].intersect(start)
+    before = replace(before, z=before.z - lens.thickness[0])
+    after = lens.surfaces[1].intersect(before) if tracer is reference_trace else behind(lens, start)
+    assert torch.equal(after.status == RayStatus.MISSED, rays.status == RayStatus.MISSED)
+    met, missed = assert_first(lens.surfaces[1], before, after, reach=4.0)
     assert met > 20 and met + missed == 100
 
 
@@ -142,7 +145,7 @@ def behind(lens: Lens, start: Rays) -> Rays:
 
 
 def test_random_aspheres_are_difficult():
-    """Among them are rays that miss, and rays whose second crossing a tracer could take for the first."""
+    """Some rays miss, and some have a second crossing that a tracer could take for the first."""
     missed = several = 0
     for seed in range(12):
         generator = torch.Generator().manual_seed(seed)
@@ -150,10 +153,13 @@ def test_random_aspheres_are_difficult():
         x, y, tx, ty, _ = 2 * torch.rand(5, 100, generator=generator, dtype=torch.float64) - 1
         n = torch.rsqrt(1 + tx**2 + ty**2)
         for i in range(100):
-            point, way = numpy.array([1.2 * x[i], 1.2 * y[i], -0.7]), numpy.array([tx[i] * n[i], ty[i] * n[i], n[i]])
+            point, direction = (
+                numpy.array([1.2 * x[i], 1.2 * y[i], -0.7]),
+                numpy.array([tx[i] * n[i], ty[i] * n[i], n[i]]),
+            )
             t = numpy.linspace(0, 4, SAMPLES)
-            sag, inside = profile(surface, (point[0] + t * way[0]) ** 2 + (point[1] + t * way[1]) ** 2)
-            crossings = numpy.diff(numpy.sign(point[2] + t * way[2] - sag)[inside]) != 0
+            sag, inside = profile(surface, (point[0] + t * direction[0]) ** 2 + (point[1] + t * direction[1]) ** 2)
+            crossings = numpy.diff(numpy.sign(point[2] + t * direction[2] - sag)[inside]) != 0
             missed, several = missed + (not crossings.any()), several + (crossings.sum() > 2)
     assert missed > 100 and several > 15
 
@@ -174,12 +180,12 @@ def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
         alpha=lens.alpha[keep].tolist(),
     )
     lens = replace(lens, curvature=lens.curvature * f64([0, 1]), alpha=lens.alpha * f64([[0], [1]]))
-    way = f64([0.22995, 0.65083, 0.72356])
-    way = way / way.norm()
+    direction = f64([0.22995, 0.65083, 0.72356])
+    direction = direction / direction.norm()
     point = f64([-0.46101, 0.81768, -0.43576])
-    start = launch(*point.reshape(3, 1, 1), *way.reshape(3, 1, 1))
-    at = lens.surfaces[1].intersect(start)
-    assert at.valid.all() and float(at.path) == pytest.approx(0.2874, abs=1e-4)
+    start = launch(*point.reshape(3, 1, 1), *direction.reshape(3, 1, 1))
+    crossing = lens.surfaces[1].intersect(start)
+    assert crossing.valid.all() and float(crossing.path) == pytest.approx(0.2874, abs=1e-4)
     zero = replace(start, z=start.z - start.z, x=start.x, y=start.y)  # launched on the plane of the first surface
     shifted = replace(lens, thickness=torch.stack([-start.z.squeeze(), f64(1.0)]))
     rays = tracer(shifted, zero, f64([[1.0], [1.0], [1.53]]))
@@ -188,7 +194,7 @@ def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_ray_that_is_none_changes_no_other(bad):
-    """The stop, and everything else, acts on the others as without it; it is lost at once, and finite."""
+    """An invalid ray is lost at once, stays finite, and does not change the stop or other rays."""
     lens = make_lens([0.0, 0.5], [0.5, 1.0], ("air", "COC"), semi_diameter=[0.4, math.inf])
     n = torch.ones(1, 200, dtype=torch.float64)
     x = torch.linspace(-0.8, 0.8, 200, dtype=torch.float64)[None]

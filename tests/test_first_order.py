@@ -1,4 +1,4 @@
-"""Paraxial data and pupils, against textbook formulas and real rays close to the axis."""
+"""Paraxial data and pupils, compared with textbook formulas and real rays close to the axis."""
 
 import math
 from dataclasses import replace
@@ -22,11 +22,11 @@ N = builtin("COC").refractive_index(0.5893)
 @pytest.mark.parametrize("c1, c2, t", [(0.4, -0.2, 0.0), (0.4, -0.2, 1.1), (-0.3, 0.5, 0.7), (0.0, -0.5, 2.0)])
 def test_lens_makers_formula(c1, c2, t):
     """1 / f = (n - 1) (c1 - c2 + (n - 1) t c1 c2 / n), and the back focus f (1 - (n - 1) t c1 / n)."""
-    found = paraxial(make_lens([c1, c2], [t, 1.0], ("COC", "air")), 0.5893)
+    first_order = paraxial(make_lens([c1, c2], [t, 1.0], ("COC", "air")), 0.5893)
     power = (N - 1) * (c1 - c2 + (N - 1) * t * c1 * c2 / N)
-    assert float(found.power) == pytest.approx(power, rel=1e-14)
-    assert float(found.efl) == pytest.approx(1 / power, rel=1e-14)
-    assert float(found.bfl) == pytest.approx((1 - (N - 1) * t * c1 / N) / power, rel=1e-13)
+    assert float(first_order.power) == pytest.approx(power, rel=1e-14)
+    assert float(first_order.efl) == pytest.approx(1 / power, rel=1e-14)
+    assert float(first_order.bfl) == pytest.approx((1 - (N - 1) * t * c1 / N) / power, rel=1e-13)
 
 
 def test_pupil_of_a_stop_behind_a_thin_lens():
@@ -34,28 +34,28 @@ def test_pupil_of_a_stop_behind_a_thin_lens():
     f, d, radius = 4.0, 1.5, 0.6
     c = 1 / f / (N - 1)
     lens = make_lens([c, 0, 0], [0, d, 2], ("COC", "air", "air"), semi_diameter=[9, 9, radius], stop=2)
-    found = paraxial(lens, 0.5893)
-    assert float(found.entrance_pupil_z) == pytest.approx(d * f / (f - d), rel=1e-13)
-    assert float(found.entrance_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
+    first_order = paraxial(lens, 0.5893)
+    assert float(first_order.entrance_pupil_z) == pytest.approx(d * f / (f - d), rel=1e-13)
+    assert float(first_order.entrance_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
 
 
 def test_pupil_of_a_front_stop_is_the_stop():
     lens = replace(random_lens(0), semi_diameter=f64([0.4, 9, 9, 9, 9]))
-    found = paraxial(lens, 0.5893)
-    assert float(found.entrance_pupil_z) == 0.0
-    assert float(found.entrance_pupil_radius) == 0.4
+    first_order = paraxial(lens, 0.5893)
+    assert float(first_order.entrance_pupil_z) == 0.0
+    assert float(first_order.entrance_pupil_radius) == 0.4
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("wavelength", WAVELENGTHS)
 def test_rays_close_to_the_axis_are_paraxial(seed, wavelength):
-    """A real ray at height h << f leaves under -h / f and crosses the axis at the back focus, up to order h^3."""
+    """A real ray at height h << f leaves with slope -h / f and crosses the axis at the back focus, up to order h^3."""
     lens, h = random_lens(seed), 1e-4
-    found = paraxial(lens, wavelength)
-    lens = replace(lens, thickness=torch.cat([lens.thickness[:-1], found.bfl[None]]))
+    first_order = paraxial(lens, wavelength)
+    lens = replace(lens, thickness=torch.cat([lens.thickness[:-1], first_order.bfl[None]]))
     ray = trace(lens, parallel_rays([h]), lens.refractive_indices((wavelength,)))
-    cubic = h**3 * (1 + abs(float(found.efl)) + abs(float(found.bfl))) ** 2
-    assert float(ray.m / ray.n) == pytest.approx(-h / float(found.efl), abs=cubic)
+    cubic = h**3 * (1 + abs(float(first_order.efl)) + abs(float(first_order.bfl))) ** 2
+    assert float(ray.m / ray.n) == pytest.approx(-h / float(first_order.efl), abs=cubic)
     assert float(ray.y) == pytest.approx(0, abs=cubic)
 
 
@@ -72,14 +72,14 @@ def test_alpha_2_is_a_curvature():
 def test_afocal_lens_has_no_power_but_a_gradient():
     lens = make_lens([0.0, 0.0], [1.0, 1.0], ("COC", "air"))
     curvature = lens.curvature.clone().requires_grad_()
-    found = paraxial(replace(lens, curvature=curvature), 0.5893)
-    assert float(found.power.detach()) == 0 and math.isinf(float(found.efl.detach()))
-    gradient = torch.autograd.grad(found.power, curvature)[0]
+    first_order = paraxial(replace(lens, curvature=curvature), 0.5893)
+    assert float(first_order.power.detach()) == 0 and math.isinf(float(first_order.efl.detach()))
+    gradient = torch.autograd.grad(first_order.power, curvature)[0]
     torch.testing.assert_close(gradient, f64([N - 1, 1 - N]), rtol=1e-14, atol=0)
 
 
 def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
-    """A bundle enters through the entrance pupil: behind a lens, its middle meets the stop's middle, up to order 3."""
+    """A bundle enters through the entrance pupil: behind a lens, its centre meets the stop's centre, up to order 3."""
     c = 1 / 4.0 / (N - 1)
     lens = make_lens([c, 0, 0], [0.3, 1.2, 2], ("COC", "air", "air"), semi_diameter=[9, 9, 0.6], stop=2)
     tangent = 1e-3
@@ -91,21 +91,21 @@ def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
 
 def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
     """With the stop at a thin lens and the image at its focus, chief rays meet the pinhole points exactly."""
-    looks = replace(view_of_spec(Spec()), wavelengths=(0.5893,))
-    c = 1 / looks.efl / (N - 1)
-    lens = make_lens([0, c / 2, -c / 2], [0, 0, looks.efl], ("air", "COC", "air"), semi_diameter=[0.3, 9, 9])
-    torch.testing.assert_close(chief_points(lens, looks), looks.fields, rtol=0, atol=1e-14)
+    view = replace(view_of_spec(Spec()), wavelengths=(0.5893,))
+    c = 1 / view.efl / (N - 1)
+    lens = make_lens([0, c / 2, -c / 2], [0, 0, view.efl], ("air", "COC", "air"), semi_diameter=[0.3, 9, 9])
+    torch.testing.assert_close(chief_points(lens, view), view.fields, rtol=0, atol=1e-14)
 
 
 def test_bundles_fill_the_stop():
-    """In front of the stop nothing bends: every field's rim rays meet the rim of the stop."""
-    looks = view_of_spec(Spec())
+    """Nothing refracts in front of the stop: the rim rays of every field meet its rim."""
+    view = view_of_spec(Spec())
     lens = flat(materials("COC"), Spec(), Constraints())
-    record = trace_fields_full(lens, looks, rim(16))[1]
+    record = trace_fields_full(lens, view, rim(16))[1]
     radius = torch.hypot(record[0].x, record[0].y)
     torch.testing.assert_close(radius, torch.full_like(radius, Spec().stop_radius_mm), rtol=0, atol=1e-15)
-    rays = launch_fields(lens, looks, rim(16))
-    torch.testing.assert_close(rays.l / rays.n, looks.tangents[:, 0, None, None].expand_as(rays.l), rtol=1e-14, atol=0)
+    rays = launch_fields(lens, view, rim(16))
+    torch.testing.assert_close(rays.l / rays.n, view.tangents[:, 0, None, None].expand_as(rays.l), rtol=1e-14, atol=0)
 
 
 def test_sobol_points_are_uniform_over_the_disc():
@@ -128,7 +128,7 @@ def test_gauss_quadrature_is_exact_on_polynomials(rings):
     x, y = points.unbind(-1)
     for a in range(degree // 2 + 1):
         for p in range(degree - 2 * a + 1):
-            found, b = float((weights * x ** (2 * a) * y**p).sum()), p // 2
+            mean, b = float((weights * x ** (2 * a) * y**p).sum()), p // 2
             f = math.factorial
             exact = f(2 * a) * f(2 * b) / (4 ** (a + b) * f(a) * f(b) * f(a + b + 1)) if p % 2 == 0 else 0
-            assert found == pytest.approx(exact, abs=1e-14), (a, p)
+            assert mean == pytest.approx(exact, abs=1e-14), (a, p)

@@ -11,7 +11,7 @@ from tasklens.recognition.folding import fold_batch_norms
 
 
 def normalised(model: nn.Module) -> nn.Module:
-    """The network as after training, with statistics that do something, in float64."""
+    """The network in float64 with nontrivial statistics, as after training."""
     torch.manual_seed(0)
     for module in model.modules():
         if isinstance(module, nn.BatchNorm2d):
@@ -48,18 +48,18 @@ def answers(model: nn.Module, images: torch.Tensor) -> tuple[torch.Tensor, torch
     ],
 )
 def test_networks_of_timm_compute_the_same(name, arguments, left):
-    """Values and gradients; no batch norm is left where each follows a convolution, some where they precede it."""
+    """Values and gradients; none is left if each follows a convolution, some are left if they precede convolutions."""
     model = normalised(timm.create_model(name, num_classes=5, **arguments))
     images = torch.rand(2, 3, 64, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     folded = copy.deepcopy(model)
     fold_batch_norms(folded, images[:1].float())
     assert batch_norms(folded) == left if left is not None else 0 < batch_norms(folded) < batch_norms(model)
-    for found, expected in zip(answers(folded, images), answers(model, images), strict=True):
-        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-12)
+    for value, expected in zip(answers(folded, images), answers(model, images), strict=True):
+        torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-12)
 
 
 class Awkward(nn.Module):
-    """Not to be folded: an output that two read, a convolution called twice, an activation, a module of two names."""
+    """Not foldable: an output with two readers, a convolution called twice, an activation, a module with two names."""
 
     def __init__(self):
         super().__init__()
@@ -71,8 +71,8 @@ class Awkward(nn.Module):
         self.conv4, self.norm4 = nn.Conv2d(3, 3, 3, padding=1, bias=False), nn.BatchNorm2d(3, affine=False)
 
     def forward(self, images):
-        made = self.conv1(images)
-        images = made + self.norm1(made).relu()
+        features = self.conv1(images)
+        images = features + self.norm1(features).relu()
         images = self.norm2(self.conv2(self.conv2(images)))
         images = self.norm3(self.conv3(images).relu_())
         images = self.other(self.conv5(images))
@@ -85,5 +85,5 @@ def test_only_what_nothing_else_reads_is_folded():
     folded = copy.deepcopy(model)
     fold_batch_norms(folded, images)
     assert batch_norms(folded) == 4 and not isinstance(folded.norm4, nn.BatchNorm2d)
-    for found, expected in zip(answers(folded, images), answers(model, images), strict=True):
-        torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-12)
+    for value, expected in zip(answers(folded, images), answers(model, images), strict=True):
+        torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Forecasts: durations, limits and memory of jobs, from benchmark files of which every number is known."""
+"""Forecasts: durations, limits and memory of jobs, from constructed benchmark files."""
 
 import csv
 
@@ -14,7 +14,7 @@ HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load
 
 
 def benchmark(folder, job: str, *rows: tuple[object, object]) -> None:
-    """The file of a job, with seconds and memory [MB] of each time that it was measured."""
+    """Write the file of a job, with seconds and memory [MB] of each measurement."""
     lines = [f"{s}\t0:00:00\t{mb}\t9999.0\t100.0\t100.0\t0.0\t0.0\t99.0\t1.0" for s, mb in rows]
     write(folder / "benchmarks" / f"{job}.tsv", "\n".join([HEADER, *lines]) + "\n")
 
@@ -36,11 +36,11 @@ def durations(results, study: str = "mine") -> Durations:
 
 
 def test_benchmarks_are_of_stages(results):
-    """Of all jobs of a stage, with wildcards in a folder of its own or without; the last row of a file counts."""
+    """A stage collects all its jobs, in its folder or a single file; the last row of a file counts."""
     benchmark(results, "design/singlet-imaging1-seed0", (10, 500))
     benchmark(results, "design/singlet-imaging2-seed0", (99, 9999), (30.5, 700.5))
     benchmark(results, "fine_tune/singlet-imaging1-small-seed0", (7, 800))
-    benchmark(results, "images", (0.01, "-"))  # too short to be looked at
+    benchmark(results, "images", (0.01, "-"))  # too short for a measurement
     write(results / "benchmarks" / "verdicts.tsv", HEADER + "\n")  # killed before it was measured
     assert durations(results).here == {
         "design": Measured(20.25, 30.5, 700.5),
@@ -50,11 +50,11 @@ def test_benchmarks_are_of_stages(results):
 
 
 def test_without_benchmarks_it_is_as_long_as_elsewhere(results):
-    """For the study that was measured there; nothing is known of another study, or of another stage."""
-    found = durations(results)
-    assert found.here == {} and found.scale == 1
-    assert (found.seconds("design"), found.seconds("psf"), found.seconds("figure")) == (100, 4, None)
-    assert found.elsewhere["tail"] == Measured(6, 8, 300)
+    """For the study measured there; other studies and other stages are unknown."""
+    estimates = durations(results)
+    assert estimates.here == {} and estimates.scale == 1
+    assert (estimates.seconds("design"), estimates.seconds("psf"), estimates.seconds("figure")) == (100, 4, None)
+    assert estimates.elsewhere["tail"] == Measured(6, 8, 300)
     assert durations(results, "yours").elsewhere == {} and durations(results, "yours").seconds("design") is None
 
 
@@ -63,16 +63,16 @@ def test_what_ran_here_comes_first_and_scales_the_rest(results):
     benchmark(results, "design/a", (120, 500))
     benchmark(results, "design/b", (180, 500))
     benchmark(results, "psf/a", (6, 100))
-    benchmark(results, "restore/a", (40, 100))  # of which nothing is known elsewhere
-    found = durations(results)
-    assert found.scale == pytest.approx(1.5)
-    assert found.seconds("design") == 150 and found.seconds("restore") == 40
-    assert found.seconds("tail") == pytest.approx(9)
-    assert found.seconds("figure") is None
+    benchmark(results, "restore/a", (40, 100))  # unknown elsewhere
+    estimates = durations(results)
+    assert estimates.scale == pytest.approx(1.5)
+    assert estimates.seconds("design") == 150 and estimates.seconds("restore") == 40
+    assert estimates.seconds("tail") == pytest.approx(9)
+    assert estimates.seconds("figure") is None
 
 
 def test_a_job_may_take_four_times_the_longest_of_its_stage(results):
-    """Known here or elsewhere, and ten minutes at least; a day where nobody has measured one."""
+    """Measured here or elsewhere, at least ten minutes; a day if there is no measurement."""
     assert durations(results).limit_minutes("design") == 4 * 900 / 60
     assert durations(results).limit_minutes("psf") == 10
     assert durations(results).limit_minutes("figure") == 24 * 60
@@ -84,12 +84,12 @@ def test_a_job_may_take_four_times_the_longest_of_its_stage(results):
     benchmark(results, "design/b", (4800, 500))
     assert durations(results).limit_minutes("design") == 30 * 60
     for job in "ab":
-        benchmark(results, f"design/{job}", (50, 500))  # a fast machine, which may be a slow one at other jobs
+        benchmark(results, f"design/{job}", (50, 500))  # a machine that is fast here may be slow at other jobs
     assert durations(results).limit_minutes("design") == 60
 
 
 def test_a_job_is_given_half_as_much_memory_again_as_the_largest_of_its_stage(results):
-    """Known here or elsewhere; 1 GB at least; 4 GB where it is not known, or was too short to be measured."""
+    """Measured here or elsewhere; at least 1 GB; 4 GB if it is unknown or the job was too short for a measurement."""
     assert durations(results).memory_mb("design") == 1500
     assert durations(results).memory_mb("figure") == 4000
     benchmark(results, "design/a", (1, 1200))
@@ -103,22 +103,22 @@ def test_a_job_is_given_half_as_much_memory_again_as_the_largest_of_its_stage(re
 
 def test_the_forecast_adds_up(results):
     """12 designs and 12 PSFs of 1200 + 48 s on two cores are 10.4 minutes; unknown stages are named."""
-    every = 12 * ["design", "psf"]
-    assert durations(results).forecast(every, 2) == "Study mine: 24 jobs, about 10 min on 2 cores."
-    assert durations(results).forecast(every, 1) == "Study mine: 24 jobs, about 21 min on 1 core."
-    some = durations(results).forecast([*every, "figure", "figure", "restore"], 2)
-    assert some.startswith("Study mine: 27 jobs, about 10 min on 2 cores; nothing is known")
-    assert some.endswith("how long figure, restore takes.")
-    nothing = durations(results).forecast(["figure"], 2)
-    assert "Study mine: 1 job; nothing is known" in nothing and " min " not in nothing
+    stages = 12 * ["design", "psf"]
+    assert durations(results).forecast(stages, 2) == "Study mine: 24 jobs, about 10 min on 2 cores."
+    assert durations(results).forecast(stages, 1) == "Study mine: 24 jobs, about 21 min on 1 core."
+    estimate = durations(results).forecast([*stages, "figure", "figure", "restore"], 2)
+    assert estimate.startswith("Study mine: 27 jobs, about 10 min on 2 cores; nothing is known")
+    assert estimate.endswith("how long figure, restore takes.")
+    no_estimate = durations(results).forecast(["figure"], 2)
+    assert "Study mine: 1 job; nothing is known" in no_estimate and " min " not in no_estimate
     assert durations(results).forecast([], 2).startswith("Study mine: 0 jobs")
 
 
 def test_the_durations_that_we_ship_are_of_our_studies():
-    """Each once, of a stage that there is, and longest at least as long as the mean; gaps where nobody looked."""
+    """Each once, of an existing stage, with the longest at least the mean; gaps if not measured."""
     with open(forecast.MEASURED, newline="") as file:
         rows = list(csv.DictReader(file))
-    files = forecast.MEASURED.parent.glob("*.yaml")  # also those that extend another
+    files = forecast.MEASURED.parent.glob("*.yaml")  # also studies that extend another
     studies = {name for path in files if (name := yaml.safe_load(path.read_text()).get("name"))}
     studies.add("ranking")  # what `tasklens rank` runs
     assert len({(row["study"], row["rule"]) for row in rows}) == len(rows) > 0

@@ -1,4 +1,4 @@
-"""Figure 4: frames through all task-driven lenses and the best imaging lens, and captures chosen by a written rule."""
+"""Figure 4: frames through all task-driven lenses and the best imaging lens, and captures chosen by a stated rule."""
 
 import json
 import shutil
@@ -46,8 +46,8 @@ def study(tmp_path, monkeypatch):
     joint |= {"descents": [task["descents"][2] | {"network_learning_rate": 1e-4}]}
     least = {"method": "least_squares", "starts": 3, "evaluations": 6}
     designs = {"tasklens": task, "tasklens_joint": joint, "imaging2": least, "imaging3": least}
-    made_of = {"elements": {"doublet": ["COC", "OKP4"]}, "designs": designs}
-    study = parse(tiny | made_of)
+    keys = {"elements": {"doublet": ["COC", "OKP4"]}, "designs": designs}
+    study = parse(tiny | keys)
     images = numpy.random.default_rng(0).integers(0, 256, (IMAGES, 3, SIDE, SIDE), dtype=numpy.uint8)
     numpy.save(made(outputs("images", study).test), images)
     labels = {"classes": ["cat", "dog"], "labels": [0, 1] * (IMAGES // 2)}
@@ -67,36 +67,36 @@ def study(tmp_path, monkeypatch):
 
 
 def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monkeypatch):
-    """Columns and captures by the rule, frames of as many pixels as the sensor has, and a file."""
-    found, draw = {}, frames.draw
+    """Columns and captures follow the rule, frames have the sensor's pixels, and the file exists."""
+    arguments, draw = {}, frames.draw
 
     def drawn(path, title, shown, answered, rule):
-        found.update(title=title, shown=shown, answered=answered, rule=rule)
+        arguments.update(title=title, shown=shown, answered=answered, rule=rule)
         draw(path, title, shown, answered, rule)
 
     monkeypatch.setattr(frames, "draw", drawn)
     finish("frames", study, elements="doublet", seed=0)
-    for captures in found["shown"].values():
+    for captures in arguments["shown"].values():
         assert list(captures) == ["sharp", TASK, JOINT, BEST]
         assert all(capture.shape == (3, *SHAPE) for capture in captures.values())
         blurred = [capture.diff(dim=2).abs().mean() for capture in captures.values()]
         assert max(blurred[1:]) < 0.9 * blurred[0]  # an image through a lens has less contrast from pixel to pixel
-    only_task, only_best = found["answered"]
+    only_task, only_best = arguments["answered"]
     assert only_task.title == "test image 2, cat" and only_best.title == "test image 3, dog"
     assert only_task.correct == {TASK: True, JOINT: False, BEST: False}
     assert only_best.correct == {TASK: False, JOINT: True, BEST: True}
     assert only_task.said(JOINT) == "not recognised" and only_task.said("sharp") == only_task.title
     sharp = only_task.shown["sharp"]
-    assert all(torch.allclose(capture, sharp, atol=1e-5) for capture in only_task.shown.values())  # PSFs of a point
-    assert f"network of {TASK} " in found["rule"] and f"that of {BEST} " in found["rule"]
+    assert all(torch.allclose(capture, sharp, atol=1e-5) for capture in only_task.shown.values())  # point PSFs
+    assert f"network of {TASK} " in arguments["rule"] and f"that of {BEST} " in arguments["rule"]
     with Image.open(outputs("frames", study, elements="doublet", seed=0).figure) as image:
         assert image.width > 3 * image.height / 4
 
 
 def test_networks_that_agree_leave_the_frames_alone(study, monkeypatch):
-    answered = []
-    monkeypatch.setattr(frames, "draw", lambda path, title, shown, found, rule: answered.append(found))
+    answers = []
+    monkeypatch.setattr(frames, "draw", lambda path, title, shown, answer, rule: answers.append(answer))
     predictions = [outputs("fine_tune", study, lens=n, measured_name="small", seed=0).predictions for n in (TASK, BEST)]
     shutil.copy(*predictions)
     finish("frames", study, elements="doublet", seed=0)
-    assert answered == [[]]
+    assert answers == [[]]

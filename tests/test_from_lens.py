@@ -1,4 +1,4 @@
-"""Designs that begin with a lens of the user: what is free gets better, everything else stays."""
+"""Designs that start from a lens of the user: free variables improve it, everything else stays."""
 
 from dataclasses import replace
 
@@ -24,13 +24,13 @@ STEPS = {"descents": {"0": {"steps": 60}}}
 
 def saved(folder, **changes) -> LensFile:
     """The Cooke triplet, F/5 with its stop inside, as a Zemax file in `folder`."""
-    shown = Prescription(
+    lens_file = Prescription(
         cooke_triplet(),
         fields=("angle_deg", ((0.0, 0.0), (0.0, 20.0))),
         wavelengths_um=(0.6563, 0.5876, 0.4861),
         primary=1,
     )
-    zemax.write(folder / "mine.zmx", replace(shown, **changes))
+    zemax.write(folder / "mine.zmx", replace(lens_file, **changes))
     return lens_files.read(folder / "mine.zmx", pixel_pitch_um=8.0)
 
 
@@ -41,10 +41,10 @@ def triplet(tmp_path_factory):
 
 def improved(file: LensFile, method: str, free=None, settings=STEPS, constraints=None, **network):
     """The lens, its view, its notes, and remarks."""
-    found = from_lens.design(
+    result = from_lens.design(
         file, method, free, settings, constraints or {}, network.get("images"), network.get("classifier"), 0
     )
-    return found.lens, found.view, found.notes, found.remarks
+    return result.lens, result.view, result.notes, result.remarks
 
 
 def spots(lens, view) -> float:
@@ -52,11 +52,11 @@ def spots(lens, view) -> float:
 
 
 def test_a_lens_of_spheres_in_glass_gets_sharper(triplet):
-    """By its spots: smaller by a fifth at least, at the same F-number, with its glasses, within its own limits."""
+    """Spots shrink by at least a fifth, at the same F-number, with the same glasses, within the lens's own limits."""
     lens, view, notes, remarks = improved(triplet, "spot")
     assert spots(lens, view) < 0.8 * spots(triplet.lens, view)
     assert lens.media == triplet.lens.media and lens.stop == 4 and not lens.alpha.any()
-    before, after = (figures(each, view, 64) for each in (triplet.lens, lens))
+    before, after = (figures(candidate, view, 64) for candidate in (triplet.lens, lens))
     assert after["f_number"] == pytest.approx(before["f_number"], rel=5e-3)
     assert after["efl_mm"] == pytest.approx(before["efl_mm"], rel=0.021)
     assert notes["worst_margin"]["value"] > 0 and "become its own" in remarks[-1]
@@ -71,7 +71,7 @@ def test_only_what_is_free_changes(triplet):
 
 
 def test_what_is_free_without_being_told():
-    """Curvatures and distances, but of plane plates; coefficients of aspheres alone, unless they are asked for."""
+    """Curvatures and distances, except of plane plates; aspheric coefficients only of aspheres or on request."""
     lens = cooke_triplet()
     bent, moving = (0, 1, 2, 3, 5, 6), (0, 1, 2, 3, 5, 6, 8)
     assert from_lens.resolved(lens, None) == {
@@ -87,7 +87,7 @@ def test_what_is_free_without_being_told():
 
 
 def test_limits_give_way_to_the_lens(triplet):
-    """Those of a phone lens, scaled to 50 mm; where the lens breaks them, its own; what is asked for stays."""
+    """Limits of a phone lens, scaled to 50 mm; a violated one gives way to the lens's own value, a given one stays."""
     limits, (remark,) = from_lens.own_limits(triplet.lens, triplet.view, Constraints(), set())
     clear = clear_semi_diameters(triplet.lens, triplet.view, OUTLINE)
     margins = manufacturing_margins(triplet.lens, limits, clear)
@@ -102,7 +102,7 @@ def test_limits_give_way_to_the_lens(triplet):
 
 
 def test_a_stop_between_elements_bounds_no_space():
-    """The air between the second and the third element is one space; a stop in front has its own, in the lens none."""
+    """The air between the second and the third element is one space; only a stop in front has a space."""
     lens = cooke_triplet()
     front, behind, element = spaces(lens)
     pairs = list(zip(front.tolist(), behind.tolist(), strict=True))
@@ -114,7 +114,7 @@ def test_a_stop_between_elements_bounds_no_space():
 
 
 def test_the_linear_model_of_a_lens_with_its_stop_inside(triplet):
-    """Without how the aim of rays moves, changes of the rays' errors are right to a tenth of them."""
+    """The model ignores changes of ray aiming; changes of ray errors are right within a tenth."""
     limits, _ = from_lens.own_limits(triplet.lens, triplet.view, Constraints(), set())
     alpha = torch.zeros(9, 5, dtype=torch.float64)
     space = RaySpace(replace(triplet.lens, alpha=alpha), triplet.view, limits, {"curvature": (5,), "thickness": (6,)})
@@ -133,7 +133,7 @@ COMMAND = ("design", "--start", "mine.zmx", "--pixel-pitch", "8", "--set", "desc
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):
-    """From a Zemax file to a Zemax file, by contrast; read again, also by Optiland."""
+    """From a Zemax file to a Zemax file, by contrast; the result is readable, also by Optiland."""
     monkeypatch.chdir(tmp_path)
     file = saved(tmp_path)
     assert main([*COMMAND, "--method", "image_quality", "--free", "curvature,thickness:1+3+8"]) == 0
@@ -169,7 +169,7 @@ def test_what_cannot_be(tmp_path, monkeypatch, capsys, arguments, words):
 
 
 def test_materials_are_chosen_from_a_list():
-    """Of a choice for each element, the combination whose brief design is the sharpest; all of them are kept."""
+    """Among choices for each element, the combination with the sharpest brief design; all spots are kept."""
     assert substitution.combinations(["COC|PMMA|COC", "OKP4"]) == [("COC", "OKP4"), ("PMMA", "OKP4")]
     spots = {("COC", "PC"): 3.0, ("COC", "OKP4"): 1.0, ("PMMA", "PC"): 2.0, ("PMMA", "OKP4"): 4.0}
     best, tried = substitution.sharpest(["COC|PMMA", "PC|OKP4"], lambda materials: spots[materials])
@@ -179,7 +179,7 @@ def test_materials_are_chosen_from_a_list():
 
 
 def test_a_design_with_a_choice_of_materials():
-    """The final design is of the materials whose brief design was the sharpest; the file keeps all spots."""
+    """The final design has the materials of the sharpest brief design; the file keeps all spots."""
     quick, room = {"evaluations": 60, "starts": 3}, {"max_track": 8.0}
     spec = {"field_of_view_deg": 40, "f_number": 4}
     lens, _, notes = tasklens.design("least_squares", ["COC|OKP4"], settings=quick, constraints=room, **spec)
@@ -188,7 +188,7 @@ def test_a_design_with_a_choice_of_materials():
 
 
 def test_what_was_assumed_is_a_warning_in_python(tmp_path):
-    """As `load_lens` has it; a program's standard error stays its own."""
+    """As in `load_lens`; nothing is printed to the program's standard error."""
     saved(tmp_path)
     with pytest.warns(UserWarning, match="become its own"):
         tasklens.design("spot", start=tmp_path / "mine.zmx", settings={"descents": {"0": {"steps": 1}}})

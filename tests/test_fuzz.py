@@ -4,7 +4,7 @@ The profile is fixed, so that every run has the same examples. To search for lon
 
     TASKLENS_FUZZ=100 pytest tests/test_fuzz.py -n 0
 
-takes a hundred times as many. Put what it finds into bad_inputs.yaml.
+runs a hundred times as many. Add failures to bad_inputs.yaml.
 """
 
 import copy
@@ -39,8 +39,8 @@ from tasklens.study.study import StudyError
 resource = pytest.importorskip("resource")  # not on Windows
 
 TIMES = int(os.environ.get("TASKLENS_FUZZ", "0"))
-SECONDS, BYTES = 2.0, 2**28  # of computing and of new memory, for one file
-MOST_POINTS = 4  # of a sweep that are parsed
+SECONDS, BYTES = 2.0, 2**28  # limits on computing time and new memory, for one file
+MOST_POINTS = 4  # points of a sweep that are parsed
 
 
 def examples(count: int) -> settings:
@@ -50,11 +50,11 @@ def examples(count: int) -> settings:
         database=None,
         deadline=None,
         suppress_health_check=list(HealthCheck),
-        phases=[Phase.explicit, Phase.generate, *([Phase.shrink] if TIMES else [])],  # to shrink takes minutes
+        phases=[Phase.explicit, Phase.generate, *([Phase.shrink] if TIMES else [])],  # shrinking takes minutes
     )
 
 
-# ---- what is written
+# ---- writing
 
 
 class Plain(str):
@@ -93,7 +93,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 
 
 def values(words: list[str], leaves: int = 5) -> st.SearchStrategy:
-    """Anything that a YAML file can hold, often with words of the file itself."""
+    """Any value that a YAML file can hold, often with words of the file itself."""
     scalars = st.one_of(
         NUMBERS,
         st.sampled_from(words),
@@ -123,8 +123,8 @@ def places(content, above: tuple = ()) -> Iterator[tuple]:
 
 def words_of(content) -> list[str]:
     leaves = [place[-1] for place in places(content)]
-    found = {word for word in leaves if isinstance(word, str)}
-    return sorted(found | {word for word in scalars_of(content) if isinstance(word, str)})
+    words = {word for word in leaves if isinstance(word, str)}
+    return sorted(words | {word for word in scalars_of(content) if isinstance(word, str)})
 
 
 def scalars_of(content) -> Iterator:
@@ -141,11 +141,11 @@ def changed(draw, content) -> object:
     words = words_of(content)
     content = copy.deepcopy(content)
     for _ in range(draw(st.sampled_from([1, 1, 1, 2, 3]))):
-        known = list(places(content))
-        if not known:
+        paths = list(places(content))
+        if not paths:
             return content
-        section = draw(st.sampled_from(list(content)))  # as often a short one as a long one
-        *above, key = draw(st.sampled_from([place for place in known if place[0] == section]))
+        section = draw(st.sampled_from(list(content)))  # short sections as often as long ones
+        *above, key = draw(st.sampled_from([place for place in paths if place[0] == section]))
         inside = content
         for step in above:
             inside = inside[step]
@@ -157,10 +157,10 @@ def changed(draw, content) -> object:
         elif action == "remove":
             del inside[key]
         elif action == "copy":
-            other = content
-            for step in draw(st.sampled_from(known)):
-                other = other[step]
-            inside[key] = copy.deepcopy(other)
+            node = content
+            for step in draw(st.sampled_from(paths)):
+                node = node[step]
+            inside[key] = copy.deepcopy(node)
         elif isinstance(inside, list):
             inside.insert(key, draw(values(words)))
         elif action == "rename":
@@ -242,17 +242,17 @@ def altered(text: str, inserted: list[str]) -> st.SearchStrategy[str]:
     return strategy()
 
 
-# ---- how it is read
+# ---- reading
 
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    """Bound the computing time of a block, and the memory that it takes in addition."""
+    """Bound the computing time and the additional memory of a block."""
     limits, begun = resource.getrlimit(resource.RLIMIT_AS), time.process_time()
     statm = Path("/proc/self/statm")
     if statm.exists():
-        used = int(statm.read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + BYTES, limits[1]))
+        memory = int(statm.read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (memory + BYTES, limits[1]))
     try:
         yield
     finally:
@@ -261,11 +261,11 @@ def bounded() -> Iterator[None]:
 
 
 def accepted(path: Path, content: bytes | str, read: Callable, error: type[InputError] = FileError):
-    """Return what `read` makes of the file; None where it is refused with the right kind of error, which names it."""
+    """Return the result of `read`, or None if it refuses the file with the right kind of error that names it."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
     try:
         with bounded():
-            found = read(path)
+            result = read(path)
     except error as refusal:
         message = str(refusal)
         assert type(refusal) is error
@@ -273,7 +273,7 @@ def accepted(path: Path, content: bytes | str, read: Callable, error: type[Input
         event("refused")
         return None
     event("accepted")
-    return found
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -358,12 +358,12 @@ LENS = prescription.to_dict(random_prescription(6))
 
 
 def same_prescription(a: prescription.Prescription, b: prescription.Prescription) -> bool:
-    rest = [{key: value for key, value in vars(each).items() if key != "lens"} for each in (a, b)]
-    return same_bits(a.lens, b.lens) and rest[0] == rest[1]
+    fields = [{key: value for key, value in vars(entry).items() if key != "lens"} for entry in (a, b)]
+    return same_bits(a.lens, b.lens) and fields[0] == fields[1]
 
 
 def check_yaml_lens(path: Path, lens: prescription.Prescription) -> None:
-    """An accepted lens is the same after it is written and read; two materials may not have one name."""
+    """An accepted lens survives writing and reading; two materials may not share a name."""
     try:
         prescription.write(path, lens, {})
     except FileError as error:
@@ -375,9 +375,9 @@ def check_yaml_lens(path: Path, lens: prescription.Prescription) -> None:
 @examples(350)
 @given(changed(LENS))
 def test_a_lens_file_is_read_or_refused(folder, content):
-    found = accepted(folder / "lens.yaml", dumped(content), prescription.read)
-    if found is not None:
-        check_yaml_lens(folder / "again.yaml", found[0])
+    result = accepted(folder / "lens.yaml", dumped(content), prescription.read)
+    if result is not None:
+        check_yaml_lens(folder / "again.yaml", result[0])
 
 
 ZEMAX_WORDS = sorted({word for line in test_zemax.TEXT.split("\n") for word in line.split()})
@@ -401,14 +401,14 @@ def check_zemax(path: Path, content: bytes | str) -> None:
     lens = accepted(path, content, zemax.read)
     if lens is None:
         return
-    again = path.with_name("again.zmx")
-    again.with_suffix(".agf").unlink(missing_ok=True)
+    copy_path = path.with_name("again.zmx")
+    copy_path.with_suffix(".agf").unlink(missing_ok=True)
     try:
-        zemax.write(again, lens)
+        zemax.write(copy_path, lens)
     except InputError as error:
         event(f"not written: {str(error).split(':')[1:2]}")
     else:
-        assert same_bits(zemax.read(again).lens, lens.lens)
+        assert same_bits(zemax.read(copy_path).lens, lens.lens)
     check_yaml_lens(path.with_name("again.yaml"), lens)
 
 
@@ -428,18 +428,18 @@ AGF_WORDS = ["NM", "CD", "LD", "GC", "ED", "TD", "OD", "MIRROR", "___BLANK", "ai
 
 
 def check_agf(path: Path, content: bytes | str) -> None:
-    found = accepted(path, content, catalogues.read)
-    if found is None:
+    catalogue = accepted(path, content, catalogues.read)
+    if catalogue is None:
         return
-    again = path.with_name("again.agf")
+    copy_path = path.with_name("again.agf")
     try:
-        catalogues.write_agf(again, found.values())
+        catalogues.write_agf(copy_path, catalogue.values())
     except InputError as error:
-        assert any(name in str(error) for name in found)
+        assert any(name in str(error) for name in catalogue)
     else:
         numbers = [
-            {name: (each.formula, each.coefficients, each.range_um) for name, each in materials.items()}
-            for materials in (catalogues.read(again), found)
+            {name: (material.formula, material.coefficients, material.range_um) for name, material in materials.items()}
+            for materials in (catalogues.read(copy_path), catalogue)
         ]
         assert numbers[0] == numbers[1]
 
@@ -463,10 +463,10 @@ PLASTICS = yaml.safe_load(catalogues.PLASTICS.read_text(encoding="utf-8"))
 @given(changed(PLASTICS))
 def test_materials_are_read_or_refused(folder, content):
     path = folder / "materials.yaml"
-    found = accepted(path, dumped(content), catalogues.read)
-    if found is not None:
-        path.write_text(dumped({name: material.definition() for name, material in found.items()}), encoding="utf-8")
-        assert catalogues.read(path) == found
+    materials = accepted(path, dumped(content), catalogues.read)
+    if materials is not None:
+        path.write_text(dumped({name: material.definition() for name, material in materials.items()}), encoding="utf-8")
+        assert catalogues.read(path) == materials
 
 
 # ---- images
@@ -487,7 +487,7 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
 
 @st.composite
 def png_files(draw) -> bytes:
-    """A PNG file whose chunks are well-formed, with a header of any values and chunks of any content."""
+    """A PNG file with well-formed chunks of arbitrary content and arbitrary header values."""
     sizes = st.sampled_from([0, 1, 8, 12, 3000, 30000, 65535, 2**31 - 1, 2**32 - 1])
     header = b"".join(draw(sizes).to_bytes(4, "big") for _ in range(2))
     header += bytes([draw(st.sampled_from([1, 2, 4, 8, 16, 3])), draw(st.sampled_from([0, 2, 3, 4, 6, 5])), 0, 0])

@@ -1,4 +1,4 @@
-"""Glasses by name: the makers' catalogues, which one of several has a name, and the names in a Zemax file."""
+"""Glasses by name: the makers' catalogues, the catalogue that defines a name, and the names in a Zemax file."""
 
 import importlib.util
 import re
@@ -42,7 +42,7 @@ def test_nd_and_vd_of_data_sheets(maker, name, nd, vd):
 
 
 def test_every_glass_of_the_makers_is_a_glass():
-    """In number, with indices above 1 in its range, falling in the visible, and nd and Vd of glasses."""
+    """The number of glasses, indices above 1 in range and falling in the visible, plausible nd and Vd."""
     assert {maker: len(of_maker(maker)) for maker in MAKERS} == {
         "SCHOTT": 359, "OHARA": 417, "HOYA": 408, "HIKARI": 379, "CDGM": 314, "SUMITA": 192,
     }  # fmt: skip
@@ -55,20 +55,20 @@ def test_every_glass_of_the_makers_is_a_glass():
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the complete catalogue of the maker is not there")
 def test_indices_are_those_of_the_makers_catalogue():
-    """Of Schott, from another version of its catalogue, at g, F, d and C; SF57HHT alone has other ones there."""
+    """Compared with another version of Schott's catalogue, at g, F, d and C; only SF57HHT differs."""
     (path,) = reference_files("glass/SCHOTT.AGF")
-    theirs, differences = catalogues.read(path), []
-    for name in theirs.keys() & of_maker("SCHOTT").keys() - {"SF57HHT"}:
+    reference, differences = catalogues.read(path), []
+    for name in reference.keys() & of_maker("SCHOTT").keys() - {"SF57HHT"}:
         for line in (G_LINE, F_LINE, D_LINE, C_LINE):
-            if theirs[name].covers(line) and of_maker("SCHOTT")[name].covers(line):
+            if reference[name].covers(line) and of_maker("SCHOTT")[name].covers(line):
                 differences.append(
-                    abs(theirs[name].refractive_index(line) - of_maker("SCHOTT")[name].refractive_index(line))
+                    abs(reference[name].refractive_index(line) - of_maker("SCHOTT")[name].refractive_index(line))
                 )
     assert len(differences) > 1000 and max(differences) < 1e-12
 
 
 def test_the_catalogues_come_from_the_database():
-    """Of every glass of refractiveindex.info, as Optiland has it, the tool gives what is in the package."""
+    """From refractiveindex.info, as in Optiland, the tool generates the packaged data of every glass."""
     optiland = pytest.importorskip("optiland")
     path = Path(__file__).parents[1] / "tools" / "glass_catalogues.py"
     spec = importlib.util.spec_from_file_location("glass_catalogues", path)
@@ -79,12 +79,12 @@ def test_the_catalogues_come_from_the_database():
         _, glasses = tool.catalogue(maker, database, [])
         assert len(glasses) > 150
         for glass in glasses:
-            ours = of_maker(maker)[glass.name]
-            assert ours.formula == glass.formula
-            assert ours.coefficients == pytest.approx(glass.coefficients, rel=1e-11)
+            packaged = of_maker(maker)[glass.name]
+            assert packaged.formula == glass.formula
+            assert packaged.coefficients == pytest.approx(glass.coefficients, rel=1e-11)
 
 
-# ---- which glass a name means
+# ---- name lookup
 
 
 def written(folder: Path, name: str, *glasses: tuple[str, float]) -> Path:
@@ -94,15 +94,15 @@ def written(folder: Path, name: str, *glasses: tuple[str, float]) -> Path:
 
 
 def test_the_order_of_search(tmp_path):
-    """Catalogues that the lens lists, in its order; then the user's, the plastics, the makers."""
-    mine = written(tmp_path, "mine", ("F2", 1.4), ("COC", 1.6))
-    assert Library().glass("COC") == builtin("COC") and Library([mine]).glass("COC").source == "mine.agf"
+    """Catalogues listed by the lens, in its order; then the user's, plastics, makers."""
+    catalogue = written(tmp_path, "mine", ("F2", 1.4), ("COC", 1.6))
+    assert Library().glass("COC") == builtin("COC") and Library([catalogue]).glass("COC").source == "mine.agf"
     assert Library().glass("F2") == of_maker("SCHOTT")["F2"]
     assert Library([], ["HIKARI"]).glass("F2") == of_maker("HIKARI")["F2"] != of_maker("SCHOTT")["F2"]
     assert Library([], ["NIKON"]).glass("F2") == of_maker("HIKARI")["F2"]
-    assert Library([mine]).glass("F2").source == "mine.agf"
-    assert Library([mine], ["SCHOTT"]).glass("F2") == of_maker("SCHOTT")["F2"]
-    assert Library([mine], ["MINE", "SCHOTT"]).glass("F2").source == "mine.agf"
+    assert Library([catalogue]).glass("F2").source == "mine.agf"
+    assert Library([catalogue], ["SCHOTT"]).glass("F2") == of_maker("SCHOTT")["F2"]
+    assert Library([catalogue], ["MINE", "SCHOTT"]).glass("F2").source == "mine.agf"
     assert Library([], ["MISC"]).glass("POLYSTYR") == builtin("PS") and "POLYCARB" in in_zemax("MISC")
 
 
@@ -118,7 +118,7 @@ def test_a_choice_between_makers_is_a_remark():
 
 
 def test_built_in_plastics_need_no_catalogue_of_a_maker(monkeypatch):
-    """A study is parsed again for every job, most of them of plastics alone."""
+    """Every job parses the study, and most studies use only plastics."""
     monkeypatch.setattr(library, "of_maker", lambda maker: pytest.fail(f"{maker} was read"))
     assert Library().glass("COC") == builtin("COC")
 
@@ -143,16 +143,16 @@ def test_one_glass_without_data_does_not_spoil_its_catalogue(tmp_path):
 
 def test_a_folder_of_ones_own_catalogues(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER, str(tmp_path))
-    mine = written(tmp_path, "mine", ("A", 1.5))
+    catalogue = written(tmp_path, "mine", ("A", 1.5))
     (tmp_path / "notes.txt").write_text("")
-    assert users_files() == [mine]
+    assert users_files() == [catalogue]
     monkeypatch.setenv(FOLDER, str(tmp_path / "absent"))
     with pytest.raises(FileError, match=rf"absent: no such folder.*{FOLDER}"):
         users_files()
 
 
 def test_the_nearest_glass():
-    """As data sheets have it, within rounding: of the five glasses that are BK7 one is as good as the other."""
+    """Data-sheet values within rounding; any of the five glasses equal to BK7 will do."""
     for nd, vd in ((1.5168, 64.2), (1.80518, 25.43), (1.6910, 54.7)):
         assert nearest(nd, vd).abbe() == pytest.approx((nd, vd), abs=0.05)
 
@@ -167,11 +167,11 @@ def with_glasses(*glasses: Material) -> Prescription:
 
 
 def round_trip(tmp_path: Path, *glasses: Material, files: list[Path] | None = None) -> tuple[list[Material], str]:
-    """The glasses of a lens that was written and read again, and the catalogues that its file lists."""
+    """Glasses of a lens after writing and reading, and the catalogues listed in its file."""
     zemax.write(tmp_path / "out.zmx", with_glasses(*glasses))
     text = (tmp_path / "out.zmx").read_text()
-    again = zemax.read(tmp_path / "out.zmx", files or [])
-    return list(again.lens.media[::2]), re.search("GCAT (.*)", text)[1]
+    reread = zemax.read(tmp_path / "out.zmx", files or [])
+    return list(reread.lens.media[::2]), re.search("GCAT (.*)", text)[1]
 
 
 def indices(glasses: list[Material]) -> list[float]:
@@ -179,25 +179,25 @@ def indices(glasses: list[Material]) -> list[float]:
 
 
 def test_two_makers_of_one_name(tmp_path):
-    """LAF20 of Schott beside TAF3 of Hoya, which has a LAF20 too: Schott is listed first."""
+    """LAF20 of Schott and TAF3 of Hoya, which also has a LAF20: Schott is listed first."""
     glasses = [of_maker("HOYA")["TAF3"], of_maker("SCHOTT")["LAF20"]]
     assert of_maker("HOYA")["LAF20"].abbe()[0] != pytest.approx(glasses[1].abbe()[0], abs=0.01)
-    again, listed = round_trip(tmp_path, *glasses)
-    assert indices(again) == indices(glasses) and listed == "SCHOTT HOYA"
+    reread, listed = round_trip(tmp_path, *glasses)
+    assert indices(reread) == indices(glasses) and listed == "SCHOTT HOYA"
     assert not (tmp_path / "out.agf").exists()
 
 
 def test_glasses_whose_order_cannot_be_right_go_into_a_catalogue_of_the_lens(tmp_path):
     """F2 of both makers: one of them gets another name."""
     glasses = [of_maker("HIKARI")["F2"], of_maker("SCHOTT")["F2"], of_maker("SCHOTT")["N-BK7"]]
-    again, listed = round_trip(tmp_path, *glasses)
-    assert indices(again) == indices(glasses) and listed.startswith("OUT ")
-    assert len({glass.name for glass in again}) == 3
+    reread, listed = round_trip(tmp_path, *glasses)
+    assert indices(reread) == indices(glasses) and listed.startswith("OUT ")
+    assert len({glass.name for glass in reread}) == 3
 
 
 def test_a_glass_behind_a_catalogue_of_unknown_contents(tmp_path):
-    """Two catalogues of the user: OpticStudio's may have the name in both."""
+    """Two catalogues of the user: in OpticStudio both may contain the name."""
     first, second = written(tmp_path, "first", ("A", 1.5)), written(tmp_path, "second", ("B", 1.6))
     glasses = [catalogues.read(first)["A"], catalogues.read(second)["B"]]
-    again, listed = round_trip(tmp_path, *glasses, files=[second, first])
-    assert indices(again) == indices(glasses) and listed == "OUT first"
+    reread, listed = round_trip(tmp_path, *glasses, files=[second, first])
+    assert indices(reread) == indices(glasses) and listed == "OUT first"

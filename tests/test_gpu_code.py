@@ -1,4 +1,4 @@
-"""Code for GPUs, walked through on a GPU that is not there: no devices mix, and the numbers are those of the CPU."""
+"""GPU code paths on a pretended GPU: devices never mix, and the numbers equal those of the CPU."""
 
 from dataclasses import replace
 
@@ -43,9 +43,9 @@ def fine_tuning(device, start) -> list[float]:
     network, pipeline = small_network(0).to(device), CapturePipeline(camera(device))
     settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10)
     training.fit({"network": network}, data(device), settings, 0, "test", pipeline.one_field)
-    found = vars(evaluation.evaluate([network], data(device), pipeline)).values()
-    assert {each.device for each in found} == {CPU}  # they are written
-    return [value for each in found for value in each.flatten().float().tolist()]
+    tensors = vars(evaluation.evaluate([network], data(device), pipeline)).values()
+    assert {tensor.device for tensor in tensors} == {CPU}  # results come back to the CPU for writing
+    return [value for tensor in tensors for value in tensor.flatten().float().tolist()]
 
 
 def restoring(device, start) -> list[float]:
@@ -79,12 +79,12 @@ def supervision(device, start) -> list[float]:
 def test_the_code_for_gpus_gives_the_same_numbers(monkeypatch, start, walk):
     expected = walk(CPU, start)
     with pretend_gpu(monkeypatch) as gpu:
-        found = walk(GPU, start)
-    assert found == expected and gpu.operations > 100
+        numbers = walk(GPU, start)
+    assert numbers == expected and gpu.operations > 100
 
 
 def test_the_pretended_gpu_refuses_what_a_real_one_refuses(monkeypatch):
-    """Tensors of two devices, a generator of the CPU; numbers and indices of the CPU it takes."""
+    """It refuses tensors of two devices and a CPU generator; it accepts CPU scalars and indices."""
     with pretend_gpu(monkeypatch):
         here, there = torch.ones(3), torch.ones(3).to(GPU)
         assert isinstance(there, OnGpu) and there.device == GPU and there.cpu().device == CPU

@@ -1,4 +1,4 @@
-"""Captures against a direct convolution by another library, and what happens to the light outside the window."""
+"""Captures compared with a direct convolution by another library, and the light outside the PSF window."""
 
 import pytest
 import torch
@@ -28,7 +28,7 @@ def impulse() -> torch.Tensor:
 
 
 def direct(images: torch.Tensor, psf: torch.Tensor) -> torch.Tensor:
-    """Convolution with reflected borders by kornia, plane by plane, and the veil of the light that is missing."""
+    """Convolution with reflected borders by kornia, plane by plane, and the veil of the missing light."""
     fields = []
     for kernels in psf:
         planes = [
@@ -65,7 +65,7 @@ def test_light_moves_with_the_psf():
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
 @pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
 def test_an_impulse_changes_nothing(colour, outside_window):
-    """A perfect lens is the identity, in linear light as well: there and back again."""
+    """A perfect lens is the identity, also with conversion to linear light and back."""
     images = random_images(3)
     captures = PsfCamera(impulse(), outside_window, colour).grid(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=3e-5 if colour == "linear" else 1e-6)
@@ -74,7 +74,7 @@ def test_an_impulse_changes_nothing(colour, outside_window):
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
 @pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
 def test_a_uniform_image_stays_uniform(colour, outside_window):
-    """Blur cannot change what has no detail, whatever share of the light the window holds."""
+    """Blur cannot change a uniform image, whatever the energy in the window."""
     images = torch.tensor([0.2, 0.5, 0.9])[:, None, None].expand(B, 3, 20, 20)
     captures = PsfCamera(random_psf(4), outside_window, colour).grid(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=2e-5)
@@ -82,7 +82,7 @@ def test_a_uniform_image_stays_uniform(colour, outside_window):
 
 @pytest.mark.parametrize("outside_window", ["veil", "renormalise"])
 def test_mean_flux_is_conserved(outside_window):
-    """An image whose border is dark loses no light over the edge: its captures have the same mean."""
+    """An image with a dark border loses no light at its edges: its captures have the same mean."""
     images = random_images(5, 40, 40)
     border = torch.zeros(40, 40)
     border[K:-K, K:-K] = 1
@@ -93,7 +93,7 @@ def test_mean_flux_is_conserved(outside_window):
 
 
 def test_renormalising_deletes_the_veil():
-    """It equals a PSF of unit energy; with a veil the contrast is less by just the energy inside."""
+    """It equals a PSF of unit energy; with a veil the contrast is multiplied by the energy in the window."""
     images, psf = random_images(7), random_psf(8)
     energy = psf.sum((-2, -1), keepdim=True)
     renormalised = PsfCamera(psf, "renormalise").grid(images)
@@ -105,7 +105,7 @@ def test_renormalising_deletes_the_veil():
 
 
 def test_light_adds_up_linearly():
-    """Half of the light from black, half from white neighbours: 0.5 as values, 0.735 once encoded from linear light."""
+    """Half the light from black, half from white neighbours: 0.5 from encoded values, 0.735 from linear light."""
     grid = torch.zeros(1, 3, K, K)
     grid[..., K // 2, K // 2] = grid[..., K // 2, K // 2 + 1] = 0.5
     images = torch.zeros(1, 3, 16, 16)
@@ -125,7 +125,7 @@ def test_single_is_one_field_of_the_grid(colour):
 
 
 def test_one_camera_renders_images_of_several_sizes():
-    """What a camera remembers of one size does not leak into another."""
+    """Cached data of one size do not leak into another."""
     psf = random_psf(11)
     camera = PsfCamera(psf)
     for shape in ((25, 32), (32, 25), (20, 20), (25, 32)):
@@ -134,13 +134,13 @@ def test_one_camera_renders_images_of_several_sizes():
 
 
 def test_many_images_are_rendered_like_few():
-    """Images do not see each other, however many there are."""
+    """Images do not affect each other, however many there are."""
     images = torch.rand(20, 3, 16, 16, generator=torch.Generator().manual_seed(16))
     camera = PsfCamera(random_psf(17))
-    each = torch.cat([camera.grid(image[None]) for image in images], 1)
-    torch.testing.assert_close(camera.grid(images), each, rtol=0, atol=1e-6)
+    captures = torch.cat([camera.grid(image[None]) for image in images], 1)
+    torch.testing.assert_close(camera.grid(images), captures, rtol=0, atol=1e-6)
     fields = torch.arange(20) % len(camera.psf)
-    torch.testing.assert_close(camera.single(images, fields), each[fields, torch.arange(20)], rtol=0, atol=1e-6)
+    torch.testing.assert_close(camera.single(images, fields), captures[fields, torch.arange(20)], rtol=0, atol=1e-6)
 
 
 FIELDS = torch.tensor([3, 0, 3])
@@ -159,20 +159,20 @@ FIELDS = torch.tensor([3, 0, 3])
     ids=["grid", "single"],
 )
 def test_gradients_are_those_of_the_direct_convolution(render, reference, shape):
-    """At the PSFs and at the images, against double precision, relative to the largest."""
+    """Gradients at PSFs and images, compared with double precision, relative to the largest."""
     images, psf = random_images(13, *shape), random_psf(14)
     weight = torch.randn(render(psf, images).shape, generator=torch.Generator().manual_seed(15))
     gradients = []
-    for way, dtype in ((render, torch.float32), (reference, torch.float64)):
+    for convolve, dtype in ((render, torch.float32), (reference, torch.float64)):
         leaves = [v.to(dtype).requires_grad_() for v in (psf.clone(), images.clone())]
-        gradients.append(torch.autograd.grad((way(*leaves) * weight.to(dtype)).sum(), leaves))
-    for found, expected in zip(*gradients, strict=True):
-        assert (found - expected).abs().max() <= 1e-5 * expected.abs().max()
+        gradients.append(torch.autograd.grad((convolve(*leaves) * weight.to(dtype)).sum(), leaves))
+    for gradient, expected in zip(*gradients, strict=True):
+        assert (gradient - expected).abs().max() <= 1e-5 * expected.abs().max()
 
 
 def test_psnr_is_taken_per_image():
-    """An error of 0.1 everywhere is 20 dB, of 0.01 is 40 dB; the mean is of decibels, not of errors."""
+    """An error of 0.1 everywhere is 20 dB, of 0.01 is 40 dB; the mean is over decibels, not over errors."""
     reference = torch.full((2, 3, 8, 8), 0.5)
-    found = psnr(reference + torch.tensor([0.1, 0.01])[:, None, None, None], reference)
-    torch.testing.assert_close(found, torch.tensor([20.0, 40.0]), rtol=0, atol=1e-3)
+    decibels = psnr(reference + torch.tensor([0.1, 0.01])[:, None, None, None], reference)
+    torch.testing.assert_close(decibels, torch.tensor([20.0, 40.0]), rtol=0, atol=1e-3)
     assert torch.isfinite(psnr(reference, reference)).all()

@@ -37,53 +37,53 @@ def mean_rms(lens) -> float:
 
 
 def test_spot_descent_from_flat_makes_a_lens():
-    """Thirty steps from plane plates: less blur and no shorter of its focal length than before."""
+    """Thirty steps from plane plates: less blur, and a smaller error of power than that of the plates."""
     rates = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
-    given = {"stop_scale": 0.3, "betas": (0.9, 0.99), "final": 1.0}
-    settings = DescentSettings(optimizer="adamw", criterion="spot", steps=30, learning_rates=rates, **given)
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    lens, _, history = by_descents(begin, lambda part: SpotRadius(), PROBLEM, settings, rays=64)
-    assert mean_rms(lens) < 0.7 * mean_rms(begin)
+    options = {"stop_scale": 0.3, "betas": (0.9, 0.99), "final": 1.0}
+    settings = DescentSettings(optimizer="adamw", criterion="spot", steps=30, learning_rates=rates, **options)
+    plates = flat(PLASTICS, SPEC, LIMITS)
+    lens, _, history = by_descents(plates, lambda part: SpotRadius(), PROBLEM, settings, rays=64)
+    assert mean_rms(lens) < 0.7 * mean_rms(plates)
     assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
     assert len(history) == 30
 
 
 def test_random_starts_do_not_depend_on_the_blocks_they_are_drawn_by(monkeypatch):
-    """Nor does what is drawn next."""
-    begin, found = flat(PLASTICS, SPEC, LIMITS), []
+    """Nor do later draws."""
+    plates, draws = flat(PLASTICS, SPEC, LIMITS), []
     for block in (20_000, 64):
         monkeypatch.setattr("tasklens.design.random_starts._BLOCK", block)
         rng = numpy.random.default_rng(3)
-        found.append(([lens.curvature for lens in random_starts(begin, LOOKS, LIMITS, 20, rng)], rng.random()))
-    assert torch.equal(torch.stack(found[0][0]), torch.stack(found[1][0])) and found[0][1] == found[1][1]
+        draws.append(([lens.curvature for lens in random_starts(plates, LOOKS, LIMITS, 20, rng)], rng.random()))
+    assert torch.equal(torch.stack(draws[0][0]), torch.stack(draws[1][0])) and draws[0][1] == draws[1][1]
 
 
 def test_limits_without_any_start_are_named():
     """A singlet of F/2.8 needs a steeper surface."""
-    begin = flat(materials("COC"), SPEC, LIMITS)
+    plates = flat(materials("COC"), SPEC, LIMITS)
     flatter = LIMITS.model_copy(update={"max_slope": 0.15})
     with pytest.raises(InputError, match=r"max_slope = 0\.15"):
-        random_starts(begin, LOOKS, flatter, 1, numpy.random.default_rng(0))
+        random_starts(plates, LOOKS, flatter, 1, numpy.random.default_rng(0))
 
 
 def test_random_starts_have_the_focal_length_and_a_focus():
     """The last curvature and the back focus are solved for; limits on track and back focus hold."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    starts = random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
-    again = random_starts(begin, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
-    for lens, same in zip(starts, again, strict=True):
-        found = paraxial(lens, LOOKS.wavelengths[1])
-        assert float(found.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
-        assert float(found.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
-        assert LIMITS.min_back_focus < float(found.bfl) and float(lens.thickness.sum()) < LIMITS.max_track
-        assert torch.equal(lens.curvature, same.curvature)
+    plates = flat(PLASTICS, SPEC, LIMITS)
+    starts = random_starts(plates, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    again = random_starts(plates, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    for lens, repeated in zip(starts, again, strict=True):
+        first_order = paraxial(lens, LOOKS.wavelengths[1])
+        assert float(first_order.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
+        assert float(first_order.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
+        assert LIMITS.min_back_focus < float(first_order.bfl) and float(lens.thickness.sum()) < LIMITS.max_track
+        assert torch.equal(lens.curvature, repeated.curvature)
     assert len({float(lens.curvature[1]) for lens in starts}) == 20
 
 
 @pytest.mark.parametrize("linear_beyond_um", [None, 40.0])
 @pytest.mark.parametrize("reference", ["centroid", "chief_ray", "pinhole"])
 def test_merit_columns_are_the_limit_of_differences(start, reference, linear_beyond_um):
-    """Rays with either cost, their reference, all limits with the apertures that rays need; all kinds are broken."""
+    """Rays with either cost and reference, and all limits with the apertures of the rays; every kind is violated."""
     limits = LIMITS.model_copy(update={"efl_tolerance": 1e-4, "distortion": 1e-4, "max_slope": 0.1})
     limits = limits.model_copy(
         update={"min_edge_thickness": 2.0, "min_back_focus": 9.0, "min_air_gap": 1.0, "max_chief_ray_angle_deg": 5.0}
@@ -97,13 +97,13 @@ def test_merit_columns_are_the_limit_of_differences(start, reference, linear_bey
         return merit.residuals(variables.assemble_vector(list(values), vector))
 
     vector = torch.cat(list(values.values()))
-    found = merit.linearise(lens)[1](variables.directions(values))
+    columns = merit.linearise(lens)[1](variables.directions(values))
     expected = difference(residuals, vector, 1e-6)
     errors = merit.rays
-    first_order = 1 + 2 * (len(FIELD_HEIGHTS) - 1)  # focal length, then off the axis distortion and chief-ray angles
+    first_order = 1 + 2 * (len(FIELD_HEIGHTS) - 1)  # focal length, then distortion and chief-ray angles off the axis
     assert (expected[:errors].abs().amax(0) > 1).all() and (expected[-first_order:].abs().amax(1) > 1).sum() > 9
     assert (expected[errors:-first_order].abs().amax(1) > 1).sum() > 60
-    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+    torch.testing.assert_close(columns, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
 
 
 @pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
@@ -113,31 +113,31 @@ def test_margins_are_differentiable_at_a_given_aperture(start, name):
     def margins(value):
         return torch.cat(list(manufacturing_margins(replace(start, **{name: value}), LIMITS, semi).values()))
 
-    found = torch.func.jacfwd(margins)(getattr(start, name))
+    jacobian = torch.func.jacfwd(margins)(getattr(start, name))
     expected = difference(margins, getattr(start, name), 1e-4)
     assert float(expected.abs().max()) > 0
-    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-8)
+    torch.testing.assert_close(jacobian, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_merit_is_the_mean_square_spot(start):
-    """Without broken limits the squares sum to the mean over fields of the squared RMS spot radius."""
+    """If no limit is violated, the sum of squares is the mean over fields of the squared RMS spot radius."""
     easy = Constraints(
         min_centre_thickness=1e-6, max_centre_thickness=99, min_edge_thickness=1e-6, min_air_gap=1e-6,
         min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
     )  # fmt: skip
     merit = Merit(LOOKS, easy, "centroid")
     gentle = start.with_stop_scaled(0.3)
-    found = float(merit.residuals(gentle).square().sum())
+    mean_square = float(merit.residuals(gentle).square().sum())
     heights = torch.tensor(FIELD_HEIGHTS, dtype=torch.float64)
     fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
-    looks = replace(LOOKS, fields=fields)
-    rays = trace_fields(gentle, looks, sobol_disc(8192, 0))
+    view = replace(LOOKS, fields=fields)
+    rays = trace_fields(gentle, view, sobol_disc(8192, 0))
     expected = float((1e3 * rms_spot_radius(rays, centroid(rays))).square().mean())
-    assert found == pytest.approx(expected, rel=1e-2)
+    assert mean_square == pytest.approx(expected, rel=1e-2)
 
 
 def test_the_cost_of_a_far_ray_grows_linearly(start):
-    """A ray of error e costs e^2 / sqrt(1 + e^2 / e0^2): e^2 for an e0 far beyond all errors, e0 e far beyond e0."""
+    """A ray of error e costs e^2 / sqrt(1 + e^2 / e0^2): e^2 if e is far below e0, e0 e if it is far above."""
     plain, huge, small = (Merit(LOOKS, LIMITS, linear_beyond_um=e0) for e0 in (None, 1e9, 5.0))
     rays = plain.rays
     lens = start.with_stop_scaled(0.3)  # no ray is lost
@@ -154,9 +154,9 @@ def test_the_cost_of_a_far_ray_grows_linearly(start):
 
 
 def test_improve_never_increases_the_merit():
-    begin = flat(PLASTICS, SPEC, LIMITS)
+    plates = flat(PLASTICS, SPEC, LIMITS)
     merit = Merit(LOOKS, LIMITS, "centroid")
-    for lens in random_starts(begin, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
+    for lens in random_starts(plates, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
         before = float(merit.residuals(lens).norm())
         better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
         assert error <= before
@@ -165,11 +165,11 @@ def test_improve_never_increases_the_merit():
 
 
 def test_a_search_makes_a_better_lens():
-    """A search of a few seconds halves the merit of its best start, and perturbations lower that of the stages."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
+    """A search of a few seconds halves the merit of its best start, and perturbations lower it further."""
+    plates = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200)
-    lens, history = least_squares.design(begin, PROBLEM, settings)
-    starts = random_starts(begin, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
+    lens, history = least_squares.design(plates, PROBLEM, settings)
+    starts = random_starts(plates, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
     merit = Merit(LOOKS, LIMITS, "centroid")
     best = min(float(merit.residuals(x).norm()) for x in starts)
     final = float(merit.residuals(lens).norm())
@@ -180,35 +180,35 @@ def test_a_search_makes_a_better_lens():
 
 
 def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
-    """Perturbed to plane plates, nothing better comes of two evaluations: the lens from before is returned."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
+    """Two evaluations from plane plates give nothing better, so the earlier lens is returned."""
+    plates = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    monkeypatch.setattr(least_squares, "_perturbed", lambda lens, rng: begin)
+    monkeypatch.setattr(least_squares, "_perturbed", lambda lens, rng: plates)
     monkeypatch.setattr(least_squares, "_PERTURBATION_EVALUATIONS", 2)
-    _, history = least_squares.design(begin, PROBLEM, settings)
+    _, history = least_squares.design(plates, PROBLEM, settings)
     unperturbed = min(row["rms_um"] for row in history if row["stage"] == "4 orders")
     assert history[-2]["rms_um"] == unperturbed
 
 
 def test_a_linear_cost_sharpens_the_core():
-    """After the same search, half of the light is in a smaller spot, and the linear cost of the lens less."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
-    found = []
+    """After the same search, half of the light is in a smaller spot, and the linear cost is smaller."""
+    plates = flat(PLASTICS, SPEC, LIMITS)
+    results = []
     for linear_beyond_um in (None, 1.0):
         settings = LeastSquaresSettings(
             method="least_squares", starts=6, evaluations=200, linear_beyond_um=linear_beyond_um
         )
-        lens, history = least_squares.design(begin, PROBLEM, settings)
+        lens, history = least_squares.design(plates, PROBLEM, settings)
         rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
         distance = 1e3 * (torch.stack([rays.x, rays.y], -1) - centroid(rays)[:, None, None]).norm(dim=-1).flatten(1)
         linear = float(Merit(LOOKS, LIMITS, "centroid", linear_beyond_um=1.0).residuals(lens).norm())
-        found.append((float(distance.median(1).values.mean()), linear))
+        results.append((float(distance.median(1).values.mean()), linear))
     assert [row["stage"] for row in history][-2:] == ["linear cost", "strict limits"]
-    assert found[1][0] < found[0][0] and found[1][1] < found[0][1]
+    assert results[1][0] < results[0][0] and results[1][1] < results[0][1]
 
 
 def test_an_aperture_stops_what_it_may_and_nothing_on_the_axis():
-    """Of heights 1 to 10 of equal light, 30 % may be stopped: 7 is passed; on the axis all, so that 8 is."""
+    """Of heights 1 to 10 with equal light, 30 % may be stopped: 7 passes; the axis may lose nothing, so 8 passes."""
     heights = torch.arange(1.0, 11.0)[torch.randperm(10, generator=torch.Generator().manual_seed(0))]
     weight = torch.full((10,), 0.1)
     low = 0.5 * heights
@@ -220,16 +220,16 @@ def test_an_aperture_stops_what_it_may_and_nothing_on_the_axis():
 
 
 def test_a_lens_that_may_vignette_makes_a_smaller_spot():
-    """After the same search: no field loses more than it may, the axis nothing, and the spots of the rest shrink."""
-    begin = flat(PLASTICS, SPEC, LIMITS)
+    """After the same search: no field loses more than its limit, the axis loses nothing, and the spots shrink."""
+    plates = flat(PLASTICS, SPEC, LIMITS)
     pupil = torch.cat([OUTLINE, sobol_disc(1024, 5)])
-    found = []
+    results = []
     for loss in (None, 0.4):
         settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200, vignetting=loss)
-        lens, history = least_squares.design(begin, PROBLEM, settings)
+        lens, history = least_squares.design(plates, PROBLEM, settings)
         rays = trace_fields(lens, LOOKS, pupil)
-        found.append((float(rms_spot_radius(rays, centroid(rays)).square().mean()), rays.valid.double().mean((1, 2))))
+        results.append((float(rms_spot_radius(rays, centroid(rays)).square().mean()), rays.valid.double().mean((1, 2))))
     assert history[-1]["stage"] == "vignetting" and lens.semi_diameter[1:].isfinite().sum() == 1
-    assert (found[0][1] == 1).all() and found[1][0] < found[0][0]
-    assert (found[1][1][LOOKS.radii == 0] == 1).all()
-    assert float(found[1][1].min()) == pytest.approx(0.6, abs=0.02)
+    assert (results[0][1] == 1).all() and results[1][0] < results[0][0]
+    assert (results[1][1][LOOKS.radii == 0] == 1).all()
+    assert float(results[1][1].min()) == pytest.approx(0.6, abs=0.02)

@@ -1,4 +1,4 @@
-"""Lenses from files: what fitting them to a specification keeps, what it changes, and which lenses it refuses."""
+"""Imported lenses: what the fit to a specification keeps, changes and refuses."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -80,15 +80,15 @@ def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tm
 
 
 def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
-    """A file of the same lens 7 times as large, stopped down and out of focus: the same lens comes out, as it was."""
+    """A file of the same lens 7 times as large, stopped down and out of focus: the fitted lens is the same."""
     expected, notes = fitted(tmp_path, cooke_triplet())
     large = cooke_triplet().scaled(7.0).with_stop_scaled(0.4)
     large.thickness[-1] += 1.5
-    found, large_notes = fitted(tmp_path, large, object_distance_mm=800.0)
+    refitted, large_notes = fitted(tmp_path, large, object_distance_mm=800.0)
     for name in ("curvature", "conic", "alpha", "semi_diameter"):
-        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=0)
-    torch.testing.assert_close(found.thickness, expected.thickness, rtol=0, atol=1e-6)
-    assert (found.media, found.stop) == (expected.media, expected.stop)
+        torch.testing.assert_close(getattr(refitted, name), getattr(expected, name), rtol=1e-12, atol=0)
+    torch.testing.assert_close(refitted.thickness, expected.thickness, rtol=0, atol=1e-6)
+    assert (refitted.media, refitted.stop) == (expected.media, expected.stop)
     assert large_notes["scale"] == pytest.approx(notes["scale"] / 7, rel=1e-12)
     assert large_notes["file_efl_mm"] == pytest.approx(7 * notes["file_efl_mm"], rel=1e-12)
     assert (notes["file_object_distance_mm"], large_notes["file_object_distance_mm"]) == (None, 800.0)
@@ -97,7 +97,7 @@ def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
 
 
 def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
-    """Tracing through to planes on both sides, near and far, gives larger means; each RMS alone has its own best."""
+    """Tracing through to planes on both sides, near and far, gives larger means; single fields differ."""
     lens, _ = fitted(tmp_path, cooke_triplet())
 
     def rms(shift: float) -> torch.Tensor:
@@ -113,11 +113,11 @@ def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
     assert {-1.0, 1.0} <= set(slopes.tolist())
 
 
-# ---- what a finished lens says
+# ---- notes of a finished lens
 
 
 def settings_of(folder: Path, lens: Lens, **spec):
-    """What the design of a lens in a file is given, as a study declares it."""
+    """Settings of the design of a lens in a file, as a study declares them."""
     prescription.write(folder / "given.yaml", Prescription(lens), {})
     entry = {"elements": "triplet", "file": str(folder / "given.yaml")}
     study = changed(
@@ -129,7 +129,7 @@ def settings_of(folder: Path, lens: Lens, **spec):
 
 
 def test_a_finished_imported_lens(tmp_path):
-    """It says where it is from, and has figures, margins and finite clear apertures that stop nothing more."""
+    """It has an origin, figures, margins, and finite clear apertures that stop no further rays."""
     settings = settings_of(tmp_path, cooke_triplet())
     lens, notes, history = methods.design(settings, None, None, {}, {})
     assert history == []
@@ -138,16 +138,16 @@ def test_a_finished_imported_lens(tmp_path):
     assert fit["file"] == str(tmp_path / "given.yaml")
     assert len(notes["margins"]) == 9 and lens.semi_diameter.isfinite().all()
     assert torch.equal(lens.thickness, before.thickness)
-    valid = [trace_fields(found, VIEW, sobol_disc(RAYS, 0)).valid for found in (before, lens)]
+    valid = [trace_fields(candidate, VIEW, sobol_disc(RAYS, 0)).valid for candidate in (before, lens)]
     assert torch.equal(*valid)
 
 
 def test_its_own_clear_apertures_vignette(tmp_path):
-    """They scale with the lens; what they stop is dark: a PSF is of the light that passes."""
+    """They scale with the lens; a PSF covers only the light that passes."""
     bare = fitted(tmp_path, cooke_triplet())[0]
-    given = cooke_triplet()
-    given.semi_diameter[0] = 8.0
-    settings = settings_of(tmp_path, given, kernel_size=31)
+    triplet = cooke_triplet()
+    triplet.semi_diameter[0] = 8.0
+    settings = settings_of(tmp_path, triplet, kernel_size=31)
     lens, notes, _ = methods.design(settings, None, None, {}, {})
     scale = notes["origin"]["scale"]
     assert float(lens.semi_diameter[0]) == pytest.approx(8.0 * scale, rel=1e-14)
@@ -165,20 +165,22 @@ def test_its_own_clear_apertures_vignette(tmp_path):
 
 
 def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
-    use = {
+    options = {
         "fields": ("angle_deg", ((0.0, 0.0),)),
         "wavelengths_um": (0.5893,),
         "primary": 0,
         "object_distance_mm": 500.0,
     }
-    expected, notes = fitted(tmp_path, cooke_triplet(), **use)
-    zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **use))
-    found, other = imported.fit(ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number, RAYS)
-    assert torch.equal(found.thickness, expected.thickness) and found.media == expected.media
-    assert notes | {"file": ""} == other | {"file": ""}
+    expected, notes = fitted(tmp_path, cooke_triplet(), **options)
+    zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **options))
+    zemax_lens, zemax_notes = imported.fit(
+        ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number, RAYS
+    )
+    assert torch.equal(zemax_lens.thickness, expected.thickness) and zemax_lens.media == expected.media
+    assert notes | {"file": ""} == zemax_notes | {"file": ""}
 
 
-# ---- refused
+# ---- errors
 
 
 def narrow_front() -> Lens:
@@ -204,7 +206,7 @@ def test_a_lens_that_cannot_serve_the_specification_is_refused(tmp_path, lens, s
     assert all(word in str(error.value) for word in ["given.yaml", *words]), error.value
 
 
-# ---- lenses of other people
+# ---- published lenses
 
 PHONES = [path for path in reference_files("lenses/cellphone/source/*") if path.suffix.lower() == ".zmx"]
 
@@ -213,7 +215,7 @@ def phone(path: Path) -> ImportedLens:
     return ImportedLens(elements="phone", file=path, catalogues=tuple(reference_files("glass/*.AGF")))
 
 
-# Object distance and focal length [mm]. The second lens is not ours to distribute.
+# Object distance and focal length [mm]. We may not distribute the second lens.
 CLOSE = {"US-12032142-B2-e3": (None, 3.879), "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3.30": (370, 2.647)}
 
 
@@ -227,7 +229,7 @@ def test_a_phone_lens_close_to_the_specification(path):
     first_order = paraxial(lens, spec.wavelengths_um[1])
     assert float(first_order.efl) == pytest.approx(2.921, abs=5e-4)
     assert float(first_order.efl / (2 * first_order.entrance_pupil_radius)) == pytest.approx(2.8, rel=1e-12)
-    if object_distance:  # from there to infinity the focus moves by EFL^2 / distance, of the scaled lens
+    if object_distance:  # refocusing to infinity shifts the focus of the scaled lens by EFL^2 / distance
         assert notes["image_plane_shift_mm"] == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
     rays = trace_fields(lens, view_of_spec(spec), sobol_disc(4096, 0))
     assert rays.valid.all()
@@ -239,7 +241,7 @@ def test_a_phone_lens_close_to_the_specification(path):
 def test_every_phone_lens_serves(path):
     """Three to eight elements, stops in front and inside: an image of 8 um or better; the stop is filled.
 
-    Of a stop inside a few percent are lost behind it by total reflection, at the largest fields.
+    If the stop is inside, a few percent of the rays are lost behind it by total reflection at the largest fields.
     """
     spec = Spec()
     lens, _ = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
@@ -250,7 +252,7 @@ def test_every_phone_lens_serves(path):
 
 
 def test_an_imported_lens_has_a_specification_of_its_own():
-    """Other lenses keep that of the study, and a wrong key is named; a near object is for imported lenses alone."""
+    """Other lenses keep the study's, and a wrong key is named; only imported lenses may have a near object."""
     study = parse(changed(with_imported(), "imported.phone.spec", {"f_number": 2.0}))
     assert study.lens_spec("quadruplet-phone").f_number == 2.0
     assert study.lens_spec("singlet-imaging1") == study.spec_of("singlet")

@@ -1,4 +1,4 @@
-"""A job runs in one process at a time; who waits, says for whom, and takes what the other has made."""
+"""A job runs in one process at a time; a waiting process names the other, and uses its results."""
 
 import json
 import multiprocessing
@@ -21,7 +21,7 @@ def job(folder, key: str, begun, go_on) -> None:
 
 @pytest.fixture
 def other(tmp_path, monkeypatch):
-    """A function that starts a job in another process; it ends at the first second of waiting here, or is killed."""
+    """A function that starts a job in another process; it ends, or is killed, once this process waits."""
 
     def start(key: str, kill: bool = False):
         begun, go_on = CONTEXT.Event(), CONTEXT.Event()
@@ -75,7 +75,7 @@ def test_a_line_at_once_and_every_half_minute(monkeypatch, capsys):
 
 
 def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch, capsys):
-    """The job runs, as it did before there were locks."""
+    """The job still runs, without a lock."""
 
     def refuse(self, **_):
         raise NotImplementedError("flock")

@@ -1,4 +1,4 @@
-"""Jobs: which of them reads what of the study, and which files of which others."""
+"""Jobs: the parts of the study and the files of other jobs that each of them reads."""
 
 import itertools
 import re
@@ -23,28 +23,28 @@ from tasklens.study.names import SHARP
 from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
-TOLD = "verdicts_table", "psf_tail_table", "effort_table", "report_page"  # beside the tables
+TOLD = "verdicts_table", "psf_tail_table", "effort_table", "report_page"  # in addition to the tables
 
 
 def needed(study: Study, *targets: Path) -> set[tuple]:
-    """All jobs that some files wait for, by the inputs that are declared; those of every seed once."""
+    """Keys of all jobs that some files depend on by declared inputs; jobs of several seeds count once."""
     makers: dict[Path, tuple] = {}
     for key, job in every_job(study):
         for path in job.outputs.values():
             assert path not in makers, f"two jobs write {path}"
             makers[path] = key, job
-    found, done, waiting = set(), set(), list(targets)
+    keys, done, waiting = set(), set(), list(targets)
     while waiting:
         path = waiting.pop()
         if path not in makers:
             assert path.parts[0] != "results", f"no job makes {path}"
             continue
         key, job = makers[path]
-        found.add(key)
+        keys.add(key)
         if job.log not in done:
             done.add(job.log)
             waiting += job.reads
-    return found
+    return keys
 
 
 CLASSIFIED = ("singlet-tasklens", "singlet-end_to_end_from_imaging", "singlet-end_to_end_from_flat")
@@ -53,7 +53,7 @@ RESTORED = ("small-restored", "other-restored")
 
 
 def measured(*measured_names: str):
-    """Whether a job measures one of these, anew or again."""
+    """Whether a job measures classifiers with these names, for the first time or again."""
     return lambda job: job[0] in ("fine_tune", "reproduce") and job[2] in measured_names
 
 
@@ -89,20 +89,20 @@ READERS = [
 def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value, reads):
     before, after = slices(tiny_study()), slices(changed(tiny_study(), key, value))
     assert before.keys() == after.keys()
-    touched = {job for job in before if before[job] != after[job]}
-    assert touched - {("report_page",)} == {job for job in before if reads(job)} != set()
-    assert ("report_page",) in touched  # it shows the whole configuration
+    changed_jobs = {job for job in before if before[job] != after[job]}
+    assert changed_jobs - {("report_page",)} == {job for job in before if reads(job)} != set()
+    assert ("report_page",) in changed_jobs  # it shows the whole configuration
 
 
 def test_diffraction_changes_no_design():
-    """It adds a job for each lens, whose PSFs are those of training, restoration and measurement."""
+    """It adds one job per lens; training, restoration and measurement use its PSFs."""
     study = parse(changed(tiny_study(), "capture", {"diffraction": True}))
     before, after = slices(tiny_study()), slices(changed(tiny_study(), "capture", {"diffraction": True}))
     assert {job for job in after if job not in before} == {("diffraction", lens) for lens in study.lenses}
     assert all(after[job] == before[job] for job in before if job[0] == "design")
     psf = lens_file("tiny", "singlet-imaging1", name="psf_diffraction.safetensors")
-    for rule, rest in (("fine_tune", {"measured_name": "small"}), ("restore", {})):
-        assert psf in job_of(rule, study, lens="singlet-imaging1", seed=0, **rest).reads
+    for rule, wildcards in (("fine_tune", {"measured_name": "small"}), ("restore", {})):
+        assert psf in job_of(rule, study, lens="singlet-imaging1", seed=0, **wildcards).reads
     with pytest.raises(StudyError, match="tolerances: lenses are built by rays alone"):
         built_lenses.built(study)
     with pytest.raises(StudyError, match="tolerances: lenses are built by rays alone"):
@@ -110,49 +110,51 @@ def test_diffraction_changes_no_design():
 
 
 def test_a_network_of_another_seed(tmp_path, monkeypatch):
-    """It has other weights, and lenses for image quality are not designed again."""
+    """It has other weights; imaging designs are not repeated."""
     monkeypatch.chdir(tmp_path)
-    given = tiny_study()
-    other = changed(given, "classifiers.small.seed", 1) | {"name": "other"}
-    studies = [parse(each) for each in (given, other, given | {"name": "same"})]
+    original = tiny_study()
+    other = changed(original, "classifiers.small.seed", 1) | {"name": "other"}
+    studies = [parse(entry) for entry in (original, other, original | {"name": "same"})]
     for study in studies:
         finish("images", study)
     first, second, same = (load_file(finish("reference", study, classifier="small").weights) for study in studies)
     assert all(torch.equal(first[name], same[name]) for name in first)
     assert not any(torch.equal(first[name], second[name]) for name in first if name.endswith("conv1.weight"))
-    before, after = slices(given), slices(other | {"name": given["name"]})
-    touched = {job[1] for job in before if before[job] != after[job] and job[0] == "design"}
-    assert touched == {each[1] for each in before if each[0] == "design" and ("task" in each[1] or "end_to" in each[1])}
+    before, after = slices(original), slices(other | {"name": original["name"]})
+    changed_jobs = {job[1] for job in before if before[job] != after[job] and job[0] == "design"}
+    assert changed_jobs == {
+        entry[1] for entry in before if entry[0] == "design" and ("task" in entry[1] or "end_to" in entry[1])
+    }
 
 
 def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
     study = changed(tiny_study(), "elements", {"doublet": ["OKP4", "MINE"], "singlet": ["COC"]})
-    mine = builtin("COC").definition()
-    before = slices(study | {"materials": {"MINE": mine}})
-    after = slices(study | {"materials": {"MINE": mine | {"coefficients": [2.31, 0.01, 0.037, 0, 0, 0]}}})
-    touched = {job for job in before if before[job] != after[job]} - {("report_page",)}
-    assert touched == {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
+    plastic = builtin("COC").definition()
+    before = slices(study | {"materials": {"MINE": plastic}})
+    after = slices(study | {"materials": {"MINE": plastic | {"coefficients": [2.31, 0.01, 0.037, 0, 0, 0]}}})
+    changed_jobs = {job for job in before if before[job] != after[job]} - {("report_page",)}
+    assert changed_jobs == {job for job in before if job[0] == "design" and job[1].startswith("doublet")}
 
 
 def test_tables_hold_the_lenses_of_the_paper():
-    """Task-driven against imaging; in table 3 against end-to-end; in table 2 with all classifiers."""
+    """Task-driven and imaging designs; end-to-end designs in table 3; all classifiers in table 2."""
     study = parse(tiny_study())
-    found = {name: tables.table(study, name) for name in TABLES}
+    by_name = {name: tables.table(study, name) for name in TABLES}
     imaging = ("singlet-tasklens", "singlet-image_error", "singlet-imaging1", "singlet-imaging2")
-    assert all(found[name].lenses == imaging for name in ("table1", "table2", "table4"))
-    assert found["table3"].lenses == CLASSIFIED
-    assert found["table2"].classifiers == ("small", "other")
-    assert all(found[name].classifiers == ("small",) for name in ("table1", "table3", "table4"))
+    assert all(by_name[name].lenses == imaging for name in ("table1", "table2", "table4"))
+    assert by_name["table3"].lenses == CLASSIFIED
+    assert by_name["table2"].classifiers == ("small", "other")
+    assert all(by_name[name].classifiers == ("small",) for name in ("table1", "table3", "table4"))
 
 
 def test_a_study_may_make_some_of_the_tables():
-    """Its tails, verdicts and verification are of these, of their lenses and of their measurements."""
-    some = changed(tiny_study(), "tables", ["table3"])
-    before, after = slices(tiny_study()), slices(some)
-    told = {(f"{name}_table",) for name in ("psf_tail", "merit_function", "verdicts")}
-    told |= {("verify",), ("captures",), ("report_page",)}
-    assert {job for job in before if before[job] != after[job]} == told
-    study = parse(some)
+    """Tails, verdicts and verification cover only the lenses and measurements of these tables."""
+    mapping = changed(tiny_study(), "tables", ["table3"])
+    before, after = slices(tiny_study()), slices(mapping)
+    expected = {(f"{name}_table",) for name in ("psf_tail", "merit_function", "verdicts")}
+    expected |= {("verify",), ("captures",), ("report_page",)}
+    assert {job for job in before if before[job] != after[job]} == expected
+    study = parse(mapping)
     verified = tables.verification(study)
     assert tables.table_lenses(study) == verified.lenses == CLASSIFIED
     assert {classifier for _, classifier in verified.measured} == {"small"}
@@ -174,39 +176,39 @@ IMAGING_AND_TASK = {"image_correlation", "image_psnr", "imaging1", "imaging2", "
     ],
 )  # fmt: skip
 def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs, restorations):
-    """Table 1 waits for no end-to-end design; those of table 3 wait for the imaging lenses that they start from, though
-    not for the PSF tails of these."""
+    """Table 1 needs no end-to-end design. Those of table 3 need the imaging lenses that they start from, but not
+    the PSF tails of these lenses."""
     study = load(ROOT / "config" / "config.yaml").model_copy(update={"tables": (made,)})
     contents = tables.table(study, made)
     if target == "verify":
-        found = needed(study, *job_of("verify", study).reads)
-        assert {job[1:] for job in found if job[0] == "reproduce"} == set(contents.measured)
+        jobs = needed(study, *job_of("verify", study).reads)
+        assert {job[1:] for job in jobs if job[0] == "reproduce"} == set(contents.measured)
     else:
         others = [path for name in TOLD for path in job_of(name, study).outputs.values()]
-        found = needed(study, *job_of("table", study, table=made).outputs.values(), *others)
+        jobs = needed(study, *job_of("table", study, table=made).outputs.values(), *others)
     expected = set(map("-".join, itertools.product(elements, designs)))
-    assert {job[1] for job in found if job[0] == "design"} == expected
-    assert {job[1] for job in found if job[0] == "reference"} == {"resnet"}
-    assert len({job for job in found if job[0] == "restore"}) == restorations
+    assert {job[1] for job in jobs if job[0] == "design"} == expected
+    assert {job[1] for job in jobs if job[0] == "reference"} == {"resnet"}
+    assert len({job for job in jobs if job[0] == "restore"}) == restorations
 
 
 @pytest.mark.parametrize("mapping", [tiny_study(), with_imported(), changed(tiny_study(), "seeds", [0, 7])])
 def test_what_a_job_reads_another_makes(mapping):
-    """Or it is a file of the user, or the paper's values; of the same seed, and never its own output."""
+    """Or it is a file of the user or the paper's values. Inputs have the same seed, and are never own outputs."""
     study = parse(mapping)
     jobs = list(every_job(study))
-    made = {path for _, job in jobs for path in job.outputs.values()}
-    assert len(made) == sum(len(job.outputs) for _, job in jobs)  # no two write one file
+    output_paths = {path for _, job in jobs for path in job.outputs.values()}
+    assert len(output_paths) == sum(len(job.outputs) for _, job in jobs)  # no two write one file
     for key, job in jobs:
         assert not set(job.reads) & set(job.outputs.values()), key
-        assert all(path in made or path.parts[0] != "results" for path in job.reads), key
+        assert all(path in output_paths or path.parts[0] != "results" for path in job.reads), key
         if "-seed" in job.log.stem:
             seeds = {part for path in job.reads for part in path.parts if part.startswith("seed")}
             assert seeds <= {f"seed{job.log.stem.rpartition('seed')[2]}"}, key
 
 
 def test_an_imported_lens_adds_rows_and_changes_no_other_job():
-    """It stands beside the imaging designs, last; nothing starts from it, and its own design reads no classifier."""
+    """It is listed last among imaging designs; nothing starts from it, and its own design reads no classifier."""
     before, after = slices(tiny_study()), slices(with_imported())
     rows = {("table", name) for name in ("table1", "table2", "table4")}
     tables_of_all = [f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances")]
@@ -225,7 +227,7 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
 
 
 def test_baselines_are_the_imaging_lenses_of_the_same_elements():
-    """An end-to-end design from imaging reads them and their accuracies of its own seed; no other design reads any."""
+    """Only an end-to-end design from imaging reads them and their accuracies, for its own seed."""
     study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
     expected = ("doublet-image_error", "doublet-imaging1", "doublet-imaging2")
     assert tables.starts(study, "doublet-end_to_end_from_imaging") == expected
@@ -240,7 +242,7 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
 
 
 def test_no_design_starts_from_a_lens_that_stops_light():
-    """Its apertures are opened in a start, and would make another lens of it."""
+    """A start has open apertures; without its apertures this would be another lens."""
     study = changed(tiny_study(), "designs.imaging2.vignetting", 0.3)
     assert tables.starts(parse(study), "singlet-end_to_end_from_imaging") == ("singlet-image_error", "singlet-imaging1")
     with pytest.raises(StudyError, match=r"'imaging2' is not one of .*, image_error, imaging1, end_to_end"):
@@ -255,7 +257,7 @@ JOINT = {
 
 
 def test_a_joint_design_starts_from_the_best_after_fine_tuning():
-    """It reads the accuracies of its candidates, one task-driven; a frozen one reads the lenses alone."""
+    """It reads the accuracies of its candidates, one of them task-driven; a frozen design reads only the lenses."""
     study = parse(changed(tiny_study(), "designs.joint", JOINT))
     expected = ("singlet-tasklens", "singlet-imaging2")
     inputs = job_of("design", study, lens="singlet-joint", seed=3).inputs
@@ -269,27 +271,27 @@ def test_a_joint_design_starts_from_the_best_after_fine_tuning():
 
 
 def test_a_joint_design_is_task_driven_unless_it_comes_from_flat_plates():
-    """From other lenses it is in every table and keeps the limits; from plates in table 3 alone, where it may fail."""
+    """From other lenses it is in every table and keeps the limits; from plates it is only in table 3 and may fail."""
     study = changed(tiny_study(), "designs.joint", JOINT)
     study = parse(changed(study, "designs.flat", JOINT | {"start": "flat", "descents": 2 * JOINT["descents"]}))
-    found = {name: tables.table(study, name).lenses for name in TABLES}
-    assert all("singlet-joint" in lenses for lenses in found.values())
-    assert [name for name, lenses in found.items() if "singlet-flat" in lenses] == ["table3"]
+    table_lenses = {name: tables.table(study, name).lenses for name in TABLES}
+    assert all("singlet-joint" in lenses for lenses in table_lenses.values())
+    assert [name for name, lenses in table_lenses.items() if "singlet-flat" in lenses] == ["table3"]
     constrained = tables.verification(study).constrained
     assert "singlet-joint" in constrained and "singlet-flat" not in constrained
-    claimed = {(claim.text, claim.lens, claim.baselines) for claim in claims.claims(study).claims}
-    assert (claims.OVER_START, "singlet-joint", ("singlet-tasklens", "singlet-imaging2")) in claimed
-    assert (claims.OVER_LEAST_SQUARES, "singlet-joint", ("singlet-imaging2",)) in claimed
-    assert not any("singlet-flat" in claim[1] for claim in claimed)
+    lens_claims = {(claim.text, claim.lens, claim.baselines) for claim in claims.claims(study).claims}
+    assert (claims.OVER_START, "singlet-joint", ("singlet-tasklens", "singlet-imaging2")) in lens_claims
+    assert (claims.OVER_LEAST_SQUARES, "singlet-joint", ("singlet-imaging2",)) in lens_claims
+    assert not any("singlet-flat" in claim[1] for claim in lens_claims)
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
-    """Other designs, tails and focal lengths to verify for doublets, which are no baselines of singlets then."""
+    """It changes designs, tails and verified focal lengths of doublets, which are then no baselines of singlets."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
-    found = {job for job in before if before[job] != after[job]}
+    changed_jobs = {job for job in before if before[job] != after[job]}
     doublets = {job for job in before if job[0] in ("design", "production") and job[1].startswith("doublet")}
-    assert found == doublets | {("psf_tail_table",), ("verdicts_table",), ("verify",), ("report_page",)}
+    assert changed_jobs == doublets | {("psf_tail_table",), ("verdicts_table",), ("verify",), ("report_page",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     efl_mm = tables.verification(both).efl_mm
     assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]
@@ -308,14 +310,14 @@ def test_a_rule_is_declared_in_one_piece(name):
     files = {*rule.input.keys(), *rule.output.keys()} | ({"benchmarks"} if name == "effort_table" else set())
     files |= {"optional", "drawn", "benchmarks"} if name == "report_page" else set()
     assert {*list(parameters)[1:]} - {"checkpoint"} == files
-    assert all(each.annotation is not each.empty for each in parameters.values())
+    assert all(parameter.annotation is not parameter.empty for parameter in parameters.values())
     assert bool(rule._restart_times) == ("checkpoint" in parameters)
     for path in [*rule.output, *rule.log, rule.benchmark]:
         assert {*re.findall(r"{(\w+)", str(path))} == rule.wildcard_names
 
 
 def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_path, monkeypatch):
-    """It is removed when the job ends; before, one of a job of the same name that computed something else."""
+    """The checkpoint is removed when the job ends; an old one of the same job with other settings is removed first."""
     monkeypatch.chdir(tmp_path)
     study, lens = parse(tiny_study()), "singlet-end_to_end_from_imaging"
     job = job_of("design", study, lens=lens, seed=4)
@@ -325,19 +327,22 @@ def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_p
     other, another = folder / f"design-{lens}-seed4-{16 * 'a'}.pt", folder / f"design-{lens}-seed40-{16 * 'a'}.pt"
     for path in (other, another):
         write(path, "")
-    given = {}
+    arguments = {}
 
     def work(settings: LensDesign, train: Sequence[Path], weights: Path | None, files: Sequence[Path],
              candidates: Sequence[Path], starts: Sequence[Path], metrics: Sequence[Path], lens: Path, history: Path,
              psf: Path, checkpoint: Checkpoint):  # fmt: skip
-        given.update(locals())
+        arguments.update(locals())
         write(checkpoint.path, "")
 
     monkeypatch.setattr("tasklens.jobs.design.run", work)
     job.run()
-    assert given["settings"] == tables.lens_design(study, lens, 4)
-    assert given["weights"] == Path("results/tiny/classifiers/reference/small.safetensors") and given["files"] == []
-    assert given["starts"] == [lens_file("tiny", name, 4) for name in tables.starts(study, lens)]
-    assert given["psf"] == lens_file("tiny", lens, 4, "psf.safetensors")
-    assert re.fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", given["checkpoint"].path.name)
+    assert arguments["settings"] == tables.lens_design(study, lens, 4)
+    assert (
+        arguments["weights"] == Path("results/tiny/classifiers/reference/small.safetensors")
+        and arguments["files"] == []
+    )
+    assert arguments["starts"] == [lens_file("tiny", name, 4) for name in tables.starts(study, lens)]
+    assert arguments["psf"] == lens_file("tiny", lens, 4, "psf.safetensors")
+    assert re.fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", arguments["checkpoint"].path.name)
     assert list(folder.iterdir()) == [another]

@@ -1,4 +1,4 @@
-"""`tasklens lens ...` as a person types it, on lenses of ours and of Zemax; what it writes, and how it complains."""
+"""`tasklens lens ...` as a user types it, on our lenses and on Zemax files: its output and its error messages."""
 
 import json
 import re
@@ -50,12 +50,12 @@ def computed(capsys, *arguments) -> dict:
 
 def test_show_says_what_a_lens_file_says_of_itself(capsys):
     figures = yaml.safe_load(DOUBLET.read_text())["figures"]
-    shown = computed(capsys, "show", DOUBLET, "--rays", figures["rays"])[str(DOUBLET)]
+    output = computed(capsys, "show", DOUBLET, "--rays", figures["rays"])[str(DOUBLET)]
     order = sorted(range(9), key=lambda field: figures["angle_deg"][field])
-    for key, values in shown["fields"].items():
+    for key, values in output["fields"].items():
         expected = [figures[key][order[k]] for k in (0, 4, 8)]
         assert values == pytest.approx(expected, rel=1e-9, abs=1e-9), key
-    assert "core_radius_um" in shown["fields"] and shown["materials"] == ["COC", "OKP4"]
+    assert "core_radius_um" in output["fields"] and output["materials"] == ["COC", "OKP4"]
     text = printed(capsys, "show", DOUBLET, "--rays", figures["rays"])
     assert text.startswith(f"{DOUBLET}: 2 elements, COC, OKP4\n") and f"{figures['efl_mm']:.3f} mm" in text
     core, eighty = (line for line in text.splitlines() if "% of the light" in line)
@@ -64,7 +64,7 @@ def test_show_says_what_a_lens_file_says_of_itself(capsys):
 
 
 def test_a_zemax_file_of_our_lens_has_its_figures(capsys):
-    """Its fields are angles, its pixels those of a study, as was said."""
+    """Fields are angles; the file has no pixels, so the command takes those of a study and reports it."""
     assert run("show", DOUBLET, SAME, *FEW, "--json") == 0
     output = capsys.readouterr()
     ours, theirs = json.loads(output.out).values()
@@ -93,32 +93,32 @@ def test_a_shifted_image_plane(file, capsys):
     Foci and image distance within 1e-6 um, the fourth point of the parabola within 1e-9 of the largest.
     """
     shifts = (-10.0, 0.0, 10.0, 20.0)
-    found = {shift: computed(capsys, "analyse", file, *FEW, "--focus", shift) for shift in shifts}
-    assert found[0.0] == computed(capsys, "analyse", file, *FEW)
+    analyses = {shift: computed(capsys, "analyse", file, *FEW, "--focus", shift) for shift in shifts}
+    assert analyses[0.0] == computed(capsys, "analyse", file, *FEW)
     for shift in shifts:
-        distance = found[0.0]["image_distance_mm"] + 1e-3 * shift
-        assert found[shift]["image_distance_mm"] == pytest.approx(distance, rel=0, abs=1e-9)
-        assert found[shift]["efl_mm"] == found[0.0]["efl_mm"]
+        distance = analyses[0.0]["image_distance_mm"] + 1e-3 * shift
+        assert analyses[shift]["image_distance_mm"] == pytest.approx(distance, rel=0, abs=1e-9)
+        assert analyses[shift]["efl_mm"] == analyses[0.0]["efl_mm"]
         for name in ("focus_tangential_um", "focus_sagittal_um"):
-            expected = numpy.array(found[0.0][name]) - shift
-            assert numpy.array(found[shift][name]) == pytest.approx(expected, rel=0, abs=1e-6)
-    a, b, c, d = (numpy.square(found[shift]["rms_centroid_um"]) for shift in shifts)
+            expected = numpy.array(analyses[0.0][name]) - shift
+            assert numpy.array(analyses[shift][name]) == pytest.approx(expected, rel=0, abs=1e-6)
+    a, b, c, d = (numpy.square(analyses[shift]["rms_centroid_um"]) for shift in shifts)
     assert d == pytest.approx(a - 3 * b + 3 * c, rel=0, abs=1e-9 * d.max())
     assert numpy.abs(c - b).min() > 1e-3
-    (shown,) = computed(capsys, "show", file, *FEW, "--focus", 20).values()
-    assert shown["fields"]["rms_centroid_um"][0] == pytest.approx(found[20.0]["rms_centroid_um"][0], rel=1e-12)
+    (output,) = computed(capsys, "show", file, *FEW, "--focus", 20).values()
+    assert output["fields"]["rms_centroid_um"][0] == pytest.approx(analyses[20.0]["rms_centroid_um"][0], rel=1e-12)
 
 
 def test_compare_fits_a_terminal(capsys):
-    """All lenses of a study in 120 columns, by names without folders."""
+    """Lenses of a study fit into 120 columns, named without folders."""
     files = [PUBLISHED / f"{name}.yaml" for name in ("quadruplet-image_contrast", "doublet-tasklens_joint")]
     rows = computed(capsys, "compare", *files, *FEW)
     text = printed(capsys, "compare", *files, *FEW)
     assert max(map(len, text.splitlines())) <= 120
     for path, row, line in zip(files, rows, text.splitlines()[1:3], strict=True):
         assert row["lens"] == str(path)
-        wanted = [path.stem, f"{row['rms_mean_um']:.2f}", f"{row['core_radius_mean_um']:.2f}"]
-        assert set(wanted) <= set(line.split())
+        cells = [path.stem, f"{row['rms_mean_um']:.2f}", f"{row['core_radius_mean_um']:.2f}"]
+        assert set(cells) <= set(line.split())
         assert row["core_radius_mean_um"] < row["radius_80_mean_um"]
         assert row["worst_margin"] == yaml.safe_load(path.read_text())["worst_margin"]["value"]
 
@@ -136,11 +136,11 @@ def test_lenses_of_one_name_are_told_apart(folder, capsys):
 
 
 def test_analyse_has_the_seidel_sums_by_surface(capsys):
-    found = computed(capsys, "analyse", PHONE, *FEW)
-    for name, total in found["seidel_um"].items():
-        assert sum(found["seidel_by_surface_um"][name]) == pytest.approx(total, rel=1e-9, abs=1e-9)
+    analysis = computed(capsys, "analyse", PHONE, *FEW)
+    for name, total in analysis["seidel_um"].items():
+        assert sum(analysis["seidel_by_surface_um"][name]) == pytest.approx(total, rel=1e-9, abs=1e-9)
     text = printed(capsys, "analyse", PHONE, *FEW)
-    assert text.startswith(f"# {PHONE}") and f"{found['efl_mm']:.4f}" in text and "core [um]" in text
+    assert text.startswith(f"# {PHONE}") and f"{analysis['efl_mm']:.4f}" in text and "core [um]" in text
 
 
 # ---- files
@@ -148,8 +148,8 @@ def test_analyse_has_the_seidel_sums_by_surface(capsys):
 
 def test_a_drawing_in_vectors(folder, capsys):
     assert run("draw", PHONE, "-o", "phone.svg", *FEW) == 0
-    drawn = (folder / "phone.svg").read_text()
-    assert "<svg" in drawn and "<path" in drawn and "tasklens: wrote phone.svg" in capsys.readouterr().err
+    svg = (folder / "phone.svg").read_text()
+    assert "<svg" in svg and "<path" in svg and "tasklens: wrote phone.svg" in capsys.readouterr().err
 
 
 def test_psfs_in_three_formats_are_one(folder):
@@ -161,8 +161,8 @@ def test_psfs_in_three_formats_are_one(folder):
     assert arrays["wavelengths_um"].tolist() == [0.6563, 0.5893, 0.4861] and arrays["pixel_pitch_um"] == 1.8
     tensors, _ = read_tensors(folder / "psf.safetensors")
     torch.testing.assert_close(tensors["psf"], torch.from_numpy(arrays["psf"]).float(), rtol=1e-6, atol=1e-9)
-    with Image.open("psf.png") as shown:  # the brightest pixel of each PSF is white in one colour
-        assert shown.mode == "RGB" and numpy.asarray(shown).max() == 255
+    with Image.open("psf.png") as image:  # the brightest pixel of each PSF is white in one colour
+        assert image.mode == "RGB" and numpy.asarray(image).max() == 255
 
 
 def test_one_field_and_all_nine(folder):
@@ -213,11 +213,11 @@ def test_nothing_is_overwritten_without_consent(folder, capsys):
         ("simulate", DOUBLET, "image.png", "-o", "there.jpg"),
         ("export", DOUBLET, "-o", "there.zmx"),
     ):
-        there = folder / arguments[-1]
-        there.write_text("mine")
+        path = folder / arguments[-1]
+        path.write_text("mine")
         assert run(*arguments) == 2
-        assert capsys.readouterr().err == f"tasklens: {there.name}: exists; --force overwrites it\n"
-        assert there.read_text() == "mine"
+        assert capsys.readouterr().err == f"tasklens: {path.name}: exists; --force overwrites it\n"
+        assert path.read_text() == "mine"
     assert run("export", DOUBLET, "-o", "there.zmx", "--force") == 0
     assert (folder / "there.zmx").read_text().startswith("VERS")
 
@@ -289,7 +289,7 @@ MISTAKES = [
 
 @pytest.mark.parametrize("arguments, words", MISTAKES, ids=[" ".join(map(str, a[:2])) + w[:12] for a, w in MISTAKES])
 def test_a_mistake_is_one_line_and_exit_status_2(folder, capsys, arguments, words):
-    """Which says what is wrong, where, and what to do; nothing is printed or written besides."""
+    """The line says what is wrong, where, and what to do; the command prints and writes nothing else."""
     bad_lenses(folder)
     before = sorted(folder.iterdir())
     assert run(*arguments) == 2
@@ -307,12 +307,12 @@ def test_a_wrong_option_or_command(capsys):
 
 
 def test_an_export_for_zemax_spares_a_catalogue_of_the_same_name(folder, capsys):
-    """A plastic that OpticStudio does not know goes into a catalogue beside the lens, which is said."""
+    """A plastic unknown to OpticStudio goes into a catalogue beside the lens; the command reports the catalogue."""
     mine = folder / "out.agf"
     mine.write_text("mine")
     assert run("export", DOUBLET, "-o", folder / "out.zmx") == 2
     assert "out.agf: exists" in capsys.readouterr().err and mine.read_text() == "mine"
     assert not (folder / "out.zmx").exists()
     assert run("export", DOUBLET, "-o", folder / "out.zmx", "--force") == 0
-    said = capsys.readouterr().err
-    assert "out.agf with OKP4" in said and "Glasscat" in said and "OKP4" in mine.read_text()
+    messages = capsys.readouterr().err
+    assert "out.agf with OKP4" in messages and "Glasscat" in messages and "OKP4" in mine.read_text()

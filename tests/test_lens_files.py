@@ -1,4 +1,4 @@
-"""Lenses from files as they are used: wavelengths, fields and objects as the file has them, and what is assumed."""
+"""Lenses from files as they are used: wavelengths, fields and objects from the file, and assumptions."""
 
 import math
 from dataclasses import replace
@@ -20,13 +20,13 @@ HEIGHTS = ((0.0, 0.0), (0.0, 18.2))
 
 def saved(tmp_path, **changes) -> lens_files.LensFile:
     """The Cooke triplet as a Zemax file with other data, as it is used."""
-    shown = Prescription(
+    lens_data = Prescription(
         cooke_triplet(),
         fields=("angle_deg", ((0.0, 0.0), (0.0, 20.0))),
         wavelengths_um=(0.4861, 0.5876, 0.6563),
         primary=1,
     )
-    zemax.write(tmp_path / "lens.zmx", replace(shown, **changes))
+    zemax.write(tmp_path / "lens.zmx", replace(lens_data, **changes))
     return lens_files.read(tmp_path / "lens.zmx")
 
 
@@ -64,7 +64,7 @@ def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
 
 
 def test_a_real_image_height_is_solved_without_clear_apertures(tmp_path):
-    """The chief ray of the field meets the image at the height, whatever clips it; what is dark is a remark."""
+    """The chief ray of the field meets the image at the height, whatever clips it; a dark field is a remark."""
     open_file = saved(tmp_path, fields=("real_image_height_mm", HEIGHTS))
     angle = float(torch.rad2deg(torch.atan(open_file.view.tangents.norm(dim=-1).max())))
     field = f64([[0.0, math.tan(math.radians(angle)) * open_file.view.efl]])
@@ -84,7 +84,9 @@ def test_a_lens_whose_only_field_is_the_axis(tmp_path):
     file = saved(tmp_path, fields=("angle_deg", ((0.0, 0.0),)))
     assert file.view.fields.tolist() == [[0.0, 0.0]] and "no field but the axis" in file.remarks[0]
     wide = lens_files.read(tmp_path / "lens.zmx", field_of_view_deg=40.0)
-    figures = [tasklens.analyse(each.lens, each.view, rays=256)["rms_centroid_um"][0] for each in (file, wide)]
+    figures = [
+        tasklens.analyse(lens_file.lens, lens_file.view, rays=256)["rms_centroid_um"][0] for lens_file in (file, wide)
+    ]
     assert figures[0] == pytest.approx(figures[1], rel=1e-12)
 
 
@@ -104,9 +106,9 @@ def test_assumptions_are_warnings_in_python(tmp_path):
 
 
 def test_a_near_object_is_where_a_lens_file_of_ours_has_it(tmp_path):
-    shown = Prescription(cooke_triplet(), object_distance_mm=300.0)
+    lens_data = Prescription(cooke_triplet(), object_distance_mm=300.0)
     view = View(f64([[0.0, 0.0], [0.0, 10.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
-    prescription.write(tmp_path / "lens.yaml", shown, tasklens.notebook.described(shown.lens, view, rays=64))
+    prescription.write(tmp_path / "lens.yaml", lens_data, tasklens.notebook.described(lens_data.lens, view, rays=64))
     assert lens_files.read(tmp_path / "lens.yaml").view.object_vergence == 1 / 300
 
 

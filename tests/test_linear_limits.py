@@ -39,21 +39,21 @@ def example(seed: int) -> tuple:
     lens = replace(lens, semi_diameter=f64([0.3, *[torch.inf] * 4]))
     fields = len(LOOKS.fields)
     ranges = [(-1, 1), (1, 2), (-0.2, 0.2), (-0.5, -0.3), (0.7, 0.9)]
-    return lens, uniform(0.2, 0.8, 5), torch.stack([uniform(*each, fields) for each in ranges])
+    return lens, uniform(0.2, 0.8, 5), torch.stack([uniform(*limits, fields) for limits in ranges])
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_values_are_those_of_the_limits(seed):
     lens, semi_diameter, chief = example(seed)
-    found = LinearLimits(lens, STRICT, LOOKS, semi_diameter, chief).values
+    actual = LinearLimits(lens, STRICT, LOOKS, semi_diameter, chief).values
     expected = of_autograd(lens, semi_diameter, chief)
     assert (expected > 0).double().mean() > 0.5 and (expected == 0).any()
-    torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(actual, expected, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_derivatives_are_those_of_autograd(seed):
-    """Along three random changes of everything at once."""
+    """Derivatives along three random changes of all parameters at once."""
     lens, semi_diameter, chief = example(seed)
     generator = torch.Generator().manual_seed(100 + seed)
     values = {"curvature": lens.curvature, "thickness": lens.thickness, "alpha": lens.alpha}
@@ -65,7 +65,7 @@ def test_derivatives_are_those_of_autograd(seed):
         semi_diameter, chief = values.pop("semi_diameter"), values.pop("chief")
         return of_autograd(replace(lens, **values), semi_diameter, chief)
 
-    found = LinearLimits(lens, STRICT, LOOKS, semi_diameter, chief).along(changes)
+    actual = LinearLimits(lens, STRICT, LOOKS, semi_diameter, chief).along(changes)
     for k in range(3):
         expected = torch.func.jvp(function, (values,), ({name: change[k] for name, change in changes.items()},))[1]
-        torch.testing.assert_close(found[:, k], expected, rtol=1e-10, atol=1e-11)
+        torch.testing.assert_close(actual[:, k], expected, rtol=1e-10, atol=1e-11)

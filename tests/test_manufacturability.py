@@ -41,14 +41,16 @@ def test_shape_of_an_asphere():
 
 def test_page_says_whether_it_can_be_made():
     """Limits first; then whether errors move the core by less than a pixel: 0.5 um at the tolerance, 0.2 on average."""
-    kept, violated = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
+    margins, violated = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
     calm, lively = {"radius 1": 0.3, "thickness 1": 0.4}, {"radius 1": 3.0, "thickness 1": 4.0}
     surfaces = shapes(asphere(0.4, 0.0))
-    page = manufacturability.markdown(kept, surfaces, calm, "precision_moulding", 1.8)
+    page = manufacturability.markdown(margins, surfaces, calm, "precision_moulding", 1.8)
     assert page.startswith("## Manufacturability\n") and "Within precision moulding: all limits are kept" in page
     assert "move by 0.2 um (RMS of many lenses)" in page and "thickness 1 (0.4 um)" in page
     assert "0.0200 mm" in page and "23.6" in page
-    assert "Needs tighter tolerances" in manufacturability.markdown(kept, surfaces, lively, "precision_moulding", 1.8)
+    assert "Needs tighter tolerances" in manufacturability.markdown(
+        margins, surfaces, lively, "precision_moulding", 1.8
+    )
     page = manufacturability.markdown(violated, surfaces, calm, "precision_moulding", 1.8)
     assert "Not manufacturable: it violates max slope by 0.03." in page
 

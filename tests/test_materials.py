@@ -251,7 +251,7 @@ def test_vacuum_is_a_medium():
 
 
 def test_every_glass_of_the_catalogues_has_indices_in_its_range():
-    """All above 1, which is air, but those of vacuum: one catalogue lists it, relative to air as every other medium."""
+    """Indices exceed 1, that of air, except for vacuum, which one catalogue lists relative to air."""
     for glasses in CATALOGUES.values():
         for glass in glasses.values():
             low, high = glass.range_um

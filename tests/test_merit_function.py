@@ -33,9 +33,9 @@ def test_modulation_is_that_of_gaussians():
     widths = [0.8, 1.5]
     k, squares = 2 * (numpy.pi * numpy.array(widths)[:, None]) ** 2, BANDS**2
     expected = -numpy.diff(numpy.exp(-k * squares)) / (k * numpy.diff(squares))
-    found = modulation(gaussians(widths))
-    numpy.testing.assert_allclose(found, expected, atol=0.025)
-    numpy.testing.assert_allclose(modulation(gaussians(widths) / 2), found / 2, rtol=1e-12)
+    actual = modulation(gaussians(widths))
+    numpy.testing.assert_allclose(actual, expected, atol=0.025)
+    numpy.testing.assert_allclose(modulation(gaussians(widths) / 2), actual / 2, rtol=1e-12)
     point = numpy.zeros((1, 3, KERNEL, KERNEL))
     point[..., 7, 30] = 1
     numpy.testing.assert_allclose(modulation(point), 1, rtol=1e-12)
@@ -44,30 +44,30 @@ def test_modulation_is_that_of_gaussians():
 def test_a_merit_function_is_found_again():
     """Losses made with weights: the same weights; without noise, to rounding; none is negative."""
     random = numpy.random.default_rng(0)
-    seen = random.uniform(0, 1, (40, len(BANDS) - 1))
+    modulations = random.uniform(0, 1, (40, len(BANDS) - 1))
     weights = numpy.array([0, 0, 3.0, 5.0, 0, 0.5, 0, 0])
-    merit = fit(seen, 1.2 - seen @ weights)
+    merit = fit(modulations, 1.2 - modulations @ weights)
     numpy.testing.assert_allclose(merit.weights, weights, atol=1e-9)
     assert merit.constant == pytest.approx(1.2, abs=1e-9)
-    wrong = fit(seen, 1.2 + seen @ weights)  # a loss that rises with the modulation
+    wrong = fit(modulations, 1.2 + modulations @ weights)  # a loss that rises with the modulation
     assert (wrong.weights >= 0).all()
 
 
 def test_a_lens_does_not_predict_itself():
-    """One lens whose losses are a hundred times too large: its prediction does not see that, that of others does."""
+    """One lens whose losses are a hundred times too large: its own prediction does not change, those of others do."""
     random = numpy.random.default_rng(1)
-    seen = random.uniform(0, 1, (40, len(BANDS) - 1))
+    modulations = random.uniform(0, 1, (40, len(BANDS) - 1))
     lenses = numpy.repeat(numpy.arange(4), 10)
-    log_loss = -seen.sum(1)
+    log_loss = -modulations.sum(1)
     spoiled = log_loss + 100 * (lenses == 2)
-    clean, found = (left_out(seen, each, lenses) for each in (log_loss, spoiled))
+    clean, predicted = (left_out(modulations, losses, lenses) for losses in (log_loss, spoiled))
     numpy.testing.assert_allclose(clean, log_loss, atol=1e-9)
-    numpy.testing.assert_allclose(found[lenses == 2], clean[lenses == 2], atol=1e-9)
-    assert (abs(found - clean)[lenses != 2] > 1).any()
+    numpy.testing.assert_allclose(predicted[lenses == 2], clean[lenses == 2], atol=1e-9)
+    assert (abs(predicted - clean)[lenses != 2] > 1).any()
 
 
 def planted(study) -> None:
-    """Files of Gaussian PSFs, and of losses with a weight of 4 in one band, another for each classifier."""
+    """Write files of Gaussian PSFs, and of losses with a weight of 4 in one band, a different one per classifier."""
     random = numpy.random.default_rng(2)
     contents = MeritFunctionJob.of(study).contents
     for lens in contents.lenses:
@@ -89,15 +89,15 @@ def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
     planted(study)
-    made = finish("merit_function_table", study)
-    rows = pandas.read_csv(made.csv).set_index("classifier")
+    paths = finish("merit_function_table", study)
+    rows = pandas.read_csv(paths.csv).set_index("classifier")
     for name, band in (("small", 2), ("other", 5)):
         weights = rows.loc[name].filter(like="to_")
         assert weights.idxmax() == f"to_{BANDS[band + 1]:g}" and weights.max() == pytest.approx(4, abs=0.1)
         assert rows.loc[name, "r2"] > 0.999
     assert rows.loc["small", "ranked_by_supervisor"] == pytest.approx(1, abs=1e-3)
     assert 0.9 < rows.loc["other", "ranked_by_supervisor"] <= 1
-    assert made.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in made.md.read_text()
+    assert paths.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in paths.md.read_text()
 
 
 def test_too_few_lenses_make_no_merit_function(tmp_path, monkeypatch):

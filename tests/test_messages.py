@@ -1,4 +1,4 @@
-"""What a person reads after a mistake in a study file: one sentence in words of the file, none of pydantic's."""
+"""Messages about mistakes in a study file: one sentence in the words of the file, not in those of pydantic."""
 
 import re
 
@@ -34,14 +34,14 @@ def test_the_file_and_all_its_mistakes_are_named(tmp_path, capsys):
 
 
 def keys(study: object, at: str = "") -> list[str]:
-    """All keys of a study at any depth, and numbers of entries of lists."""
+    """All keys of a study at any depth, and indices of list entries."""
     inner = study.items() if isinstance(study, dict) else enumerate(study) if isinstance(study, list) else ()
     return [key for name, value in inner for key in (f"{at}{name}", *keys(value, f"{at}{name}."))]
 
 
 @pytest.mark.parametrize("value", [None, True, -1, 1.5, "word", [], ["word"], {}, {"word": 1}, {3: 4}, [[1, 2], 3]])
 def test_no_inner_word_reaches_the_user(value):
-    """Whatever stands at whatever key of a study; most of it is refused."""
+    """Any value at any key of a study; most combinations are refused."""
     refused = 0
     for key in sorted({*Study.model_fields, *keys(tiny_study())}):
         try:

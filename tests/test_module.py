@@ -17,7 +17,7 @@ def one_lens() -> dict:
 
 @pytest.fixture
 def other(tmp_path):
-    """A folder with a workflow of somebody else, which uses ours as a module."""
+    """A folder with another workflow, which uses ours as a module."""
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(one_lens()))
 
     def write(prefix: str) -> list[str]:
@@ -41,39 +41,39 @@ def other(tmp_path):
 @pytest.mark.parametrize("prefix", ["", "lens_"])
 def test_another_workflow_uses_ours_as_a_module(tmp_path, other, prefix):
     """With and without a prefix; it runs to the table, in Snakemake's own words."""
-    done = snakemake(tmp_path, None, *other(prefix), "copy")
-    assert done.returncode == 0, done.stdout + done.stderr
+    result = snakemake(tmp_path, None, *other(prefix), "copy")
+    assert result.returncode == 0, result.stdout + result.stderr
     assert (tmp_path / "copy.csv").read_bytes() == (tmp_path / "results/tiny/tables/table1.csv").read_bytes()
-    assert f"rule {prefix}design:" in done.stderr and "Study tiny" not in done.stdout
+    assert f"rule {prefix}design:" in result.stderr and "Study tiny" not in result.stdout
     assert "Nothing to be done" in snakemake(tmp_path, None, *other(prefix), "copy").stderr
 
 
 def test_studies_by_their_names_in_one_run(tmp_path):
-    """Of `config` here, and those that come with the program; the configuration changes its own study alone."""
+    """Studies of the local `config` folder and of the package; the configuration changes only its own study."""
     (tmp_path / "config").mkdir()
     (tmp_path / "config/tiny.yaml").write_text(yaml.safe_dump(one_lens()))
     (tmp_path / "config/tiny2.yaml").write_text("{name: tiny2, extends: tiny, seeds: [0, 1]}")
-    here, smoke = parse(one_lens()), load(ROOT / "config" / "smoke.yaml")
+    local, smoke = parse(one_lens()), load(ROOT / "config" / "smoke.yaml")
     targets = ["results/tiny/report.html", "results/tiny2/tables/table1.csv", "results/smoke/images/train.npy"]
-    found = plan(tmp_path, None, *targets, "--config", "seeds=[4]")
-    both = expected(here)
-    assert found["design"] == 3 and found["images"] == 3 and found["fine_tune"] == 2 * 3
-    assert {rule: found[rule] for rule in ("report_page", "captures", "verdicts_table")} == {
+    jobs = plan(tmp_path, None, *targets, "--config", "seeds=[4]")
+    both = expected(local)
+    assert jobs["design"] == 3 and jobs["images"] == 3 and jobs["fine_tune"] == 2 * 3
+    assert {rule: jobs[rule] for rule in ("report_page", "captures", "verdicts_table")} == {
         rule: both[rule] for rule in ("report_page", "captures", "verdicts_table")
     }
     assert smoke.name == "smoke"
     assert plan(tmp_path, None, "table1", "--config", "study=tiny2", "seeds=[4, 5, 6]")["design"] == 3
-    status, said = forked(tmp_path, None, "--dry-run", "--config", "study=absent")
-    assert status != 0 and "absent.yaml: no such study" in said and "Traceback" not in said
+    status, output = forked(tmp_path, None, "--dry-run", "--config", "study=absent")
+    assert status != 0 and "absent.yaml: no such study" in output and "Traceback" not in output
     (tmp_path / "config/other.yaml").write_text("{name: another, extends: tiny}")
-    status, said = forked(tmp_path, None, "--dry-run", "results/other/report.html")
-    assert status != 0 and "name = another: expected other" in said
-    status, said = forked(tmp_path, one_lens(), "--dry-run", "--config", "study=tiny")
-    assert status != 0 and "expected one of them" in said
-    status, said = forked(tmp_path, None, "--dry-run", "results/absent/report.html")
-    assert status != 0 and "absent.yaml: no such study" in said
-    status, said = forked(tmp_path, None, "--dry-run", "results/tiny/lenses/singlet-nobody/seed0/lens.yaml")
-    assert status != 0 and "unknown lens 'singlet-nobody'; expected one of singlet-imaging1" in said
+    status, output = forked(tmp_path, None, "--dry-run", "results/other/report.html")
+    assert status != 0 and "name = another: expected other" in output
+    status, output = forked(tmp_path, one_lens(), "--dry-run", "--config", "study=tiny")
+    assert status != 0 and "expected one of them" in output
+    status, output = forked(tmp_path, None, "--dry-run", "results/absent/report.html")
+    assert status != 0 and "absent.yaml: no such study" in output
+    status, output = forked(tmp_path, None, "--dry-run", "results/tiny/lenses/singlet-nobody/seed0/lens.yaml")
+    assert status != 0 and "unknown lens 'singlet-nobody'; expected one of singlet-imaging1" in output
 
 
 @pytest.mark.parametrize("name", ["headline", "photographs"])

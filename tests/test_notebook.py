@@ -1,4 +1,4 @@
-"""What a notebook has: shapes, units, gradients, and help that can be read."""
+"""Functions for notebooks: shapes, units, gradients, and readable help."""
 
 import importlib.metadata
 import inspect
@@ -31,17 +31,17 @@ def test_importing_it_loads_nothing_heavy():
         "import sys, tasklens; heavy = 'torch', 'numba', 'pandas', 'pydantic'; print(set(heavy) & set(sys.modules))"
         "; print(set(tasklens.__all__) <= set(dir(tasklens))); print(tasklens.psf.__module__, 'torch' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["set()", "True", "tasklens.notebook.lenses True"]
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert process.stdout.splitlines() == ["set()", "True", "tasklens.notebook.lenses True"]
 
 
 @pytest.mark.parametrize("name", tasklens.__all__)
 def test_help_can_be_read(name):
-    """A sentence, what every argument is, an example; a wrong name is none."""
-    found = getattr(tasklens, name)
-    text = inspect.getdoc(found)
+    """Help has a sentence, every argument and an example; a wrong name is an AttributeError."""
+    member = getattr(tasklens, name)
+    text = inspect.getdoc(member)
     assert text.split("\n")[0].endswith((".", ";")) and f"tasklens.{name}(" in text
-    function = found if inspect.isfunction(found) else inspect.unwrap(tasklens.design.__call__)
+    function = member if inspect.isfunction(member) else inspect.unwrap(tasklens.design.__call__)
     for argument in inspect.signature(function).parameters:
         if argument not in ("lens", "view", "arguments", "keywords"):
             assert argument in text, argument
@@ -77,7 +77,7 @@ def test_traced_rays_arrive_where_first_order_optics_says(doublet):
 
 
 def test_gradient_of_traced_rays(doublet):
-    """Of the squared heights by all curvatures, against differences of five points."""
+    """Gradients of the squared heights by all curvatures, against differences of five points."""
     lens, view = doublet
     curvature = lens.curvature.clone()
 
@@ -97,15 +97,15 @@ def test_psfs_have_the_spots_that_analyse_measures(doublet):
     """The RMS radius of the light on the pixels, without their own second moment, is that of the rays [um]."""
     lens, view = doublet
     grid = tasklens.psf(lens, view)
-    found = tasklens.analyse(lens, view)
+    analysis = tasklens.analyse(lens, view)
     assert grid.shape == (9, 3, view.kernel_size, view.kernel_size)
-    assert grid.sum((-2, -1)).mean(1).tolist() == pytest.approx(found["energy_in_window"], abs=1e-3)
+    assert grid.sum((-2, -1)).mean(1).tolist() == pytest.approx(analysis["energy_in_window"], abs=1e-3)
     at = view.pixel_pitch * (torch.arange(view.kernel_size) - view.kernel_size // 2).to(grid.dtype)
     light = grid.sum(1) / grid.sum((1, 2, 3))[:, None, None]
     x, y = (light * at).sum((1, 2)), (light * at[:, None]).sum((1, 2))
     variance = (light * (at**2 + at[:, None] ** 2)).sum((1, 2)) - x**2 - y**2 - view.pixel_pitch**2 / 6
-    assert variance.sqrt().tolist() == pytest.approx(found["rms_centroid_um"], rel=0.1)
-    assert found["core_radius_um"][0] < found["radius_80_um"][0]
+    assert variance.sqrt().tolist() == pytest.approx(analysis["rms_centroid_um"], rel=0.1)
+    assert analysis["core_radius_um"][0] < analysis["radius_80_um"][0]
 
 
 def test_captures_are_of_the_same_image_by_file_array_or_tensor(doublet, tmp_path):
@@ -219,11 +219,11 @@ def test_a_typed_lens_that_cannot_be(surface, change, words):
 
 
 def test_a_notebook_shows_a_lens(doublet):
-    """Its cross-section, and a row for each surface; a figure in full on request."""
+    """The display has the cross-section and a row for each surface; `draw` makes a full figure."""
     lens, view = doublet
-    shown = lens._repr_html_()
-    assert shown.count("<tr>") == len(lens.media) + 1 and shown.count("<path") == 2 + 3 and "OKP4" in shown
-    assert "nan" not in shown and "inf" not in shown
+    html = lens._repr_html_()
+    assert html.count("<tr>") == len(lens.media) + 1 and html.count("<path") == 2 + 3 and "OKP4" in html
+    assert "nan" not in html and "inf" not in html
     assert len(tasklens.draw(lens, view, "mine", rays=64).get_children()) > 1
     assert tasklens.__version__ == importlib.metadata.version("tasklens")
 

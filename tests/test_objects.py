@@ -17,13 +17,13 @@ def rendered(count: int = 30, size: int = 64, seed: int = 0) -> objects.ObjectDa
 
 def test_scenes_hold_visible_objects():
     """One to four each, at least half of each seen, no pixel of two; all classes come up."""
-    found = rendered(80)
-    assert found.images.shape == (80, 3, 64, 64) and found.classes == scenes.CLASSES
-    numbers = torch.bincount(found.owner, minlength=80)
+    dataset = rendered(80)
+    assert dataset.images.shape == (80, 3, 64, 64) and dataset.classes == scenes.CLASSES
+    numbers = torch.bincount(dataset.owner, minlength=80)
     assert numbers.min() >= 1 and numbers.max() == object_scenes.MOST
-    assert set(found.labels.tolist()) == set(range(len(scenes.CLASSES)))
+    assert set(dataset.labels.tolist()) == set(range(len(scenes.CLASSES)))
     for image in range(80):
-        labels, masks = found.objects_of(image)
+        labels, masks = dataset.objects_of(image)
         assert len(labels) == len(masks) == numbers[image]
         assert masks.sum(0).max() == 1
         assert ((masks.sum((1, 2)) > 0.02 * 64**2) & (masks.sum((1, 2)) < 0.25 * 64**2)).all()
@@ -39,10 +39,10 @@ def test_scenes_depend_on_the_seed_only():
 
 def test_masks_are_where_the_texture_is():
     """A pixel inside differs from one outside by more detail: high frequencies of the image are those of objects."""
-    found = rendered(40)
-    grey = found.images.float().mean(1)
+    dataset = rendered(40)
+    grey = dataset.images.float().mean(1)
     detail = (grey - torch.nn.functional.avg_pool2d(grey[:, None], 5, 1, 2)[:, 0]).abs()
-    inside = torch.stack([found.objects_of(k)[1].any(0) for k in range(40)])
+    inside = torch.stack([dataset.objects_of(k)[1].any(0) for k in range(40)])
     assert detail[inside].mean() > 1.5 * detail[~inside].mean()
 
 
@@ -59,8 +59,8 @@ def test_the_map_of_classes_has_smaller_objects_on_top():
     masks = torch.zeros(2, 8, 8, dtype=torch.bool)
     masks[0, 1:3, 1:3] = True
     masks[1, 0:6, 0:6] = True
-    found = objects.semantic(torch.tensor([4, 0]), masks)
-    assert found[1, 1] == 5 and found[5, 5] == 1 and found[7, 7] == 0
+    class_map = objects.semantic(torch.tensor([4, 0]), masks)
+    assert class_map[1, 1] == 5 and class_map[5, 5] == 1 and class_map[7, 7] == 0
 
 
 def test_packed_masks_come_back():
@@ -69,14 +69,14 @@ def test_packed_masks_come_back():
 
 
 def test_files_hold_a_split(tmp_path):
-    found = rendered(10)
+    dataset = rendered(10)
     paths = tmp_path / "test.npy", tmp_path / "test.safetensors"
-    objects.write(found, *paths)
+    objects.write(dataset, *paths)
     again = objects.read(*paths)
-    assert again.classes == found.classes and len(again) == 10
+    assert again.classes == dataset.classes and len(again) == 10
     for name in ("images", "owner", "labels", "masks"):
-        assert torch.equal(getattr(again, name), getattr(found, name))
-    assert torch.equal(again.objects_of(3)[1], found.objects_of(3)[1]) and again.as_images().labels.tolist() == list(
+        assert torch.equal(getattr(again, name), getattr(dataset, name))
+    assert torch.equal(again.objects_of(3)[1], dataset.objects_of(3)[1]) and again.as_images().labels.tolist() == list(
         range(10)
     )
 
@@ -129,11 +129,11 @@ def coco_folder(folder, change=lambda content: None, size=(40, 32)):
 
 def test_a_folder_of_coco_is_read(tmp_path):
     """Images without objects and crowds are left out; masks are those of the central square, at the wanted size."""
-    found = coco.read(coco_folder(tmp_path), "val", 64, None, seed=0)
-    assert found.classes == ("dog", "cat") and len(found) == 2
-    assert sorted(torch.bincount(found.owner).tolist()) == [1, 2]
-    first = next(k for k in range(2) if len(found.objects_of(k)[0]) == 2)
-    labels, masks = found.objects_of(first)
+    dataset = coco.read(coco_folder(tmp_path), "val", 64, None, seed=0)
+    assert dataset.classes == ("dog", "cat") and len(dataset) == 2
+    assert sorted(torch.bincount(dataset.owner).tolist()) == [1, 2]
+    first = next(k for k in range(2) if len(dataset.objects_of(k)[0]) == 2)
+    labels, masks = dataset.objects_of(first)
     assert labels.tolist() == [1, 0]  # cat, dog
     # The square of 32 x 32 begins at column 4, and is doubled.
     assert objects.boxes(masks).tolist() == [[0, 8, 48, 40], [4, 20, 24, 40]]

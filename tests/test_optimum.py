@@ -1,4 +1,4 @@
-"""The test of a local optimum: on losses whose optimum is known, and on a lens that is none."""
+"""The test of a local optimum: on losses with a known optimum, and on a lens that is not an optimum."""
 
 from dataclasses import dataclass, replace
 
@@ -48,23 +48,23 @@ def examined(lens, target) -> Optimum:
 
 
 def test_the_bottom_of_a_bowl_is_an_optimum(feasible):
-    found = examined(feasible, feasible)
-    assert found.reached and found.gain <= 1e-9
+    result = examined(feasible, feasible)
+    assert result.reached and result.gain <= 1e-9
 
 
 def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):
-    """Rays 4 um beside their goal: of 0.5, 2 and 8 um, a step of 2 along the gradient wins most, (4^2 - 2^2) / 100."""
+    """Rays 4 um from their target: of 0.5, 2 and 8 um, a step of 2 along the gradient wins most, (4^2 - 2^2) / 100."""
     space = RaySpace(feasible, LOOKS, LIMITS)
     gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(3)).double()
     model = space.linearise(space.start)
     target = space.lens(space.start + model.step(model.metric @ (model.scale * gradient), 4.0, 0.1))
-    found = examined(feasible, target)
-    assert not found.reached and found.along == "gradient" and found.step_um == 2.0
-    assert 0.03 < found.gain < 0.2
+    result = examined(feasible, target)
+    assert not result.reached and result.along == "gradient" and result.step_um == 2.0
+    assert 0.03 < result.gain < 0.2
 
 
 def test_a_descent_that_was_cut_short_has_not_converged():
-    """By the spot: a lens of few steps from flat plates has far to go, and the same after many more has not."""
+    """By the spot, a lens after few steps from flat plates is far from its optimum; after many more steps it is not."""
     posed = replace(problem(), seed=0)
     supervisor, gains = Supervisor(SpotRadius(), posed, None, False, 36), []
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)

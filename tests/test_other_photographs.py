@@ -1,4 +1,4 @@
-"""Other photographs through the lenses of a study: what is classified correctly, and by how much one lens is better."""
+"""Other photographs through the lenses of a study: accuracies, and the advantage of one lens."""
 
 import importlib
 from pathlib import Path
@@ -36,7 +36,7 @@ def photographs(folder: Path) -> None:
 
 
 def test_a_perfect_lens_is_read_as_sharp_photographs_are(script, tmp_path, monkeypatch, capsys):
-    """A point as PSF changes no answer. Lenses that are not there yet are left out."""
+    """A PSF of one point changes no answer. Lenses without files are left out."""
     monkeypatch.chdir(tmp_path)
     photographs(tmp_path / "others")
     config = changed(tiny_study(), "classifiers.small.outputs", "all_imagenet")
@@ -52,20 +52,20 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(script, tmp_path, monke
         path = lens_file("tiny", f"singlet-{design}", name="psf.safetensors")
         path.parent.mkdir(parents=True)
         psf_files.write(path, FieldPsfs(psf, torch.ones(9)), {"fields_mm": [[0, 0]] * 9})
-    found = script.accuracies(study, Path("others"), ["singlet-tasklens", "singlet-imaging1", "singlet-imaging2"])
-    assert list(found) == ["sharp", "singlet-tasklens", "singlet-imaging2"]
-    assert all(frame.shape == (9, 1) for frame in found.values())
-    numpy.testing.assert_array_equal(found["sharp"], found["singlet-tasklens"])
+    by_lens = script.accuracies(study, Path("others"), ["singlet-tasklens", "singlet-imaging1", "singlet-imaging2"])
+    assert list(by_lens) == ["sharp", "singlet-tasklens", "singlet-imaging2"]
+    assert all(frame.shape == (9, 1) for frame in by_lens.values())
+    numpy.testing.assert_array_equal(by_lens["sharp"], by_lens["singlet-tasklens"])
     script.main(["study.yaml", "others", "--designs", "tasklens", "imaging2"])
     assert "| singlet-imaging2 | 1 |" in capsys.readouterr().out
 
 
 def test_the_advantage_is_that_over_the_other_lens(script):
-    """Of two seeds with 10 and 14 points more it is 12; with one seed, alike for each photograph, it has no width."""
+    """Two seeds with 10 and 14 points more give 12; one seed with equal differences gives an interval of no width."""
     other = pandas.DataFrame({0: numpy.linspace(0, 60, 40), 1: numpy.linspace(10, 70, 40)})
-    found = {"sharp": other[[0]], "doublet-task": other.add([10, 14]), "doublet-plain": other, "triplet-plain": other}
-    rows = {row[0]: row for row in script.rows(found, "task")}
+    by_lens = {"sharp": other[[0]], "doublet-task": other.add([10, 14]), "doublet-plain": other, "triplet-plain": other}
+    rows = {row[0]: row for row in script.rows(by_lens, "task")}
     assert rows["doublet-plain"][:3] == ("doublet-plain", 2, "35.0 ± 7.1")
     assert rows["doublet-plain"][3].startswith("+12.0 (") and rows["sharp"][3] == rows["triplet-plain"][3] == ""
-    one = {lens: frame[[0]] for lens, frame in found.items()}
+    one = {lens: frame[[0]] for lens, frame in by_lens.items()}
     assert script.rows(one, "task")[2] == ("doublet-plain", 1, "30.0", "+10.0 (+10.0 to +10.0)")

@@ -1,4 +1,4 @@
-"""A lens designed in Python for a module, images and a loss of one's own."""
+"""A lens designed in Python for the user's module, images and loss."""
 
 import pytest
 import timm
@@ -28,25 +28,25 @@ def images():
 @pytest.fixture(scope="module")
 def network(images):
     torch.manual_seed(0)
-    found = small_network(0)
-    fit({"network": found}, images, TrainingSettings(epochs=6, learning_rate=1e-2, batch_size=10), 0, "test")
-    found.zero_grad()
-    return found
+    classifier = small_network(0)
+    fit({"network": classifier}, images, TrainingSettings(epochs=6, learning_rate=1e-2, batch_size=10), 0, "test")
+    classifier.zero_grad()
+    return classifier
 
 
 def pairs(images):
-    """As a data set of torch has them, in floating point."""
+    """Pairs of an image in floating point and a label, as in a torch data set."""
     return [(image.float() / 255, label) for image, label in zip(images.images, images.labels.tolist(), strict=True)]
 
 
 def test_a_module_and_pairs_of_images_design_a_lens(images, network, capsys):
     """The same lens as for a data set of ours; the module and its gradients are as before."""
     before = {name: value.clone() for name, value in network.state_dict().items()}
-    made = [
-        tasklens.design("task", ["COC"], images=given, network=network, settings=QUICK, **SPEC)[0]
-        for given in (pairs(images), images)
+    lenses = [
+        tasklens.design("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)[0]
+        for data in (pairs(images), images)
     ]
-    assert torch.equal(made[0].curvature, made[1].curvature) and made[0].curvature.any()
+    assert torch.equal(lenses[0].curvature, lenses[1].curvature) and lenses[0].curvature.any()
     assert all(torch.equal(before[name], value) for name, value in network.state_dict().items())
     assert all(parameter.grad is None for parameter in network.parameters())
     assert "of 60 sharp images (guessing: 33.3%)" in capsys.readouterr().err
@@ -83,21 +83,21 @@ def test_what_cannot_be_used_is_refused_before_the_first_step(images, network, l
 
 def test_wrong_pairs_are_refused(network):
     good = (torch.rand(3, 32, 32), 0)
-    for given, words in (
+    for data, words in (
         ([good, (torch.rand(3, 30, 30), 1)], "images: expected one size"),
         ([good, (torch.rand(1, 32, 32), 1)], "images: number 1: expected a pair"),
         ([], "got none"),
         (7, "images: expected a folder, or pairs"),
     ):
         with pytest.raises(InputError, match=words):
-            tasklens.design("task", ["COC"], images=given, network=network, settings=QUICK, **SPEC)
+            tasklens.design("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
 
 
 def test_a_network_of_timm_keeps_its_normalisation(images):
     """As a module, as well as by its name."""
-    made = timm.create_model("test_resnet", num_classes=3)
-    found = Classifier(made)
-    assert found.mean.flatten().tolist() == pytest.approx(made.pretrained_cfg["mean"])
+    module = timm.create_model("test_resnet", num_classes=3)
+    classifier = Classifier(module)
+    assert classifier.mean.flatten().tolist() == pytest.approx(module.pretrained_cfg["mean"])
     assert Classifier(small_network(0)).std.flatten().tolist() == [1, 1, 1]
 
 
@@ -107,13 +107,13 @@ def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
     classifier = Classifier(timm.create_model("test_resnet", num_classes=3))
     fit({"network": classifier}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
-    named = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
-    lens, _, _ = tasklens.design("task", ["COC"], images=images, classifier=named, settings=QUICK, **SPEC)
+    by_name = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
+    lens, _, _ = tasklens.design("task", ["COC"], images=images, classifier=by_name, settings=QUICK, **SPEC)
     assert lens.curvature.any()
 
 
 def test_unused_outputs_of_a_module_that_is_not_of_timm():
-    """A module need not say how many outputs it has: those that are not used are of ImageNet's thousand."""
+    """A module does not declare its outputs: if only some are used, it has those of ImageNet's thousand classes."""
     network = nn.Linear(3, 1000)
     assert Classifier(network, torch.tensor([3, 7])).has_more_outputs
     assert not Classifier(network, torch.arange(1000)).has_more_outputs and not Classifier(network).has_more_outputs
@@ -121,7 +121,7 @@ def test_unused_outputs_of_a_module_that_is_not_of_timm():
 
 def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
     """Of the same start and number of steps; better or worse only if the interval says so."""
-    made = designs(
+    result = designs(
         "task",
         ["COC"],
         images=images,
@@ -130,10 +130,10 @@ def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
         baselines=("log_image_error", "correlation"),
         **SPEC,
     )
-    assert list(made.lenses) == ["log_image_error", "correlation", "task"]
-    assert not torch.equal(made.lenses["task"].curvature, made.lenses["correlation"].curvature)
-    words, ranking = verdict(made, random_images(30, 32, 3, seed=1))
-    assert {rank.lens for rank in ranking.ranks} == set(made.lenses)
+    assert list(result.lenses) == ["log_image_error", "correlation", "task"]
+    assert not torch.equal(result.lenses["task"].curvature, result.lenses["correlation"].curvature)
+    words, ranking = verdict(result, random_images(30, 32, 3, seed=1))
+    assert {rank.lens for rank in ranking.ranks} == set(result.lenses)
     accuracy = {rank.lens: rank.accuracy for rank in ranking.ranks}
     assert f"recognises {accuracy['task']:.1f} % through this lens" in words and "On 30 photographs" in words
     assert any(f"({name}, chosen on photographs" in words for name in BASELINES)

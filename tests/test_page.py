@@ -1,4 +1,4 @@
-"""The page of a study: what it says of verdicts, which values it marks, and what it lists as missing."""
+"""The page of a study: its sentences about verdicts, marked values and missing results."""
 
 import json
 
@@ -19,10 +19,10 @@ MARGINS = {OVER_END_TO_END: 0.5}
 
 def row(claim=OVER_IMAGE_QUALITY, difference=2.0, low=1.0, high=3.0, p=KNOWN, seeds=5, **changes) -> dict:
     """A row of the table of verdicts."""
-    said, reason = verdict(difference, low, high, p, seeds, MARGINS.get(claim, 0.0))
+    decision, reason = verdict(difference, low, high, p, seeds, MARGINS.get(claim, 0.0))
     keys = {"table": "table1", "claim": claim, "lens": "doublet-tasklens", "baseline": "doublet-image_error"}
     values = {"difference": difference, "low": low, "high": high, "p_holm": p, "seeds": seeds}
-    return keys | {"classifier": "small"} | values | {"verdict": said, "reason": reason} | changes
+    return keys | {"classifier": "small"} | values | {"verdict": decision, "reason": reason} | changes
 
 
 HOLDS, FAILS = row(), row(difference=-2.0, low=-3.0, high=-1.0)
@@ -84,7 +84,7 @@ def test_few_seeds_suggest(seeds, said, over):
 
 
 def test_a_study_without_claims_says_so():
-    assert [each.text for each in words.summary(pandas.DataFrame(columns=list(HOLDS)), {}, 1)] == [
+    assert [sentence.text for sentence in words.summary(pandas.DataFrame(columns=list(HOLDS)), {}, 1)] == [
         "The paper's claims are about no lenses of this study."
     ]
 
@@ -99,17 +99,17 @@ def test_answers_are_about_table_1_by_elements_in_the_order_of_the_questions():
             row(OVER_END_TO_END),
         ]
     )
-    found = words.answers(rows, ["doublet", "triplet", "singlet"], [OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES], MARGINS)
-    assert {name: len(sentences) for name, sentences in found.items()} == {"doublet": 2, "triplet": 1}
-    assert [each.text.rpartition(", ")[2] for each in found["doublet"]] == [
+    answers = words.answers(rows, ["doublet", "triplet", "singlet"], [OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES], MARGINS)
+    assert {name: len(sentences) for name, sentences in answers.items()} == {"doublet": 2, "triplet": 1}
+    assert [sentence.text.rpartition(", ")[2] for sentence in answers["doublet"]] == [
         "the best design by image error or contrast.",
         "the best design by least squares.",
     ]
 
 
 def test_fewer_elements_name_the_elements_of_the_other_lens():
-    found = words.comparison(row(FEWER_ELEMENTS, baseline="triplet-imaging2"), 0.0)
-    assert found.text.endswith("than triplet-imaging2, the best imaging design with more elements.")
+    sentence = words.comparison(row(FEWER_ELEMENTS, baseline="triplet-imaging2"), 0.0)
+    assert sentence.text.endswith("than triplet-imaging2, the best imaging design with more elements.")
 
 
 def test_convergence_names_what_has_not_converged():
@@ -141,12 +141,12 @@ def built() -> tables.Table:
 
 def cells(table: tables.Table, heading: str, paper: bool = False) -> list[tables.Cell]:
     """The cells of a column."""
-    own = [(column.words, column.paper) for column in table.columns].index((heading, paper))
-    return [row[own] for row in table.rows]
+    index = [(column.words, column.paper) for column in table.columns].index((heading, paper))
+    return [row[index] for row in table.rows]
 
 
 def test_the_best_of_the_same_elements_is_marked(built):
-    """Equal as shown are equal; neither the sharp images nor a lens alone is the best of anything."""
+    """Values equal after rounding tie; sharp images and a lens without competitors are never the best."""
     assert [cell.best for cell in cells(built, "accuracy")] == [False, True, True, False, False]
     assert [cell.best for cell in cells(built, "RMS spot")] == [False, False, True, False, False]  # the least
     assert not any(cell.best for cell in cells(built, "accuracy", paper=True))
@@ -192,6 +192,6 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     head = "image,label,lens,field,restored,classifier,answer,probability,psnr_db\n"
     rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
     write(tmp_path / "answers.csv", head + rows)
-    (found,) = captures.shown(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
-    assert [answer.right for answer in found.captures["lens", False][0].answers] == [True, False]
-    assert found.label == "7"
+    (example,) = captures.shown(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
+    assert [answer.right for answer in example.captures["lens", False][0].answers] == [True, False]
+    assert example.label == "7"

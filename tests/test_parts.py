@@ -1,4 +1,4 @@
-"""Parts of a study: what they hold, where their files are, and that their jobs come first."""
+"""Parts of a study: their content, their files, and the priority of their jobs."""
 
 import pytest
 from examples import tiny_study
@@ -49,8 +49,8 @@ def test_a_part_makes_its_own_tables_from_the_lenses_of_its_study():
     )
     assert {path.parts[:3] for path in table.reads if path.parts[0] == "results"} >= {("results", "tiny", "lenses")}
     for job in (table, page, captures):
-        made = {path.parts[:3] for path in job.outputs.values()}
-        assert made and all(parts[2] == "elements=singlet" for parts in made)
+        folders = {path.parts[:3] for path in job.outputs.values()}
+        assert folders and all(parts[2] == "elements=singlet" for parts in folders)
         lenses = [path for path in job.reads if "lenses" in path.parts or "images" in path.parts]
         assert lenses and not any("elements=singlet" in path.parts for path in lenses)
         assert not any("doublet" in str(path) for path in job.reads)

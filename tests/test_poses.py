@@ -26,8 +26,10 @@ CASES = {
 }
 
 
-def exact(found, expected, atol):
-    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+def exact(actual, expected, atol):
+    torch.testing.assert_close(
+        actual, torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual), rtol=0, atol=atol
+    )
 
 
 def posed(entry: dict, case: dict) -> Lens:
@@ -71,8 +73,8 @@ def test_rays_through_moved_surfaces(name):
         if "surface_points" in reference:
             expected = f64([[[float(v) for v in point] for point in ray] for ray in reference["surface_points"]])
             z = lens.vertices
-            found = [torch.stack([r.x[0], r.y[0], r.z[0] + z[i]], -1) for i, r in enumerate(record)]
-            exact(torch.stack(found, 1), expected, 1e-12)
+            points = [torch.stack([r.x[0], r.y[0], r.z[0] + z[i]], -1) for i, r in enumerate(record)]
+            exact(torch.stack(points, 1), expected, 1e-12)
 
 
 def random_pose(seed: int) -> Lens:
@@ -96,7 +98,7 @@ def test_the_kernel_traces_as_the_reference_does(seed):
 
 
 def test_nominal_poses_change_nothing():
-    """To rounding; and so does a move of the whole lens along with its rays, up to the image plane, which stays."""
+    """To rounding; moving the whole lens with its rays changes nothing either, up to the image plane, which stays."""
     lens, start = random_lens(1), random_rays(300, 1)
     indices = lens.refractive_indices(WAVELENGTHS)
     plain = trace(lens, start, indices)
@@ -141,11 +143,11 @@ def test_a_posed_lens_can_be_linearised():
     lens, start = random_pose(0), random_rays(40, 1)
     indices = lens.refractive_indices(WAVELENGTHS)
     change = torch.randn(5, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    found = linearise(lens, start, indices).derivative({"curvature": change[None]}).image[0][0]
+    actual = linearise(lens, start, indices).derivative({"curvature": change[None]}).image[0][0]
     expected = torch.func.jvp(
         lambda c: trace(replace(lens, curvature=c), start, indices).x, (lens.curvature,), (change,)
     )[1]
-    exact(found, expected, 1e-13)
+    exact(actual, expected, 1e-13)
 
 
 def test_a_lens_keeps_its_poses():

@@ -65,36 +65,36 @@ def random_prescription(seed: int) -> Prescription:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_round_trip_keeps_every_bit(tmp_path, seed):
-    shown, path = random_prescription(seed), tmp_path / "lens.yaml"
-    prescription.write(path, shown, {"origin": {"seed": seed}})
-    found, content = prescription.read(path)
-    assert same_bits(found.lens, shown.lens)
-    assert replace(found, lens=None) == replace(shown, lens=None)
+    original, path = random_prescription(seed), tmp_path / "lens.yaml"
+    prescription.write(path, original, {"origin": {"seed": seed}})
+    restored, content = prescription.read(path)
+    assert same_bits(restored.lens, original.lens)
+    assert replace(restored, lens=None) == replace(original, lens=None)
     assert content["origin"] == {"seed": seed}
     assert yaml.safe_load(path.read_text(encoding="utf-8")) == content
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_round_trip_of_a_design(tmp_path, seed):
-    """Denormals, negative zero and infinite apertures too; what is not known of its use stays unknown."""
+    """Denormals, negative zero and infinite apertures too; unknown data about the use of a lens stays unknown."""
     lens = random_lens(seed)
     lens.semi_diameter[1:] = lens.semi_diameter.new_tensor([1 / 3, math.pi, 1e-17, math.inf])
     lens.alpha[1] = lens.alpha.new_tensor([5e-324, -0.0, 1e22, 1e-7, 0.1 + 0.2])
     prescription.write(tmp_path / "lens.yaml", Prescription(lens), {})
-    found, _ = prescription.read(tmp_path / "lens.yaml")
-    assert same_bits(found.lens, lens)
-    assert replace(found, lens=None) == Prescription(None)
+    restored, _ = prescription.read(tmp_path / "lens.yaml")
+    assert same_bits(restored.lens, lens)
+    assert replace(restored, lens=None) == Prescription(None)
 
 
 def test_lens_without_aspheres(tmp_path):
     lens = make_lens([0.5, -0.5], [1.0, 2.0], ("COC", "air"), semi_diameter=[0.5, 1.0], stop=1)
     prescription.write(tmp_path / "lens.yaml", Prescription(lens), {})
-    found = prescription.read(tmp_path / "lens.yaml")[0].lens
-    assert found.alpha.shape == (2, 0) and found.stop == 1
+    restored = prescription.read(tmp_path / "lens.yaml")[0].lens
+    assert restored.alpha.shape == (2, 0) and restored.stop == 1
 
 
 def test_a_file_holds_the_dispersion_of_its_materials(tmp_path):
-    """It reads back where nobody knows the plastic, and an edited coefficient is taken."""
+    """The file reads back without the plastic's catalogue, and an edited coefficient takes effect."""
     mine = Material("MINE", "conrady", (1.5, 0.01, 0.002), (0.4, 0.8), "measured")
     content = prescription.to_dict(Prescription(make_lens([0.5, 0.1], [1.0, 2.0], (mine, "air"))))
     assert content["materials"] == {"MINE": mine.definition()}
@@ -221,7 +221,7 @@ def test_a_lens_with_inconsistent_shapes_is_refused():
 
 
 def test_figures_are_of_the_prescription_beside_them(tmp_path):
-    """A thickness edited under old figures is refused where these are read; the lens itself is still read."""
+    """A thickness edited under old figures is refused when these are read; the lens itself can still be read."""
     path = tmp_path / "lens.yaml"
     prescription.write(path, Prescription(random_lens(1)), {"figures": {"efl_mm": 3.0}})
     measured = Measurements({("a", 0): path}, {})

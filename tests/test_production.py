@@ -42,19 +42,19 @@ def line(tolerances: Grade) -> Production:
 
 def test_the_design_comes_first_and_errors_cost_sharpness():
     """Rows are those of lenses built by hand; the same seed gives the same lenses."""
-    made = line(Grade.model_validate("commercial_moulding"))
-    rows = production.built_lenses(made, 12, 5, IMAGES)
+    process = line(Grade.model_validate("commercial_moulding"))
+    rows = production.built_lenses(process, 12, 5, IMAGES)
     assert [row["lens"] for row in rows] == ["design", *range(12)] and rows[0]["focus_um"] == 0.0
-    assert rows[0] | {"lens": 0} == {"lens": 0} | made.measure(made.lens, IMAGES) | {"focus_um": 0.0}
+    assert rows[0] | {"lens": 0} == {"lens": 0} | process.measure(process.lens, IMAGES) | {"focus_um": 0.0}
     assert sum(row["rms_um"] for row in rows[1:]) / 12 > rows[0]["rms_um"]
-    assert rows == production.built_lenses(made, 12, 5, IMAGES)
-    assert rows[1:] != production.built_lenses(made, 12, 6, IMAGES)[1:]
+    assert rows == production.built_lenses(process, 12, 5, IMAGES)
+    assert rows[1:] != production.built_lenses(process, 12, 6, IMAGES)[1:]
     assert not any(row["failed"] for row in rows)
 
 
 def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
-    made = line(Grade.model_validate("commercial_moulding"))
-    whole = production.built_lenses(made, 4, 5, IMAGES)
+    process = line(Grade.model_validate("commercial_moulding"))
+    whole = production.built_lenses(process, 4, 5, IMAGES)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
     measured = []
     measure = Production.measure
@@ -67,17 +67,17 @@ def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Production, "measure", killed)
     with pytest.raises(KeyboardInterrupt):
-        production.built_lenses(made, 4, 5, IMAGES, Checkpoint(tmp_path / "half.ckpt"))
-    monkeypatch.setattr(Production, "measure", lambda *given: measured.append(given) or measure(*given))
-    assert production.built_lenses(made, 4, 5, IMAGES, Checkpoint(tmp_path / "half.ckpt")) == whole
+        production.built_lenses(process, 4, 5, IMAGES, Checkpoint(tmp_path / "half.ckpt"))
+    monkeypatch.setattr(Production, "measure", lambda *arguments: measured.append(arguments) or measure(*arguments))
+    assert production.built_lenses(process, 4, 5, IMAGES, Checkpoint(tmp_path / "half.ckpt")) == whole
     assert len(measured) == 5  # the design and four lenses, each once
 
 
 @pytest.mark.parametrize("kills", [4, 7, 10, 14])  # of 6 measurements of errors, and of 2 in each trial
 def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, monkeypatch, kills):
     """With the same numbers, and at most the measurements of one error or trial twice."""
-    made = line(Grade.model_validate("commercial_moulding"))
-    moved = displacements(made.lens, made.view, made.errors, 64)
+    process = line(Grade.model_validate("commercial_moulding"))
+    displacement_um = displacements(process.lens, process.view, process.errors, 64)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
     monkeypatch.setattr("tasklens.optics.tolerancing.allocation.YIELD", 0.5)  # of two lenses, one
     accuracy, calls, last = Production.accuracy, [], [math.inf]
@@ -89,8 +89,8 @@ def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, m
         return accuracy(self, lens, images)
 
     def measured(checkpoint):
-        changes = production.one_at_a_time(made, [0, 5, 2], 80.0, IMAGES, checkpoint)
-        return changes, production.allotted(made, moved, 2, 0, IMAGES, checkpoint).tolist()
+        changes = production.one_at_a_time(process, [0, 5, 2], 80.0, IMAGES, checkpoint)
+        return changes, production.allotted(process, displacement_um, 2, 0, IMAGES, checkpoint).tolist()
 
     monkeypatch.setattr(Production, "accuracy", counted)
     whole, once = measured(NO_CHECKPOINT), len(calls)
@@ -106,29 +106,29 @@ def test_a_lens_without_light_is_counted():
     """An aperture that is decentred by more than its width: captures are grey, and the lens has failed."""
     lens, view = doublet()
     lens = replace(lens, semi_diameter=f64([0.5, 0.6, 0.6, 0.8, 0.8]))
-    made = Production(lens, view, errors(lens, grade(element_decentre_um=1000.0)), PsfCamera, contrast)
-    rows = production.built_lenses(made, 20, 0, IMAGES)
+    process = Production(lens, view, errors(lens, grade(element_decentre_um=1000.0)), PsfCamera, contrast)
+    rows = production.built_lenses(process, 20, 0, IMAGES)
     failed = [row for row in rows if row["failed"]]
     assert 0 < len(failed) < 20 and not rows[0]["failed"]
-    found = tolerance_page.distribution(rows)
-    assert found["failed"] == len(failed) and found["built"] == 20
+    summary = tolerance_page.distribution(rows)
+    assert summary["failed"] == len(failed) and summary["built"] == 20
 
 
 def test_single_errors_and_allotted_tolerances():
-    """Of single errors the mean of both signs; with allotted tolerances few lenses lose more than a point."""
-    made = line(Grade.model_validate("commercial_moulding"))
-    at = [error.name for error in made.errors].index("element decentre 1 x")
-    nominal = made.measure(made.lens, IMAGES)["accuracy"]
-    found = production.one_at_a_time(made, [at], nominal, IMAGES)
-    along, peak = torch.zeros(len(made.errors), dtype=torch.float64), focus.peak(made.lens, made.view)
+    """A single error has the mean of both signs; with allotted tolerances few lenses lose more than a point."""
+    process = line(Grade.model_validate("commercial_moulding"))
+    at = [error.name for error in process.errors].index("element decentre 1 x")
+    nominal = process.measure(process.lens, IMAGES)["accuracy"]
+    changes = production.one_at_a_time(process, [at], nominal, IMAGES)
+    along, peak = torch.zeros(len(process.errors), dtype=torch.float64), focus.peak(process.lens, process.view)
     along[at] = 1.0
-    both = [made.accuracy(made.build(s * along, peak)[0], IMAGES)[0].mean() for s in (1, -1)]
-    assert found == {at: pytest.approx(float(sum(both)) / 2 - nominal)}
-    moved = displacements(made.lens, made.view, made.errors, 64)
-    tolerances_found = production.allotted(made, moved, 20, 0, IMAGES)
-    assert tolerances_found.min() < 1.0
-    drawn = draw(made.errors, 30, 11)
-    lost = [nominal - made.accuracy(made.build(tolerances_found * z, peak)[0], IMAGES)[0].mean() for z in drawn]
+    both = [process.accuracy(process.build(s * along, peak)[0], IMAGES)[0].mean() for s in (1, -1)]
+    assert changes == {at: pytest.approx(float(sum(both)) / 2 - nominal)}
+    displacement_um = displacements(process.lens, process.view, process.errors, 64)
+    allotted = production.allotted(process, displacement_um, 20, 0, IMAGES)
+    assert allotted.min() < 1.0
+    samples = draw(process.errors, 30, 11)
+    lost = [nominal - process.accuracy(process.build(allotted * z, peak)[0], IMAGES)[0].mean() for z in samples]
     assert sum(points > 1 for points in lost) <= 5
 
 
@@ -138,14 +138,14 @@ def distribution_of(*accuracies: float) -> list[dict]:
 
 
 def test_yields():
-    """Of a design of 90 %: 89.0 is within one point, 88.9 is not; 87 is within three."""
-    found = tolerance_page.distribution(distribution_of(90.0, 91.0, 89.0, 88.9, 87.0, 80.0))
-    assert (found["yield_1"], found["yield_3"]) == (40.0, 80.0)
-    assert found["accuracy"] == pytest.approx(87.18) and found["lost"] == pytest.approx(2.82)
+    """For a design with 90 %, 89.0 is within one point and 88.9 is not; 87 is within three."""
+    row = tolerance_page.distribution(distribution_of(90.0, 91.0, 89.0, 88.9, 87.0, 80.0))
+    assert (row["yield_1"], row["yield_3"]) == (40.0, 80.0)
+    assert row["accuracy"] == pytest.approx(87.18) and row["lost"] == pytest.approx(2.82)
 
 
 def test_who_tolerates_more(tmp_path):
-    """Differences of losses, paired by lens; two points less are shown by five seeds, and suggested by one."""
+    """Differences of losses, paired by lens; five seeds show two points less, one seed suggests them."""
     noise = torch.randn(200, generator=torch.Generator().manual_seed(0)).tolist()
     losses = {"a-task": [1 + v for v in noise], "a-imaging": [3 + v for v in noise], "a-same": [1 - v for v in noise]}
     paths = {}
@@ -154,36 +154,36 @@ def test_who_tolerates_more(tmp_path):
         pandas.DataFrame(distribution_of(90.0, *(90 - v for v in lost))).to_csv(path, index=False)
         paths |= {(name, seed): path for seed in range(5)}
     pairs = [("a-task", "a-imaging"), ("a-task", "a-same")]
-    found = tolerances.compare(paths, pairs, range(5))
-    assert found["difference"].tolist() == pytest.approx([-2.0, 2 * sum(noise) / 200])
-    assert found["verdict"][0] == "tolerates more"
-    found = tolerances.compare(paths, pairs, [0])
-    told = "suggests -2.0 points (-2.0 to -2.0 over built lenses, one seed)"
-    assert found["verdict"].tolist() == [told, "undecided"]
-    assert found["low"][0] == pytest.approx(-2.0) == found["high"][0]  # the noise is the same
+    comparison = tolerances.compare(paths, pairs, range(5))
+    assert comparison["difference"].tolist() == pytest.approx([-2.0, 2 * sum(noise) / 200])
+    assert comparison["verdict"][0] == "tolerates more"
+    comparison = tolerances.compare(paths, pairs, [0])
+    verdict = "suggests -2.0 points (-2.0 to -2.0 over built lenses, one seed)"
+    assert comparison["verdict"].tolist() == [verdict, "undecided"]
+    assert comparison["low"][0] == pytest.approx(-2.0) == comparison["high"][0]  # the noise is the same
     assert len(tolerances.compare(paths, [], [0])) == 0
 
 
 def test_a_study_makes_the_table_and_the_page_of_each_lens(tmp_path, monkeypatch):
     """From the stored lenses, PSFs and classifiers; the page names errors and tolerances for a drawing."""
     monkeypatch.chdir(tmp_path)
-    given = tiny_study() | {"tolerances": {"lenses": 10, "images": 10, "designs": ["imaging1", "imaging2"]}}
-    study = parse(given)
+    config = tiny_study() | {"tolerances": {"lenses": 10, "images": 10, "designs": ["imaging1", "imaging2"]}}
+    study = parse(config)
     finish("images", study)
     finish("reference", study, classifier="small")
     for lens in ("singlet-imaging1", "singlet-imaging2"):
         finish("design", study, lens=lens, seed=0)
         finish("fine_tune", study, lens=lens, measured_name="small", seed=0)
-        made = finish("production", study, lens=lens, seed=0)
-        assert len(read_rows(made.lenses)) == 11
-        said = outcome("production", [*map(str, vars(made).values())], Path("no.log"))
-        assert re.fullmatch(r"accuracy \d+\.\d %, of built lenses \d+\.\d %", said)
-        names = [row["error"] for row in read_rows(made.error_table)]
+        paths = finish("production", study, lens=lens, seed=0)
+        assert len(read_rows(paths.lenses)) == 11
+        message = outcome("production", [*map(str, vars(paths).values())], Path("no.log"))
+        assert re.fullmatch(r"accuracy \d+\.\d %, of built lenses \d+\.\d %", message)
+        names = [row["error"] for row in read_rows(paths.error_table)]
         assert "radius 1" in names and "element tilt 1 y" in names
-        page = Path(made.page).read_text()
+        page = Path(paths.page).read_text()
         assert page.startswith(f"# Tolerances of {lens}, seed 0\n") and "10 lenses were built" in page
         assert "precision moulding" in page and "on 10 images" in page
-    made = finish("tolerances_table", study)
-    rows = read_rows(made.csv)
+    paths = finish("tolerances_table", study)
+    rows = read_rows(paths.csv)
     assert [row["design"] for row in rows] == ["imaging1", "imaging2"] and {row["built"] for row in rows} == {"10"}
-    assert "Built lenses" in made.md.read_text() and "Do task-driven" not in made.md.read_text()
+    assert "Built lenses" in paths.md.read_text() and "Do task-driven" not in paths.md.read_text()

@@ -1,4 +1,4 @@
-"""Progress lines: when they come and what they forecast."""
+"""Progress lines: when they appear and what they forecast."""
 
 import time
 
@@ -9,7 +9,7 @@ from tasklens.runtime.progress import Progress
 
 @pytest.mark.parametrize("first", [1, 51])
 def test_what_remains_is_forecast_from_the_steps_of_this_run(first, monkeypatch, capsys):
-    """Two seconds a step, also where a job goes on from a checkpoint."""
+    """Two seconds a step, also if a job resumes from a checkpoint."""
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     progress = Progress("design", 100, interval=15.0)

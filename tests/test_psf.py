@@ -1,4 +1,4 @@
-"""PSFs from rays whose landing points are known, and from those of a lens."""
+"""PSFs from rays with known landing points, and from rays of a lens."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def pixels():
 
 
 def psf_of_a_lens(fields, pupil, pitch: float, kernel: int):
-    """Of a lens with random aspheres behind a stop, centred on its chief rays."""
+    """PSFs of a lens with random aspheres behind a stop, centred on its chief rays."""
     lens = replace(random_lens(0), semi_diameter=f64([0.3, *[torch.inf] * 4]))
     view = View(f64(fields), 1.0, WAVELENGTHS, pitch, kernel)
     return psf(trace_fields(lens, view, pupil), chief_points(lens, view), pitch, kernel)
@@ -43,7 +43,7 @@ def test_one_ray_is_shared_by_four_pixels():
 
 
 def test_energy_is_the_share_of_the_rays_inside():
-    """Rays inside the window, lost rays and rays far beside it: sum(PSF) counts the first of all launched."""
+    """Rays inside the window, lost rays and rays far outside: sum(PSF) is the share inside of all launched rays."""
     x, y = cloud(600, 0, 1.0).clamp(-3.9e-3 * PITCH, 3.9e-3 * PITCH)
     x[..., 200:300] += 1.0
     x[..., 300:350] = -1e30
@@ -75,7 +75,7 @@ def test_a_quarter_turn_of_the_rays_turns_the_psf():
 
 
 def test_a_quarter_turn_of_field_and_pupil_turns_the_psf():
-    """A lens of rotation does not know where up is: (x, y) -> (-y, x) in field and pupil."""
+    """A rotationally symmetric lens has no preferred direction: (x, y) -> (-y, x) in field and pupil."""
     fields, pupil = f64([[0.1, 0.05], [-0.02, 0.15]]), sobol_disc(256, seed=0)
     turn = f64([[0, 1], [-1, 0]])
     first, turned = (psf_of_a_lens(fields @ t, pupil @ t, 20.0, 21) for t in (torch.eye(2, dtype=torch.float64), turn))
@@ -84,7 +84,7 @@ def test_a_quarter_turn_of_field_and_pupil_turns_the_psf():
 
 
 def test_light_adds_up_to_one_over_all_space():
-    """What a small window misses a large one finds, and a window that holds every ray holds all of the light."""
+    """A large window contains light that a small one misses, and a window around all rays contains all light."""
     fields, pupil = [[0.0, 0.0], [0.1, 0.05]], sobol_disc(256, seed=0)
     inside = [psf_of_a_lens(fields, pupil, 20.0, kernel).sum((-2, -1)) for kernel in (11, 21, 101)]
     assert (inside[0] < inside[1]).all() and (inside[1] < inside[2]).all()

@@ -1,4 +1,4 @@
-"""Tables as people and programs read them."""
+"""Tables for people and for programs."""
 
 import math
 
@@ -20,23 +20,23 @@ TABLE = pandas.DataFrame(
 
 
 def test_numbers_are_rounded_by_the_longest_beginning_of_their_column():
-    shown = rounded(TABLE, {"": ".1f", "acc": ".2f", "accuracy_std": "+.3f", "seeds": ".0f", "lens": ".9f"})
-    assert shown["accuracy"].tolist() == ["71.26", "–", "60.00"]
-    assert shown["accuracy_std"].tolist() == ["+1.000", "+2.004", "+3.000"]
-    assert shown["seeds"].tolist() == ["5", "5", "1"]
+    table = rounded(TABLE, {"": ".1f", "acc": ".2f", "accuracy_std": "+.3f", "seeds": ".0f", "lens": ".9f"})
+    assert table["accuracy"].tolist() == ["71.26", "–", "60.00"]
+    assert table["accuracy_std"].tolist() == ["+1.000", "+2.004", "+3.000"]
+    assert table["seeds"].tolist() == ["5", "5", "1"]
 
 
 def test_what_is_no_number_stays_and_gaps_are_dashes():
-    shown = rounded(TABLE, {"": ".1f"})
-    assert shown["lens"].tolist() == ["a", "b", "–"]
-    assert shown["converged"].tolist() == [True, False, True]
-    assert shown["note"].tolist() == ["5.0", "–", "x"]
-    assert shown.columns.tolist() == TABLE.columns.tolist()
+    table = rounded(TABLE, {"": ".1f"})
+    assert table["lens"].tolist() == ["a", "b", "–"]
+    assert table["converged"].tolist() == [True, False, True]
+    assert table["note"].tolist() == ["5.0", "–", "x"]
+    assert table.columns.tolist() == TABLE.columns.tolist()
 
 
 def test_columns_without_a_format_keep_every_digit():
-    shown = rounded(TABLE, {"accuracy_std": ".1f"})
-    assert shown["accuracy"].tolist() == [71.256, "–", 60.0] and shown["seeds"].tolist() == [5, 5, 1]
+    table = rounded(TABLE, {"accuracy_std": ".1f"})
+    assert table["accuracy"].tolist() == [71.256, "–", 60.0] and table["seeds"].tolist() == [5, 5, 1]
 
 
 @pytest.mark.parametrize("value, shown", [(math.inf, "inf"), (-0.004, "-0.00"), (1e6, "1000000.00"), (math.nan, "–")])
@@ -53,8 +53,8 @@ def test_rounding_leaves_the_table_as_it_was():
 def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_markdown(tmp_path):
     csv, md = tmp_path / "new" / "t.csv", tmp_path / "new" / "t.md"
     publish(csv, md, "Title", TABLE, rounded(TABLE, {"": ".1f"}), "A note.")
-    found = pandas.read_csv(csv)
-    assert list(found) == list(TABLE) and found["accuracy"].tolist()[::2] == [71.256, 60.0]
+    frame = pandas.read_csv(csv)
+    assert list(frame) == list(TABLE) and frame["accuracy"].tolist()[::2] == [71.256, 60.0]
     lines = md.read_text().splitlines()
     assert lines[:2] == ["**Title**", ""] and lines[-2:] == ["", "A note."]
     body = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]

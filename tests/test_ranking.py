@@ -1,4 +1,4 @@
-"""Which lens for a network: order, groups and intervals; the sieve; the command, the page, and Python."""
+"""Ranking lenses for a network: order, groups and intervals; the sieve; the command, the page, and Python."""
 
 import shutil
 import sys
@@ -43,7 +43,7 @@ def predictions(count: int, seed: int, *accuracies: float) -> dict[str, pandas.D
 
 
 def test_the_order_is_that_of_the_accuracies():
-    """With the accuracy at each field, and the difference to the first lens."""
+    """A rank with the accuracy at each field, and the difference to the first lens."""
     correct = predictions(400, 0, 0.5, 0.9, 0.7)
     ranks = ranking.ranked(correct)
     assert [rank.lens for rank in ranks] == ["b", "c", "a"] and [rank.group for rank in ranks] == [1, 2, 3]
@@ -89,9 +89,9 @@ def test_what_the_sieve_may_have_missed():
     """A lens of less MTF was better by 5 points; the measured lens of the least MTF is 20 behind, then 3."""
     mtf = {"a": 0.9, "b": 0.8, "c": 0.5, "left": 0.4, "out": 0.3}
     ranks = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 70, 0, 0)]
-    said = ranking.sieve(ranks, mtf, ["left", "out"])
-    assert "left out 2 lenses, with a mean MTF of at most 0.40" in said and "by 5.0 points at most" in said
-    assert "20.0 points behind the first" in said and "would be a surprise" in said
+    sentence = ranking.sieve(ranks, mtf, ["left", "out"])
+    assert "left out 2 lenses, with a mean MTF of at most 0.40" in sentence and "by 5.0 points at most" in sentence
+    assert "20.0 points behind the first" in sentence and "would be a surprise" in sentence
     close = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 87, 0, 0)]
     assert "cannot be excluded" in ranking.sieve(close, mtf, ["left", "out"])
     assert ranking.sieve(ranks, mtf, []) is None
@@ -164,7 +164,7 @@ def build(num_classes):
 
 @pytest.mark.slow
 def test_a_function_of_ones_own_is_ranked_alike(here, capfd, monkeypatch):
-    """In the jobs of the workflow too: it loads its own weights, and has the accuracies of the network by its name."""
+    """The workflow's jobs can use it: it loads its own weights, and has the accuracies of the named network."""
     monkeypatch.setattr(sys, "path", sys.path[:])
     (here / "own_nets.py").write_text(FUNCTION)
     lenses = ("rank", "lenses/sharp.yaml", "lenses/Fast.2.yaml", *COMMAND[2:4], *SMALL, "--name")
@@ -176,9 +176,9 @@ def test_a_function_of_ones_own_is_ranked_alike(here, capfd, monkeypatch):
 
 @pytest.mark.slow
 def test_built_lenses_and_a_sieve(here, capfd):
-    """The two lenses of the most MTF are measured, and the first one is built in simulation."""
-    kept = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale", "--object", "100")
-    assert main([*COMMAND, *SENSOR, *kept]) == 0
+    """The two lenses of the highest MTF are measured, and the first one is built in simulation."""
+    options = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale", "--object", "100")
+    assert main([*COMMAND, *SENSOR, *options]) == 0
     output = capfd.readouterr().out
     table = pandas.read_csv("results/built/tables/ranking.csv")
     assert len(table) == 3 and table["built_lose"].notna().tolist() == [True, False, False]
@@ -233,7 +233,7 @@ def test_a_network_that_recognises_nothing_ranks_nothing(here, capsys):
 
 
 def test_names_of_lenses_in_a_study(tmp_path):
-    """Of small letters, digits and underscores, each once; files of one name have their folder in the title."""
+    """Unique names of small letters, digits and underscores; files of equal names have their folder in the title."""
     paths = [tmp_path / "a" / "Lens 1.zmx", tmp_path / "b" / "Lens 1.zmx", tmp_path / "c.zmx"]
     assert pipeline._name(paths[0], []) == "lens_1" and pipeline._name(paths[1], ["lens_1"]) == "lens_1_2"
     assert pipeline._title(paths[2], paths) == "c" and pipeline._title(paths[0], paths).endswith("a/Lens 1.zmx")
@@ -244,10 +244,10 @@ def test_ranking_in_python_agrees_with_the_command(here):
     network = timm.create_model("test_resnet", num_classes=3)
     network.load_state_dict(load_file("mine.safetensors"))
     lenses = {name: tasklens.load_lens(f"lenses/{name}.yaml") for name in ("sharp", "Fast.2")}
-    found = tasklens.rank(lenses, "photographs", network, size=32, limit=30)
-    assert set(found.table["lens"]) == set(lenses) and (found.table["accuracy"] > 40).all()
-    assert "<table" in found._repr_html_() and found.sentences
-    found.save("ranking.html", answer=["Mine."])
+    result = tasklens.rank(lenses, "photographs", network, size=32, limit=30)
+    assert set(result.table["lens"]) == set(lenses) and (result.table["accuracy"] > 40).all()
+    assert "<table" in result._repr_html_() and result.sentences
+    result.save("ranking.html", answer=["Mine."])
     assert "Mine." in (here / "ranking.html").read_text()
     pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
     assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
@@ -259,7 +259,7 @@ def test_ranking_in_python_agrees_with_the_command(here):
 
 
 def test_lenses_are_screened_for_a_sensor(here):
-    """Size and F-number of each stay; with `scaled`, a narrow one is enlarged until its field fills the sensor."""
+    """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
     paths = pipeline.lens_paths([here / "lenses"])
     assert [path.name for path in paths] == ["Fast.2.yaml", "narrow.yaml", "notes.yaml", "sharp.yaml", "sharp_too.zmx"]
     sensor = {"diagonal_mm": 1.0, "pixel_pitch_um": 4.0, "kernel_size": 15}

@@ -13,8 +13,10 @@ from tasklens.optics.tracing.trace import linearise, trace
 SEEDS = range(4)
 
 
-def exact(found, expected, atol):
-    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+def exact(actual, expected, atol):
+    torch.testing.assert_close(
+        actual, torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual), rtol=0, atol=atol
+    )
 
 
 PARAMETERS = ("curvature", "conic", "alpha", "thickness")
@@ -71,16 +73,16 @@ def test_linearised_rays_change_as_derivatives_say():
 
     rays, _, derivative = linearise(lens, start, indices)
     assert torch.equal(torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n]), image(values))
-    found = torch.stack(derivative(changes).image, 1)
+    image_changes = torch.stack(derivative(changes).image, 1)
     for i in range(3):
         expected = torch.func.jvp(image, (values,), ({k: v[i] for k, v in changes.items()},))[1]
-        exact(found[i], expected, 1e-11)
+        exact(image_changes[i], expected, 1e-11)
     alone = derivative({"conic": changes["conic"]}).image[0]
     exact(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).image[0], alone, 0.0)
 
 
 def test_threads_and_blocks_do_not_show():
-    """Ten thousand rays in one thread and in two, and in parts of no whole block: the same bits, sums to rounding."""
+    """Ten thousand rays in one thread and in two, and in parts that split a block: the same bits, sums to rounding."""
     lens, start = random_lens(2), random_rays(10_000, 3)
 
     def traced(first, last):
@@ -95,8 +97,8 @@ def test_threads_and_blocks_do_not_show():
         whole = traced(0, 10_000)
         parts = [traced(0, 777), traced(777, 10_000)]
         torch.set_num_threads(2)
-        for found, expected in zip(traced(0, 10_000), whole, strict=True):
-            exact(found, expected, 0.0)
+        for actual, expected in zip(traced(0, 10_000), whole, strict=True):
+            exact(actual, expected, 0.0)
     finally:
         torch.set_num_threads(threads)
     exact(torch.cat([part[0] for part in parts], -1), whole[0], 1e-15)
@@ -104,7 +106,7 @@ def test_threads_and_blocks_do_not_show():
 
 
 def test_a_lost_ray_carries_no_gradient():
-    """Of two rays the stop lets one through: the gradient of both their images is that of the one."""
+    """The stop passes one of two rays: the gradient of both image points equals that of the one."""
     lens = replace(random_lens(0), semi_diameter=f64([0.3, *[torch.inf] * 4]))
 
     def gradient(heights):

@@ -25,7 +25,7 @@ from tasklens.study.tables import lens_design
 
 @pytest.mark.parametrize("step_size", [0.5, 5.0])
 def test_a_step_moves_rays_by_its_size(start, step_size):
-    """In a random direction of descent: RMS displacement of the rays as asked for, and no way upward."""
+    """In a random direction of descent, the RMS displacement of rays is the step size, and the loss does not rise."""
     space = RaySpace(start.with_stop_scaled(0.3), LOOKS, NO_LIMITS)
     gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(0)).double()
     change = space.linearise(space.start).step(gradient, step_size, 0.1)
@@ -36,19 +36,19 @@ def test_a_step_moves_rays_by_its_size(start, step_size):
 
 @pytest.mark.parametrize("weight, held", [(SOFT, 5e-3), (HARD, 5e-5)])
 def test_a_gradient_holds_a_limit_violated_by_its_share_of_the_weight(weight, held):
-    """A loss that falls by 5 per mm beyond a limit: 5 / w of violation is where its steps oscillate about."""
+    """A loss that falls by 5 per mm beyond a limit: its steps oscillate about a violation of 5 / w."""
     identity, gradient = torch.eye(2, dtype=torch.float64), torch.tensor([-5.0, 0.0], dtype=torch.float64)
-    place, seen = torch.tensor([-0.01, 0.0], dtype=torch.float64), []
+    place, path = torch.tensor([-0.01, 0.0], dtype=torch.float64), []
     for _ in range(100):
         violated = place[:1] > 0
         model = LinearModel(1e6 * identity, identity[0] + identity[1], place[:1][violated], identity[:1][violated])
         place = place + model.step(gradient, 10.0, 0.1, weight)
-        seen.append(float(place[0]))
-    assert max(seen[50:]) == pytest.approx(held, rel=0.1)
+        path.append(float(place[0]))
+    assert max(path[50:]) == pytest.approx(held, rel=0.1)
 
 
 def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
-    """There lenses are judged, and there a descent ends; on its way it may pass outside."""
+    """Validation and the end of a descent use this size; on the way, a lens may violate limits."""
     weights, step = [], LinearModel.step
 
     def record(model, gradient, step_size, damping, weight):
@@ -79,22 +79,22 @@ def test_a_lens_is_brought_back_within_its_limits(start):
 
     repaired, clear = repair(lens, LOOKS, limits)
     assert worst(lens) < -0.019 and worst(repaired) > 0
-    moved = RaySpace(lens, LOOKS, NO_LIMITS).merit
-    before, after = (moved.residuals(each)[: moved.rays] for each in (lens, repaired))
+    merit = RaySpace(lens, LOOKS, NO_LIMITS).merit
+    before, after = (merit.residuals(item)[: merit.rays] for item in (lens, repaired))
     assert float((after - before).norm()) < 20
     assert worst_margin(manufacturing_margins(repaired, limits, clear))[1] > 0
-    kept, _ = repair(repaired, LOOKS, limits)
-    assert torch.equal(kept.curvature, repaired.curvature)
+    again, _ = repair(repaired, LOOKS, limits)
+    assert torch.equal(again.curvature, repaired.curvature)
 
 
 def test_a_lens_within_its_limits_stays_as_it_is(start):
-    """Also one that is nearer to them than descents aim at."""
+    """Also a lens closer to its limits than the margin that descents aim at."""
     lens, clear = repair(spot_lens(start), LOOKS, LIMITS)
     least = worst_margin(manufacturing_margins(lens, LIMITS, clear))[1]
     margin = float(manufacturing_margins(lens, LIMITS, clear)["min_centre_thickness"].min())
     thinnest = LIMITS.min_centre_thickness + margin - 1e-6
-    kept, _ = repair(lens, LOOKS, LIMITS.model_copy(update={"min_centre_thickness": thinnest}))
-    assert least > 0 and torch.equal(kept.thickness, lens.thickness) and torch.equal(kept.alpha, lens.alpha)
+    repaired, _ = repair(lens, LOOKS, LIMITS.model_copy(update={"min_centre_thickness": thinnest}))
+    assert least > 0 and torch.equal(repaired.thickness, lens.thickness) and torch.equal(repaired.alpha, lens.alpha)
 
 
 @pytest.mark.parametrize("limit", ["min_edge_thickness", "min_air_gap"])
@@ -106,8 +106,8 @@ def test_a_sharp_lens_stays_sharp_while_it_is_repaired(limit):
     limits = limits.model_copy(update={limit: getattr(limits, limit) + margin + 0.002})
     repaired, clear = repair(lens, view, limits)
     assert worst_margin(manufacturing_margins(repaired, limits, clear))[1] >= 0
-    rays = [trace_fields(each, view, sobol_disc(256, 0)) for each in (lens, repaired)]
-    before, after = (1e3 * rms_spot_radius(each, centroid(each)).mean() for each in rays)
+    rays = [trace_fields(item, view, sobol_disc(256, 0)) for item in (lens, repaired)]
+    before, after = (1e3 * rms_spot_radius(item, centroid(item)).mean() for item in rays)
     assert before < 1.6 and after < before + 0.1
 
 
@@ -122,29 +122,29 @@ def test_distortion_is_repaired_between_the_heights_of_the_merit_function():
 
     repaired, _ = repair(lens, view, limits)
     assert margin(lens) < -1e-4 and margin(repaired) > 0
-    rays = [trace_fields(each, view, sobol_disc(256, 0)) for each in (lens, repaired)]
-    before, after = (1e3 * rms_spot_radius(each, centroid(each)).mean() for each in rays)
+    rays = [trace_fields(item, view, sobol_disc(256, 0)) for item in (lens, repaired)]
+    before, after = (1e3 * rms_spot_radius(item, centroid(item)).mean() for item in rays)
     assert abs(float(after - before)) < 0.1
 
 
 @pytest.mark.parametrize("name", ["imaging1", "imaging2"])
 def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
-    """Whatever a method leaves a little broken, here an element 0.03 mm too thin."""
+    """Every method repairs small violations at the end, here an element 0.03 mm too thin."""
     study = parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}))
-    wanted = lens_design(study, f"doublet-{name}", 0)
+    settings = lens_design(study, f"doublet-{name}", 0)
     lens = spot_lens(start)
     margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
     thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
-    wanted = wanted.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
+    settings = settings.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
     monkeypatch.setattr(descents, "design", lambda *rest: (lens, {}, [], None))
     monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
-    _, notes, _ = methods.design(wanted, None, None, {}, {})
+    _, notes, _ = methods.design(settings, None, None, {}, {})
     assert notes["worst_margin"]["value"] > 0
-    assert methods.with_notes(lens, clear_semi_diameters(lens, LOOKS), wanted, {})[1]["worst_margin"]["value"] < -0.02
+    assert methods.with_notes(lens, clear_semi_diameters(lens, LOOKS), settings, {})[1]["worst_margin"]["value"] < -0.02
 
 
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
-    """By halves: far steps then break limits a little, which else would leave the lens without a meaning."""
+    """Steps are halved: long steps then violate limits only a little, instead of destroying the lens."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     far = DescentSettings(steps=12, pixels=(20, 20), step_size=5.0)
 

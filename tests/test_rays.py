@@ -68,19 +68,19 @@ def test_rays_are_straight_and_meet_the_surfaces(seed):
 def test_malus_and_dupin(seed):
     """Rays stay normal to their wavefronts: d(path) = n' d' . dp' - n d . dp for every change of the launch point."""
     lens, start = random_lens(seed), random_rays(50, seed)
-    refract_jvp = f64([0.6, -0.8])
+    shift = f64([0.6, -0.8])
 
     def image(x, y):
         rays = trace(lens, replace(start, x=x, y=y), lens.refractive_indices(WAVELENGTHS))
         return rays.x, rays.y, rays.path, rays.l, rays.m
 
     values, tangents = torch.func.jvp(
-        image, (start.x, start.y), (refract_jvp[0].expand_as(start.x), refract_jvp[1].expand_as(start.y))
+        image, (start.x, start.y), (shift[0].expand_as(start.x), shift[1].expand_as(start.y))
     )
     dx, dy, dpath = tangents[:3]
     valid = trace(lens, start, lens.refractive_indices(WAVELENGTHS)).valid
     assert valid.double().mean() > 0.9
-    residual = dpath - (values[3] * dx + values[4] * dy) + (start.l * refract_jvp[0] + start.m * refract_jvp[1])
+    residual = dpath - (values[3] * dx + values[4] * dy) + (start.l * shift[0] + start.m * shift[1])
     exact(residual[valid], 0.0, 1e-13)
 
 

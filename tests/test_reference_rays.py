@@ -1,4 +1,4 @@
-"""Rays traced to 40 digits by another program: those of tests/data, and all of them where ../shared is there."""
+"""Rays traced to 40 digits by another program: those of tests/data, and all of them if ../shared exists."""
 
 import json
 
@@ -13,7 +13,7 @@ from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace_full
 
 REFERENCE = SHIPPED / "reference" / "rays.json"
-ENTRIES = {  # by name, so that every lens is traced once: with more rays where there are more
+ENTRIES = {  # by name: every lens is traced once, with more rays if ../shared has more
     entry["name"]: entry
     for path in (REFERENCE, original_of(REFERENCE))
     if path.exists()
@@ -76,27 +76,27 @@ def test_rays(entry, dtype):
         rays, record = trace_full(lens, launch(*origin.T[:, None], *direction_cosines), indices)
         assert rays.valid.all()
         expected = torch.tensor(reference["image_xy"], dtype=torch.float64)
-        found = torch.stack([rays.x[0], rays.y[0]], -1).double()
-        torch.testing.assert_close(found, expected, rtol=0, atol=image)
-        found = torch.stack([rays.l[0], rays.m[0], rays.n[0]], -1).double()
+        actual = torch.stack([rays.x[0], rays.y[0]], -1).double()
+        torch.testing.assert_close(actual, expected, rtol=0, atol=image)
+        actual = torch.stack([rays.l[0], rays.m[0], rays.n[0]], -1).double()
         expected = torch.tensor(reference["image_direction"], dtype=torch.float64)
-        torch.testing.assert_close(found, expected, rtol=0, atol=direction)
+        torch.testing.assert_close(actual, expected, rtol=0, atol=direction)
         expected = torch.tensor(reference["optical_path"], dtype=torch.float64)
         torch.testing.assert_close(
             rays.path[0].double(), expected, rtol=1e-6 if dtype == torch.float32 else 0, atol=path
         )
         if "surface_points" in reference:
             expected = torch.tensor(reference["surface_points"], dtype=torch.float64)
-            found = torch.stack([torch.stack([r.x[0], r.y[0], r.z[0]], -1) for r in record], 1).double()
-            torch.testing.assert_close(found, expected, rtol=0, atol=image)
+            actual = torch.stack([torch.stack([r.x[0], r.y[0], r.z[0]], -1) for r in record], 1).double()
+            torch.testing.assert_close(actual, expected, rtol=0, atol=image)
 
 
 @pytest.mark.parametrize("entry", LENSES, ids=lambda e: e["name"])
 def test_paraxial(entry):
     lens = read(entry)
     for i, wavelength in enumerate(WAVELENGTHS):
-        found = paraxial(lens, wavelength)
-        assert float(found.efl) == pytest.approx(entry["paraxial"]["efl"][i], rel=0, abs=1e-10)
-        assert float(found.bfl) == pytest.approx(entry["paraxial"]["bfl"][i], rel=0, abs=1e-10)
+        first_order = paraxial(lens, wavelength)
+        assert float(first_order.efl) == pytest.approx(entry["paraxial"]["efl"][i], rel=0, abs=1e-10)
+        assert float(first_order.bfl) == pytest.approx(entry["paraxial"]["bfl"][i], rel=0, abs=1e-10)
         pupil = entry["paraxial"]["entrance_pupil_z"][i]
-        assert float(found.entrance_pupil_z) == pytest.approx(pupil, rel=0, abs=1e-10)
+        assert float(first_order.entrance_pupil_z) == pytest.approx(pupil, rel=0, abs=1e-10)

@@ -17,8 +17,10 @@ SEEDS = range(4)
 VALUES = ("x", "y", "z", "l", "m", "n", "path")
 
 
-def exact(found, expected, atol):
-    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
+def exact(actual, expected, atol):
+    torch.testing.assert_close(
+        actual, torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual), rtol=0, atol=atol
+    )
 
 
 def curved(seed: int) -> list[Surface]:
@@ -158,13 +160,13 @@ def test_a_surface_of_numbers_is_one_of_tensors():
     tensors = Surface(f64(0.2), f64(-0.5), f64([0.0, 0.01]), f64(1.0))
     assert torch.equal(numbers.sag(x, y), tensors.sag(x, y))
     start = random_rays(50, 2, height=1.5)
-    found, expected = (s.refract(s.intersect(start), 1.0, 1.5) for s in (numbers, tensors))
-    assert len(set(found.status.flatten().tolist())) > 1
-    assert torch.equal(found.status, expected.status)
-    exact(torch.cat([position(found), direction(found)]), torch.cat([position(expected), direction(expected)]), 1e-15)
+    actual, expected = (s.refract(s.intersect(start), 1.0, 1.5) for s in (numbers, tensors))
+    assert len(set(actual.status.flatten().tolist())) > 1
+    assert torch.equal(actual.status, expected.status)
+    exact(torch.cat([position(actual), direction(actual)]), torch.cat([position(expected), direction(expected)]), 1e-15)
 
 
-# ---- whole lenses, the fast tracer beside the reference
+# ---- whole lenses, the fast tracer compared with the reference
 
 
 def traced(lens: Lens, start: Rays) -> tuple[Rays, Rays]:
@@ -240,7 +242,7 @@ def test_a_ray_that_misses_stays_at_the_stop_before(tracer):
 
 
 def parameters(lens: Lens, start: Rays) -> dict[str, torch.Tensor]:
-    """What a trace can be differentiated by: the lens, the indices, and where rays start."""
+    """Inputs with derivatives: the lens, the indices, and the start of the rays."""
     values = {name: getattr(lens, name) for name in ("curvature", "conic", "alpha", "thickness")}
     return values | {"indices": lens.refractive_indices(WAVELENGTHS)} | {k: getattr(start, k) for k in VALUES}
 
@@ -267,15 +269,15 @@ def test_gradients(name):
     values = parameters(lens, start)
 
     def combined(values, tracer):
-        found = outputs_of(tracer, lens, start, values)
-        return (random_like(found, 5) * found).sum()
+        result = outputs_of(tracer, lens, start, values)
+        return (random_like(result, 5) * result).sum()
 
-    found, expected = (torch.func.grad(combined)(values, tracer) for tracer in (trace, reference_trace))
+    result, expected = (torch.func.grad(combined)(values, tracer) for tracer in (trace, reference_trace))
     for key in values:
         if values[key].numel():  # the triplet has no alpha
             scale = float(expected[key].abs().max())
             assert scale > 0
-            exact(found[key], expected[key], 1e-10 * scale)
+            exact(result[key], expected[key], 1e-10 * scale)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "steep" else n for n in DERIVED])
@@ -287,8 +289,8 @@ def test_forward_mode(name):
     for changing in (*lens_and_indices, VALUES):
         tangents = {k: random_like(v, i) * (k in changing) for i, (k, v) in enumerate(values.items())}
 
-        found, expected = (
+        actual, expected = (
             torch.func.jvp(partial(outputs_of, tracer, lens, start), (values,), (tangents,))[1]
             for tracer in (trace, reference_trace)
         )
-        exact(found, expected, 1e-10 * float(expected.abs().max()))
+        exact(actual, expected, 1e-10 * float(expected.abs().max()))

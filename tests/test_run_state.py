@@ -1,4 +1,4 @@
-"""What a run shows while it goes on: its state in files, the lines of the terminal, and what `status` says of it."""
+"""Display of a run in progress: its state in files, the lines of the terminal, and the output of `status`."""
 
 import json
 import logging
@@ -64,10 +64,10 @@ def test_the_state_of_a_run_is_read_as_it_was_written(place):
     run.begin("design/0")
     run.end("design/0", runs.DONE, 3.5, "RMS spot 2.0 um")
     run.begin("design/1")
-    run.begin("images")  # of another run: nobody asked for it
-    found = runs.read(place / FOLDER)
-    assert found.jobs == run.jobs and found.is_alive and found.pid == os.getpid()
-    assert [found.labels(state) for state in (runs.DONE, runs.RUNNING, runs.WAITING)] == [
+    run.begin("images")  # a job of another run, not part of this one
+    read_run = runs.read(place / FOLDER)
+    assert read_run.jobs == run.jobs and read_run.is_alive and read_run.pid == os.getpid()
+    assert [read_run.labels(state) for state in (runs.DONE, runs.RUNNING, runs.WAITING)] == [
         ["design/0"],
         ["design/1"],
         ["table/0"],
@@ -78,7 +78,10 @@ def test_the_state_of_a_run_is_read_as_it_was_written(place):
 
 
 def test_the_time_left_adds_up(place):
-    """Two designs of 100 s and a table of 4 s on two cores: 102 s; unknown stages are more; none known says nothing."""
+    """Two designs of 100 s and a table of 4 s on two cores: 102 s.
+
+    Unknown stages take longer than that; if no stage is known, there is no forecast.
+    """
     run = run_of(design=2, table=1)
     assert runs.headline([(run, durations())]) == "0 of 3 jobs"
     benchmark("table/a", 4)
@@ -94,7 +97,7 @@ def test_the_time_left_adds_up(place):
 
 
 def test_the_longest_running_job_keeps_the_others_waiting(place):
-    """What remains cannot be less than what one job still takes by its own progress."""
+    """The time left is at least the time left of any single job by its own progress."""
     run = run_of(design=1)
     run.begin("design/0")
     write(f"{FOLDER}/progress/design/0.json", json.dumps({"updated": time.time() - 10, "remaining_s": 310.0}))
@@ -118,16 +121,16 @@ def test_a_running_job_says_how_far_it_is(place, monkeypatch):
             clock[0] += 20.0
             progress(step, loss=0.123456)
         assert run.describe("design/0", durations()) == "design 0  descent 1, lens 1 of 2 4/10  loss 0.1235  2 min left"
-        Progress("descent 2", 3)(1)  # of the next phase nothing is known yet
+        Progress("descent 2", 3)(1)  # the next phase has no duration yet
         clock[0] += 5.0
-        found = run.progress("design/0")
-        assert (found["pid"], found["host"]) == (os.getpid(), socket.gethostname())
+        report = run.progress("design/0")
+        assert (report["pid"], report["host"]) == (os.getpid(), socket.gethostname())
     assert run.progress("design/0") is None
     assert not [path for path in (place / FOLDER / "progress").rglob("*") if path.is_file()]
 
 
 def test_a_job_that_fails_leaves_no_progress(place, capsys):
-    """And its log has the progress lines as ever."""
+    """Its log still has the progress lines."""
     with pytest.raises(ZeroDivisionError), progress_file.progress_file(FOLDER, DESIGN):
         Progress("design", 2)(1, loss=0.5)
         raise ZeroDivisionError
@@ -136,7 +139,7 @@ def test_a_job_that_fails_leaves_no_progress(place, capsys):
 
 
 def test_a_silent_job_is_told(place):
-    """Nothing for ten minutes, of a job that should report: perhaps its machine has died."""
+    """A job that should report and has not for ten minutes: its machine may have died."""
     run = run_of(design=1)
     run.begin("design/0")
     state = {"updated": time.time() - 600, "phase": "descent 2", "step": 1, "total": 3, "values": {}}
@@ -177,13 +180,13 @@ class Snakemake:
 
 @pytest.fixture
 def snakemake(place):
-    made = Snakemake()
-    yield made
-    made.terminal.close()
+    fake = Snakemake()
+    yield fake
+    fake.terminal.close()
 
 
 def test_a_finished_job_has_one_line(snakemake, capsys):
-    """What, how long, and what came out; nothing else that Snakemake says of it."""
+    """Job, duration and result; none of Snakemake's own lines about the job."""
     snakemake.begin()
     snakemake.say("Building DAG of jobs...")
     snakemake.job("job_info", 7, TUNE)
@@ -201,7 +204,7 @@ def test_a_finished_job_has_one_line(snakemake, capsys):
 
 
 def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
-    """The last lines, where the rest is, and that it is tried again; `status` has the last line too."""
+    """The last lines, the path of the log, and the retry; `status` has the last line too."""
     snakemake.begin()
     log = [f"line {k}" for k in range(40)] + ["", "tasklens: lens.yaml: no such file"]
     write(f"{FOLDER}/logs/{DESIGN}.log", "\n".join(log) + "\n")
@@ -230,15 +233,17 @@ def test_a_job_without_a_log_says_why(snakemake, capsys):
 
 
 def test_a_job_ended_by_the_user_has_not_failed(snakemake, capsys):
-    """Ctrl-C ends the jobs that run: they wait for the next run, and nothing is called a failure."""
+    """Ctrl-C ends the jobs that run: they wait for the next run, and none counts as failed."""
     snakemake.begin()
     snakemake.job("job_info", 3, DESIGN)
     snakemake.say("Terminating processes on user request, this might take some time.")
     snakemake.job("job_error", 3, DESIGN, logging.ERROR)
     assert capsys.readouterr().err.splitlines()[1:] == ["stopped  design singlet-imaging1-seed0"]
     assert runs.read(Path(FOLDER)).labels(runs.WAITING) == [DESIGN, TUNE]
-    said = closing.failure(snakemake.terminal.runs)
-    assert "FAILED" not in said and "--keep-going" not in said and "The same command goes on from here." in said
+    message = closing.failure(snakemake.terminal.runs)
+    assert (
+        "FAILED" not in message and "--keep-going" not in message and "The same command goes on from here." in message
+    )
 
 
 def test_warnings_are_shown_and_chatter_is_not(snakemake, capsys):
@@ -254,13 +259,13 @@ def test_warnings_are_shown_and_chatter_is_not(snakemake, capsys):
 
 def test_a_finished_study_says_where_its_results_are(snakemake, capsys):
     snakemake.say("Nothing to be done (all requested files are present and up to date).")
-    said = capsys.readouterr().err
-    assert said.startswith("Nothing to be done.") and f"Results: {FOLDER}/" in said
+    output = capsys.readouterr().err
+    assert output.startswith("Nothing to be done.") and f"Results: {FOLDER}/" in output
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {"handler": "SomeOtherHandler"}])
 def test_who_wants_other_words_gets_no_lines_of_ours(place, capsys, options):
-    """With `--quiet` or another logger; the state is kept all the same."""
+    """With `--quiet` or another logger; the state is still saved."""
     snakemake = Snakemake(**options)
     snakemake.begin()
     snakemake.terminal.console.print("not shown")
@@ -272,7 +277,7 @@ def test_who_wants_other_words_gets_no_lines_of_ours(place, capsys, options):
 
 
 def test_what_cannot_be_shown_does_not_end_the_run(snakemake, monkeypatch, capsys):
-    """A finished job whose files are broken is finished all the same."""
+    """A finished job with broken files is still finished."""
     monkeypatch.setattr(logging, "raiseExceptions", False)
     snakemake.begin()
     snakemake.job("job_info", 3, DESIGN)
@@ -289,9 +294,9 @@ def test_status_says_what_runs(place, capsys):
     run.begin("design/1")
     out = status(capsys)
     assert out.splitlines() == ["tiny: 0 of 2 jobs", "  design 1  starting"]
-    found = json.loads(status(capsys, "--json"))
-    assert found["alive"] is True and found["jobs"]["design/1"]["state"] == "running"
-    assert found["progress"] == {"design/1": None}
+    report = json.loads(status(capsys, "--json"))
+    assert report["alive"] is True and report["jobs"]["design/1"]["state"] == "running"
+    assert report["progress"] == {"design/1": None}
 
 
 def test_status_of_an_ended_run(place, capsys):
@@ -303,7 +308,7 @@ def test_status_of_an_ended_run(place, capsys):
 
 
 def test_status_of_a_killed_run_says_how_to_go_on(place, capsys):
-    """Its process is no more; a run of another machine may go on, as far as can be known here."""
+    """Its process has ended; a run on another machine counts as running, since this one cannot know."""
     run = run_of(design=2)
     process = subprocess.Popen(["true"])
     process.wait()

@@ -8,16 +8,16 @@ from tasklens.recognition import object_scenes, objects
 from tasklens.recognition.scores import Detections, average_precision, encoded, mean_iou
 
 
-def boxes(*given):
-    return torch.tensor(given, dtype=torch.float32).reshape(-1, 4)
+def boxes(*corners):
+    return torch.tensor(corners, dtype=torch.float32).reshape(-1, 4)
 
 
-def true(*given, labels=None):
-    return Detections(boxes(*given), torch.tensor(labels or [0] * len(given)))
+def true(*corners, labels=None):
+    return Detections(boxes(*corners), torch.tensor(labels or [0] * len(corners)))
 
 
-def found(*given, scores, labels=None):
-    return Detections(boxes(*given), torch.tensor(labels or [0] * len(given)), torch.tensor(scores))
+def found(*corners, scores, labels=None):
+    return Detections(boxes(*corners), torch.tensor(labels or [0] * len(corners)), torch.tensor(scores))
 
 
 def test_mean_iou_by_hand():
@@ -42,13 +42,13 @@ def test_half_of_the_objects():
 
 
 def test_overlaps_count_step_by_step():
-    """An overlap of 8 of 10 rows: IoU 0.8, which seven of ten thresholds, 0.50 to 0.80, take."""
+    """An overlap of 8 of 10 rows: IoU 0.8, accepted by seven of ten thresholds, 0.50 to 0.80."""
     near = average_precision([found([0, 0, 10, 8], scores=[0.9])], [true(A)], 1, "box")
     assert near["ap50"] == pytest.approx(100.0) and near["ap"] == pytest.approx(70.0)
 
 
 def test_false_alarms_cost_where_they_are_surer():
-    """One before the right answer: precision 1/2 everywhere; one after it costs nothing."""
+    """A false answer before the right one: precision 1/2 everywhere; a false answer after it costs nothing."""
     other = [60, 60, 70, 70]
     before = average_precision([found(other, A, scores=[0.9, 0.5])], [true(A)], 1, "box")
     after = average_precision([found(other, A, scores=[0.1, 0.5])], [true(A)], 1, "box")
@@ -56,7 +56,7 @@ def test_false_alarms_cost_where_they_are_surer():
 
 
 def test_classes_are_told_apart():
-    """The mean over classes that are there: one right, one taken for the other."""
+    """The mean over classes present: one is right, one is confused with the other."""
     answer = [found(A, B, scores=[0.9, 0.9], labels=[0, 0])]
     assert average_precision(answer, [true(A, B, labels=[0, 1])], 3, "box")["ap50"] == pytest.approx(50.0)
 
@@ -68,7 +68,7 @@ def test_nothing_found_is_nought():
 
 
 def own_average_precision(answers, truths, threshold, classes, overlap):
-    """COCO's definition once more: greedy matches by score, precision at 101 recalls or more, mean over classes."""
+    """COCO's definition, reimplemented: greedy matches by score, precision at 101 recalls or more, class mean."""
     values = []
     for label in range(classes):
         total = sum(int((t.labels == label).sum()) for t in truths)
@@ -76,17 +76,17 @@ def own_average_precision(answers, truths, threshold, classes, overlap):
             continue
         pairs = [(i, k) for i, answer in enumerate(answers) for k in (answer.labels == label).nonzero()[:, 0].tolist()]
         every = sorted(((float(answers[i].scores[k]), i, k) for i, k in pairs), reverse=True)
-        taken, hits = set(), []
+        matched, hits = set(), []
         for _, i, k in every:
             overlaps = [
                 (overlap(answers[i], k, truths[i], j), j)
                 for j in range(len(truths[i].labels))
-                if truths[i].labels[j] == label and (i, j) not in taken
+                if truths[i].labels[j] == label and (i, j) not in matched
             ]
             best = max(overlaps, default=(0.0, -1))
             hits.append(best[0] >= threshold)
             if hits[-1]:
-                taken.add((i, best[1]))
+                matched.add((i, best[1]))
         right, curve = 0, []
         for rank, hit in enumerate(hits, 1):
             right += hit
@@ -115,13 +115,15 @@ def test_scores_of_shifted_scenes_against_another_implementation(by, overlap):
     for image in range(12):
         labels, masks = scenes.objects_of(image)
         truths.append(Detections(objects.boxes(masks), labels, None, encoded(masks)))
-        moved = torch.stack(
+        shifted = torch.stack(
             [m.roll(tuple(torch.randint(-3, 4, (2,), generator=generator).tolist()), (0, 1)) for m in masks]
         )
-        kept = torch.rand(len(labels), generator=generator) < 0.8
+        visible = torch.rand(len(labels), generator=generator) < 0.8
         other = torch.where(torch.rand(len(labels), generator=generator) < 0.2, (labels + 1) % 10, labels)
         scores = torch.rand(len(labels), generator=generator)
-        answers.append(Detections(objects.boxes(moved)[kept], other[kept], scores[kept], encoded(moved[kept])))
+        answers.append(
+            Detections(objects.boxes(shifted)[visible], other[visible], scores[visible], encoded(shifted[visible]))
+        )
     expected = own_average_precision(answers, truths, 0.5, 10, overlap)
     assert average_precision(answers, truths, 10, by)["ap50"] == pytest.approx(expected, abs=1e-6)
     assert 5 < expected < 95

@@ -1,7 +1,7 @@
 """Image positions and wavefronts of whole lenses against Optiland, by its public calls.
 
 Optiland launches the rays itself, from field angles and the aperture, so that the bundles are compared as well as the
-tracing. Refractive indices are ours in both.
+tracing. Both use our refractive indices.
 """
 
 import math
@@ -72,8 +72,8 @@ def assert_same_wavefronts(lens: Lens, looks: View) -> None:
     """Path differences within 1e-8 waves, points on the reference sphere, and its radius.
 
     Optiland centres the sphere where the chief ray of each wavelength meets the image plane, as we do, and takes the
-    exit pupil at the primary wavelength. Its sphere is in front of the image even where the exit pupil is not: ours is
-    the same where it is. Nothing is vignetted there.
+    exit pupil at the primary wavelength. Its sphere is in front of the image even if the exit pupil is not: both
+    spheres agree if it is. Its rays are not vignetted.
     """
     from optiland.wavefront import Wavefront
 
@@ -82,8 +82,8 @@ def assert_same_wavefronts(lens: Lens, looks: View) -> None:
     assert ours.opd.isfinite().double().mean() > 0.8 and (ours.curvature > 0).all()
     optic, fields = OPTILAND.in_optiland(lens, looks)
     for f, field in enumerate(map(tuple, fields)):
-        found = Wavefront(optic, [field], list(looks.wavelengths), distribution=OPTILAND.Points(pupil))
-        for w, theirs in enumerate(found.data.values()):
+        reference = Wavefront(optic, [field], list(looks.wavelengths), distribution=OPTILAND.Points(pupil))
+        for w, theirs in enumerate(reference.data.values()):
             through = ours.opd[f, w].isfinite()
             torch.testing.assert_close(ours.opd[f, w][through], f64(theirs.opd)[through], rtol=0, atol=1e-8)
             assert 1 / float(ours.curvature[f, w]) == pytest.approx(theirs.radius, rel=1e-12)
@@ -104,10 +104,10 @@ PUBLISHED = (
 def test_wavefronts_of_published_lenses(name):
     """Phone lenses with the stop in front and inside, aspheres to r^20, five colours; the original double Gauss."""
     path = SHIPPED / "lenses" / f"{name}.zmx"
-    found = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
-    efl = float(paraxial(found.lens, found.wavelengths_um[found.primary]).efl)
+    imported = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
+    efl = float(paraxial(imported.lens, imported.wavelengths_um[imported.primary]).efl)
     fields = efl * f64([[0.0, 0.0], [0.0, 0.2], [0.15, 0.25], [0.3, -0.2]])
-    assert_same_wavefronts(found.lens, View(fields, efl, found.wavelengths_um, 1.8, 51))
+    assert_same_wavefronts(imported.lens, View(fields, efl, imported.wavelengths_um, 1.8, 51))
 
 
 def test_wavefronts_of_a_triplet():
@@ -116,7 +116,7 @@ def test_wavefronts_of_a_triplet():
 
 
 def asphere_behind_a_stop(seed: int) -> Lens:
-    """Without r^2 terms, which Optiland's paraxial rays do not know."""
+    """Without r^2 terms, which Optiland's paraxial rays ignore."""
     lens = random_lens(seed)
     alpha = lens.alpha * f64([0.0, 1.0, 1.0, 1.0, 1.0])
     return replace(lens, alpha=alpha, semi_diameter=f64([0.3, *[torch.inf] * 4]))

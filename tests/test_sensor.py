@@ -25,9 +25,9 @@ def test_moments_are_those_of_electrons(gain, light, share):
     """Mean W E and variance W E + r^2, W = 6000 / gain times the illumination; 200 x 200 pixels of three colours."""
     sensor = SensorSettings(gain=gain, read_noise=3, **FINE)
     flat = linear_rgb_to_rgb(torch.full((1, 3, 200, 200), light))
-    found = expose(flat, sensor, torch.tensor([share]), noise(flat.shape, torch.Generator().manual_seed(1)))
+    capture = expose(flat, sensor, torch.tensor([share]), noise(flat.shape, torch.Generator().manual_seed(1)))
     white = 6000 / gain * share
-    electrons = white * rgb_to_linear_rgb(found.double())
+    electrons = white * rgb_to_linear_rgb(capture.double())
     error = math.sqrt((white * light + 9) / 120_000)
     assert float(electrons.mean()) == pytest.approx(white * light, abs=4 * error)
     assert float(electrons.var()) == pytest.approx(white * light + 9, rel=4 * math.sqrt(2 / 120_000))
@@ -37,13 +37,13 @@ def test_much_light_leaves_the_capture_and_its_levels():
     """With 1e9 electrons only the rounding is left: half a level of 4 bits at most, and 16 values."""
     sensor = SensorSettings(full_well=1e9, bits=4)
     image = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    found = expose(image, sensor, torch.ones(2), noise(image.shape))
-    assert (found - image).abs().max() <= 0.5 / 15 + 1e-6
-    torch.testing.assert_close(found * 15, (found * 15).round(), rtol=0, atol=1e-5)
+    capture = expose(image, sensor, torch.ones(2), noise(image.shape))
+    assert (capture - image).abs().max() <= 0.5 / 15 + 1e-6
+    torch.testing.assert_close(capture * 15, (capture * 15).round(), rtol=0, atol=1e-5)
 
 
 def test_gradient_against_differences():
-    """With the noise as it is, and the rounding taken as the identity."""
+    """With fixed noise, and rounding treated as the identity."""
     sensor = SensorSettings(gain=4, bits=16)
     image = torch.tensor([0.2, 0.4, 0.6]).double().reshape(1, 3, 1, 1).requires_grad_()
     z = noise(image.shape).double()
@@ -60,21 +60,21 @@ def test_gradient_against_differences():
 def test_dim_fields_are_noisier_and_as_bright():
     camera = PsfCamera(point(2), sensor=SensorSettings(gain=16, **FINE), illumination=torch.tensor([1.0, 0.25]))
     grey = torch.full((4, 3, 64, 64), 0.5)
-    found = rgb_to_linear_rgb(camera.grid(grey).double())
-    assert float(found[1].mean() / found[0].mean()) == pytest.approx(1, abs=5e-3)
+    captures = rgb_to_linear_rgb(camera.grid(grey).double())
+    assert float(captures[1].mean() / captures[0].mean()) == pytest.approx(1, abs=5e-3)
     light, white = float(rgb_to_linear_rgb(grey.double())[0, 0, 0, 0]), 6000 / 16
     relative = [math.sqrt(white * share * light + 4) / share for share in (1.0, 0.25)]
-    assert float(found[1].std() / found[0].std()) == pytest.approx(relative[1] / relative[0], rel=0.03)
+    assert float(captures[1].std() / captures[0].std()) == pytest.approx(relative[1] / relative[0], rel=0.03)
 
 
 def test_measurements_repeat_their_noise_and_training_draws_it():
-    """Of each batch its own; and a share of a batch is a part of the whole, so that processes see what one would."""
+    """Each batch has its own noise; a part of a batch has its part of the noise, so several processes see the same."""
     pipeline = CapturePipeline(PsfCamera(point(2), sensor=SensorSettings(gain=16)))
     images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(0))
     assert torch.equal(pipeline.all_fields(images), pipeline.all_fields(images))
     assert not torch.equal(pipeline.all_fields(images)[0], images)
     assert not torch.equal(pipeline.all_fields(images, 1), pipeline.all_fields(images, 2))
-    drawn = [pipeline.one_field(images, torch.Generator().manual_seed(s)) for s in (0, 0, 1)]
-    assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
+    samples = [pipeline.one_field(images, torch.Generator().manual_seed(s)) for s in (0, 0, 1)]
+    assert torch.equal(samples[0], samples[1]) and not torch.equal(samples[0], samples[2])
     part = pipeline.one_field(images, torch.Generator().manual_seed(0), slice(2, 5))
-    torch.testing.assert_close(part, drawn[0][2:5], rtol=0, atol=1e-6)
+    torch.testing.assert_close(part, samples[0][2:5], rtol=0, atol=1e-6)

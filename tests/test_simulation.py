@@ -1,4 +1,4 @@
-"""Captures of a whole sensor: against light traced from every pixel; what comes of flux, stars, seams, gradients."""
+"""Captures of a whole sensor: compared with light traced from every pixel; flux, stars, seams, gradients."""
 
 from dataclasses import replace
 
@@ -153,7 +153,7 @@ def test_no_light_is_lost(shape):
 
 
 def test_gradients_are_the_adjoint_in_image_and_psfs():
-    """<A x, y> = <x, A' y> for the image; the same in core and halo, in which a capture is linear but for the veil."""
+    """<A x, y> = <x, A' y> for the image, and for core and halo, in which a capture is linear except for the veil."""
     psfs, image, other = with_halo((21, 30), 3), noise((21, 30), seed=5).requires_grad_(), noise((21, 30), seed=6)
     value = (blend(image, psfs) * other).sum()
     (gradient,) = torch.autograd.grad(value, image)
@@ -163,23 +163,23 @@ def test_gradients_are_the_adjoint_in_image_and_psfs():
         leaf = getattr(psfs, part).clone().requires_grad_()
         (gradient,) = torch.autograd.grad((blend(image.detach(), replace(psfs, **{part: leaf})) * other).sum(), leaf)
         change = torch.rand(leaf.shape, generator=torch.Generator().manual_seed(7))
-        moved = blend(image.detach(), replace(psfs, **{part: leaf.detach() + change})) - blend(image.detach(), psfs)
-        assert float((gradient * change).sum()) == pytest.approx(float((moved * other).sum()), rel=1e-3, abs=1e-3)
+        response = blend(image.detach(), replace(psfs, **{part: leaf.detach() + change})) - blend(image.detach(), psfs)
+        assert float((gradient * change).sum()) == pytest.approx(float((response * other).sum()), rel=1e-3, abs=1e-3)
 
 
 def test_light_of_the_halo_is_found_where_it_belongs():
-    """All of it beside the window: a capture has its sum, its centre of mass, and nothing near the star."""
+    """With all light outside the window, a capture keeps sum and centre of mass and has no light near the star."""
     halo = torch.zeros(2, 2, 3, 9, 9)
     halo[..., 4, 0] = halo[..., 4, 8] = 0.5  # sixteen pixels to the left and to the right
     psfs = FieldPsfs((64, 64), f64([0, 31.5]), f64([0, 31.5]), torch.zeros(2, 2, 3, 3, 3), halo, halo_pixel=4)
     star = torch.zeros(3, 64, 64)
     star[:, 30:34, 30:34] = 1 / 16
-    found = blend(star, psfs)[0]
+    capture = blend(star, psfs)[0]
     columns = torch.arange(64.0) - 31.5
-    assert float(found.sum()) == pytest.approx(1, rel=1e-5)
-    assert float((found * columns).sum()) == pytest.approx(0, abs=0.6)
-    assert float((found * columns.abs()).sum()) == pytest.approx(16, abs=0.5)
-    assert float(found[:, 26:38].abs().max()) < 1e-6
+    assert float(capture.sum()) == pytest.approx(1, rel=1e-5)
+    assert float((capture * columns).sum()) == pytest.approx(0, abs=0.6)
+    assert float((capture * columns.abs()).sum()) == pytest.approx(16, abs=0.5)
+    assert float(capture[:, 26:38].abs().max()) < 1e-6
 
 
 def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_corner():
@@ -196,15 +196,15 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
         grid = torch.stack(torch.meshgrid(torch.arange(129) - 64.0, torch.arange(97) - 48.0, indexing="xy"), -1)
         return (grid * (capture / capture.sum())[..., None]).sum((0, 1))
 
-    moved = (centre(spread) - centre(straight)).double()
+    shift = (centre(spread) - centre(straight)).double()
     expected = at - field * (1e3 / pitch)
-    assert expected.norm() > 0.3 and (moved - expected).norm() < 0.15
+    assert expected.norm() > 0.3 and (shift - expected).norm() < 0.15
     corner = points(view, shape, pitch)[2, 2].norm()
-    known = relative_illumination(lens, replace(view, fields=f64([[0, 0], [0, corner]])))
+    expected_light = relative_illumination(lens, replace(view, fields=f64([[0, 0], [0, corner]])))
     for colour, within in (("linear", 0.02), ("srgb", 0.04)):  # the latter averages sRGB values of unequal light
         dark = simulate(lens, view, torch.full((3, *shape), 0.8), pitch, RAYS, colour, illumination=True)
         dark = rgb_to_linear_rgb(dark)  # illumination is a ratio of light
-        assert float(dark[1, 2, 2] / dark[1, 48, 64]) == pytest.approx(float(known[1]), rel=within)
+        assert float(dark[1, 2, 2] / dark[1, 48, 64]) == pytest.approx(float(expected_light[1]), rel=within)
 
 
 def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():
@@ -235,9 +235,9 @@ def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
 )
 def test_what_cannot_be_simulated_is_refused(change, message):
     lens, view = blurred()
-    given = {"image": torch.zeros(3, *SHAPE), "rays": 16, **change}
+    arguments = {"image": torch.zeros(3, *SHAPE), "rays": 16, **change}
     with pytest.raises(InputError, match=message):
-        simulate(lens, view, **given)
+        simulate(lens, view, **arguments)
 
 
 def test_an_image_of_another_size_than_its_psfs_is_refused(traced):
@@ -255,7 +255,7 @@ def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside
 
 
 def test_a_distorted_image_is_differentiable_in_the_lens():
-    """The place that a pixel's light comes from moves with the lens, too; the illumination is held."""
+    """The origin of a pixel's light moves with the lens, too; the illumination is held constant."""
     lens, view = blurred()
     lens = replace(lens, semi_diameter=cooke_triplet().semi_diameter)  # whole pupils: no jumps
     ramp = torch.linspace(0.2, 0.8, 3 * 40 * 60).reshape(3, 40, 60)
@@ -266,7 +266,7 @@ def test_a_distorted_image_is_differentiable_in_the_lens():
 
     start = lens.curvature.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(corner(start), start)
-    for surfaces in (slice(1, 4), slice(4, None)):  # all of them bent by as much
+    for surfaces in (slice(1, 4), slice(4, None)):  # all of them bent equally
         along = torch.zeros_like(gradient)
         along[surfaces] = 1.0
         (expected,) = difference(lambda t, along=along: corner(lens.curvature + t * along), torch.zeros(1), 1e-4)
@@ -284,13 +284,13 @@ def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
     command = ["lens", "simulate", path, image, "-o", output, "--rays", "64"]
     assert main([*command, "--sensor", "--distortion", "--illumination"]) == 0
     expected = tasklens.simulate_sensor(image, *tasklens.load_lens(path), distortion=True, illumination=True, rays=64)
-    found = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
-    assert (found - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
+    pixels = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
+    assert (pixels - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
     assert main([*command, "--force", "--sensor", "--true-pixels", "--pixel-pitch", "20"]) == 0
     pitched = tasklens.load_lens(path, pixel_pitch_um=20.0)
     expected = tasklens.simulate_sensor(image, *pitched, pixel_pitch_um=20.0, rays=64)
-    found = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
-    assert (found - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
+    pixels = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
+    assert (pixels - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
     for options in (["--illumination"], ["--true-pixels"], ["--sensor", "--grid"]):
         assert main([*command, "--force", *options]) == 2
         assert "--sensor" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Tests that the parts of Snakemake used beyond its documented interface exist and mean what they did."""
+"""Tests that the parts of Snakemake used beyond its documented interface exist and keep their meaning."""
 
 import logging
 import os
@@ -6,9 +6,11 @@ import signal
 import threading
 from types import SimpleNamespace
 
+import pytest
 from examples import tiny_study
 from rules import ROOT, workflow
-from snakemake.settings.types import ExecMode
+from snakemake.scheduling.job_scheduler import JobRateLimiter
+from snakemake.settings.types import ExecMode, MaxJobsPerTimespan
 from test_workflow import forked, snakemake
 
 from tasklens.pipeline import planning, snakemake_internals
@@ -16,11 +18,11 @@ from tasklens.pipeline import planning, snakemake_internals
 
 def test_the_settings_of_a_run():
     """Files, cores and kind of the process of a workflow that Snakemake has made."""
-    found = workflow()
-    assert snakemake_internals.configfiles(found) == [ROOT / "config" / "smoke.yaml"]
-    assert snakemake_internals.cores(found) == 1 and snakemake_internals.is_quiet(found)
-    assert snakemake_internals.is_main(found) and found.modifier.is_main_snakefile()
-    job = SimpleNamespace(exec_mode=ExecMode.SUBPROCESS, modifier=found.modifier)
+    flow = workflow()
+    assert snakemake_internals.configfiles(flow) == [ROOT / "config" / "smoke.yaml"]
+    assert snakemake_internals.cores(flow) == 1 and snakemake_internals.is_quiet(flow)
+    assert snakemake_internals.is_main(flow) and flow.modifier.is_main_snakefile()
+    job = SimpleNamespace(exec_mode=ExecMode.SUBPROCESS, modifier=flow.modifier)
     assert not snakemake_internals.is_main(job)
 
 
@@ -46,17 +48,27 @@ def test_the_jobs_of_a_run(tmp_path, monkeypatch):
 
 def test_the_terminal_is_taken_from_snakemake(tmp_path):
     """From the handler that a run of Snakemake has by default; a chosen one, or --quiet, keeps it."""
-    done = snakemake(tmp_path, tiny_study(), "results/tiny/images/train.npy")
-    assert done.returncode == 0 and "1/1  images" in done.stderr and "Building DAG" not in done.stderr
-    done = snakemake(tmp_path, tiny_study(), "results/tiny/images/train.npy", "--forcerun", "images", "--quiet", "all")
-    assert done.returncode == 0 and "1/1  images" not in done.stderr
+    process = snakemake(tmp_path, tiny_study(), "results/tiny/images/train.npy")
+    assert process.returncode == 0 and "1/1  images" in process.stderr and "Building DAG" not in process.stderr
+    process = snakemake(
+        tmp_path, tiny_study(), "results/tiny/images/train.npy", "--forcerun", "images", "--quiet", "all"
+    )
+    assert process.returncode == 0 and "1/1  images" not in process.stderr
     logger = logging.Logger("snakemake.test")
     handler = logging.NullHandler()
     assert not snakemake_internals.take_terminal(handler, False, logger) and logger.handlers == [handler]
 
 
+@pytest.mark.parametrize("limit, kept", [("100/1s", False), ("5/1s", True), ("100/1m", True)])
+def test_the_default_limit_of_jobs_per_second_is_switched_off(limit, kept):
+    """A limit that the user has chosen stays."""
+    scheduler = SimpleNamespace(job_rate_limiter=JobRateLimiter(MaxJobsPerTimespan.parse_choice(limit)))
+    snakemake_internals.limit_no_rate(SimpleNamespace(scheduler=scheduler))
+    assert (scheduler.job_rate_limiter is not None) == kept
+
+
 def test_a_run_is_terminated_while_its_scheduler_has_its_lock():
-    """The handler of the signal, which takes the same lock, waits for it instead of blocking the thread that has it."""
+    """The signal handler takes the same lock; it waits for the lock instead of blocking the thread that holds it."""
     lock, ended, before = threading.Lock(), threading.Event(), signal.getsignal(signal.SIGTERM)
 
     def exit_gracefully(*_: object) -> None:

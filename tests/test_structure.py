@@ -1,4 +1,4 @@
-"""The shape of the code: who may import whom, what stays free of torch, and what a digest of code covers."""
+"""The structure of the code: allowed imports, modules without torch, and what a digest of code covers."""
 
 import ast
 import os
@@ -18,8 +18,8 @@ from tasklens.runtime import files
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglob("*.py"))
 
-# From the ground up: a module imports only from its own room (its package) and from the floors below. A package's own
-# modules stand where it is named, those of its packages where these are.
+# From the ground up: a module imports only from its own room (its package) and from the floors below. A package's
+# own modules belong to its entry, the modules of a subpackage to the entry of the subpackage.
 FLOORS = [
     ("tasklens.runtime",),
     ("tasklens.materials",),
@@ -55,9 +55,9 @@ def room_of(module: str) -> tuple[int, str]:
 
 
 def imports_of(path: Path) -> set[str]:
-    found = digest.imports(ast.parse(path.read_text()))
-    # `from tasklens.optics import psf` names the package as well: what counts is the module.
-    return {name for name in found if not any(other.startswith(f"{name}.") for other in found)} - {"tasklens"}
+    imported = digest.imports(ast.parse(path.read_text()))
+    # `from tasklens.optics import psf` names the package as well: only the module counts.
+    return {name for name in imported if not any(other.startswith(f"{name}.") for other in imported)} - {"tasklens"}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -73,7 +73,7 @@ def test_imports_run_downward(path):
 
 
 def test_the_library_does_not_import_the_workflow():
-    """It knows neither jobs nor files of a study; mistakes that it finds are input errors of its own."""
+    """The library uses neither jobs nor files of a study; it reports mistakes with its own input errors."""
     for path in MODULES:
         module = name_of(path)
         if not module.startswith(("tasklens.pipeline", "tasklens.cli")):
@@ -83,21 +83,21 @@ def test_the_library_does_not_import_the_workflow():
 
 def test_modules_of_a_room_do_not_import_in_a_circle():
     graph = {name_of(path): imports_of(path) for path in MODULES}
-    done: set[str] = set()
-    while len(done) < len(graph):
-        ready = {module for module, needs in graph.items() if module not in done and needs <= done}
-        assert ready, f"a circle among {sorted(set(graph) - done)}"
-        done |= ready
+    sorted_modules: set[str] = set()
+    while len(sorted_modules) < len(graph):
+        ready = {module for module, needs in graph.items() if module not in sorted_modules and needs <= sorted_modules}
+        assert ready, f"a circle among {sorted(set(graph) - sorted_modules)}"
+        sorted_modules |= ready
 
 
 def test_only_the_jobs_that_measure_import_restoration():
     users = {name_of(path) for path in MODULES if any(name.startswith("restoration") for name in imports_of(path))}
-    found = {user for user in users if not user.startswith("restoration")}
-    assert found == {f"tasklens.jobs.{name}" for name in ("restore", "classify", "captures")}
+    outside_users = {user for user in users if not user.startswith("restoration")}
+    assert outside_users == {f"tasklens.jobs.{name}" for name in ("restore", "classify", "captures")}
 
 
 def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
-    """Which of the heavy packages are there after each module is imported, one after the other, in a new process."""
+    """Import the modules in turn in a new process; return the first one that loads heavy packages, and these."""
     code = (
         f"import importlib, sys\nfor name in {modules!r}:\n    importlib.import_module(name)\n"
         f"    found = [m for m in {heavy!r} if m in sys.modules]\n    if found: sys.exit(f'{{name}}: {{found}}')"
@@ -155,7 +155,7 @@ NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
     ],
 )
 def test_a_job_imports_what_it_uses(module, unused):
-    """Of the time of a short job, imports were nine tenths."""
+    """Imports took nine tenths of the time of a short job."""
     assert imported_with([f"tasklens.jobs.{module}"], unused) == ""
 
 
@@ -172,7 +172,7 @@ FUNCTIONS = {name: workflow().get_rule(name).params.function for name in rule_na
 
 
 def test_what_a_job_takes_of_the_settings_is_classes():
-    """Digests leave their package out: a job has the values from its rule, and computes with no constant of theirs."""
+    """Digests omit this package: a job gets the values from its rule, and uses no constant of the settings."""
     modules = (digest.reached_modules(function.rpartition(".")[0]) for function in FUNCTIONS.values())
     for module in set().union(*modules):
         for node in ast.walk(digest.parse(module)):
@@ -182,18 +182,18 @@ def test_what_a_job_takes_of_the_settings_is_classes():
 
 
 def test_digests_cover_all_but_the_settings():
-    """All that the module of a job imports, lazily or not."""
+    """A digest covers all that the module of a job imports, lazily or not."""
     for function in FUNCTIONS.values():
         first = function.rpartition(".")[0]
-        waiting, seen = [first], set()
+        waiting, reached = [first], set()
         while waiting:
             module = waiting.pop()
-            if module not in seen and not f"{module}.".startswith("tasklens.study."):
-                seen.add(module)
+            if module not in reached and not f"{module}.".startswith("tasklens.study."):
+                reached.add(module)
                 path = ROOT.joinpath(*module.split("."))
                 path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
                 waiting += modules_named_in(path.read_text())
-        assert digest.reached_modules(first) == seen
+        assert digest.reached_modules(first) == reached
 
 
 def modules_named_in(code: str) -> list[str]:
@@ -202,19 +202,19 @@ def modules_named_in(code: str) -> list[str]:
     names = []
     for module, many, one in re.findall(statement, code, re.MULTILINE):
         names += [module, *(f"{module}.{word.split()[0]}" for word in (many or one).split(",") if word.strip())]
-    known = {name_of(path) for path in MODULES}
-    return [name for name in names if name in known]
+    modules = {name_of(path) for path in MODULES}
+    return [name for name in names if name in modules]
 
 
 @pytest.fixture(scope="module")
 def digests() -> dict[str, str]:
-    """Of every rule, as it is."""
+    """Digests of all rules with the present code."""
     return {name: digest.code_digest(function) for name, function in FUNCTIONS.items()}
 
 
 @pytest.fixture
 def edited(tmp_path, monkeypatch):
-    """A function that edits a file in a copy of the packages, and returns the digests of all rules then."""
+    """A function that edits a file in a copy of the packages, and returns the digests of all rules after that."""
     for package in digest.PACKAGES:
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(digest, "ROOT", tmp_path)
@@ -336,7 +336,7 @@ def test_a_failing_writer_leaves_things_as_they_were(tmp_path, before):
         path.write_text(before)
     with pytest.raises(RuntimeError, match="halfway"), files.replacing(path) as temporary:
         temporary.write_text("half")
-        assert temporary.parent == path.parent  # else the rename would not be atomic
+        assert temporary.parent == path.parent  # otherwise the rename would not be atomic
         raise RuntimeError("halfway")
     assert [p.name for p in tmp_path.iterdir()] == ([] if before is None else ["file.txt"])
     assert before is None or path.read_text() == before
@@ -349,11 +349,11 @@ def test_a_killed_writer_leaves_nothing_that_looks_finished(tmp_path):
         "    temporary.write_text('half'); os.kill(os.getpid(), 9)"
     )
     path = tmp_path / "file.txt"
-    done = subprocess.run([sys.executable, "-c", code, str(path)], env=os.environ)
-    assert done.returncode == -signal.SIGKILL and not path.exists()
+    process = subprocess.run([sys.executable, "-c", code, str(path)], env=os.environ)
+    assert process.returncode == -signal.SIGKILL and not path.exists()
     assert len(list(tmp_path.iterdir())) == 1
     files.write_text(path, "whole")
-    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]  # what it left is gone
+    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]  # its leftover is gone
 
 
 def test_two_writers_of_one_file_do_not_mix(tmp_path):
@@ -374,7 +374,7 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path):
 
 
 def test_an_array_has_one_writer(tmp_path):
-    """Since it is resumed under one name: a second process is refused, and may write once the first has ended."""
+    """An array resumes under one name: a second process is refused until the first has ended."""
     path = tmp_path / "array.npy"
     code = (
         "import sys; from pathlib import Path; from tasklens.runtime.files import writing_array\n"
@@ -400,8 +400,8 @@ def test_tensors_keep_values_and_metadata(tmp_path):
 
     tensors = {"a": torch.randn(2, 3, generator=torch.Generator().manual_seed(0)).T, "n": torch.arange(3)}
     files.write_tensors(tmp_path / "t.safetensors", tensors, {"fields": [[0, 0.5]], "name": "x"})
-    found, notes = files.read_tensors(tmp_path / "t.safetensors")
-    assert found.keys() == tensors.keys() and all(torch.equal(found[k], tensors[k]) for k in tensors)
+    loaded, notes = files.read_tensors(tmp_path / "t.safetensors")
+    assert loaded.keys() == tensors.keys() and all(torch.equal(loaded[k], tensors[k]) for k in tensors)
     assert notes == {"fields": [[0, 0.5]], "name": "x"}
 
 

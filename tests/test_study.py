@@ -1,4 +1,4 @@
-"""The study's configuration: what it accepts, and what it refuses and how."""
+"""The study's configuration: accepted values, refused values and their messages."""
 
 import itertools
 import math
@@ -65,12 +65,12 @@ RENAMED = [
 ]  # fmt: skip
 
 
-LATE = ("specs", "ablations.mine")  # looked into when all else is right
+LATE = ("specs", "ablations.mine")  # checked if everything else is right
 
 
 @pytest.mark.parametrize("key, value, now", RENAMED, ids=[key for key, *_ in RENAMED])
 def test_a_key_of_an_older_format_names_the_one_of_today(key, value, now):
-    """In one line, with the old key, beside whatever else is wrong."""
+    """One line names the old key, in addition to other mistakes."""
     study = changed(tiny_study(), key, value)
     with pytest.raises(StudyError) as error:
         parse(study if key in LATE else changed(study, "images.sise", 3))
@@ -82,7 +82,7 @@ def test_a_key_of_an_older_format_names_the_one_of_today(key, value, now):
 
 
 def test_a_study_of_an_older_format_hears_of_all_its_keys_at_once():
-    """At any depth, with the format; a key that is renamed and wrong besides has a line for each."""
+    """At any depth, with the format; a key that is both renamed and wrong has a line for each."""
     study, keys = changed(tiny_study(), "format", 1), 0
     for key, value, _ in RENAMED:
         if key not in LATE:
@@ -105,7 +105,7 @@ def test_best_imaging_needs_an_imaging_design():
 
 
 def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
-    """YAML 1.1 wants 1.0e-4; what people write is taken as meant."""
+    """YAML 1.1 wants 1.0e-4; numbers are accepted as people write them."""
     text = yaml.safe_dump(changed(tiny_study(), "fine_tuning.learning_rate", 1)).replace(
         "learning_rate: 1\n", "learning_rate: 1e-4\n"
     )
@@ -117,19 +117,19 @@ def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):
 def test_rates_have_presets():
     """The paper's (section 3.3) and ours, under their names; a study file may also spell them out."""
 
-    def rates(given) -> LearningRates:
-        study = parse(changed(tiny_study(), "designs.imaging1.descents.0.learning_rates", given))
+    def rates(value) -> LearningRates:
+        study = parse(changed(tiny_study(), "designs.imaging1.descents.0.learning_rates", value))
         return study.designs["imaging1"].descents[0].learning_rates
 
-    named = rates("paper")
-    assert (named.curvature, named.thickness, named.alpha_4, named.decay) == (1e-4, 1e-4, 1e-4, 0.02)
-    assert not named.normalised
-    assert rates(named.model_dump()) == named != rates("ours")
+    preset = rates("paper")
+    assert (preset.curvature, preset.thickness, preset.alpha_4, preset.decay) == (1e-4, 1e-4, 1e-4, 0.02)
+    assert not preset.normalised
+    assert rates(preset.model_dump()) == preset != rates("ours")
 
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_studies_we_ship_can_be_read(name):
-    """And are run by the command in their heading; each is in the file of its name, the default one in config.yaml."""
+    """The command in their heading runs them; each is in the file of its name, the default study in config.yaml."""
     study = load(STUDIES[name])
     assert study.name == {"config.yaml": "small"}.get(name, STUDIES[name].stem)
     assert study.lenses and study.supervisor in study.classifiers
@@ -146,12 +146,12 @@ def test_a_study_extends_another_one(tmp_path, monkeypatch):
     write(tmp_path / "own" / "middle.yaml", "{name: middle, extends: base, seeds: [3], elements: {doublet: null}}")
     top = "{name: top, extends: middle, designs: {tasklens: {descents: {1: {steps: 7}}}}}"
     write(tmp_path / "own" / "any.yaml", top)
-    found = load(tmp_path / "own" / "any.yaml")
-    assert (found.name, found.seeds, set(found.elements)) == ("top", (3,), {"singlet"})
-    assert [each.steps for each in found.designs["tasklens"].descents] == [2, 7, 1, 1]
-    assert load(*(tmp_path / "own" / f"{name}.yaml" for name in ("base", "middle", "any"))) == found
+    top_study = load(tmp_path / "own" / "any.yaml")
+    assert (top_study.name, top_study.seeds, set(top_study.elements)) == ("top", (3,), {"singlet"})
+    assert [descent.steps for descent in top_study.designs["tasklens"].descents] == [2, 7, 1, 1]
+    assert load(*(tmp_path / "own" / f"{name}.yaml" for name in ("base", "middle", "any"))) == top_study
     (tmp_path / "own").rename(tmp_path / "config")
-    assert parse(yaml.safe_load(top)) == found
+    assert parse(yaml.safe_load(top)) == top_study
     assert parse({"name": "mine", "extends": "smoke"}).designs == load(STUDIES["smoke.yaml"]).designs
 
 
@@ -176,9 +176,9 @@ def test_null_in_a_study_that_extends_another_removes_an_entry(tmp_path):
     below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
     write(below, yaml.safe_dump(study))
     write(above, "{name: above, elements: {singlet: null}, designs: {imaging1: null, tasklens: {tolerances: null}}}")
-    found = load(below, above)
-    assert set(found.lenses) == {f"doublet-{name}" for name in study["designs"] if name != "imaging1"}
-    assert found.designs["tasklens"].tolerances is None
+    merged = load(below, above)
+    assert set(merged.lenses) == {f"doublet-{name}" for name in study["designs"] if name != "imaging1"}
+    assert merged.designs["tasklens"].tolerances is None
     write(below, yaml.safe_dump(changed(study, "designs.imaging1", None)))
     with pytest.raises(StudyError, match=r"designs\.imaging1 = null: expected keys and values"):
         load(below)
@@ -196,7 +196,7 @@ def test_editors_find_no_mistake_in_the_studies_we_ship(name):
 
 
 def test_a_psf_window_fits_into_the_images_of_tasks():
-    """Half of it is reflected at their borders, as at those of the images."""
+    """Half of the window is reflected at the borders, as for the images of classification."""
     network = {
         "kind": "segmentation",
         "model": "lraspp_mobilenet_v3_large",
@@ -210,7 +210,7 @@ def test_a_psf_window_fits_into_the_images_of_tasks():
 
 
 def test_the_resolved_study_is_the_same_study(tmp_path):
-    """What is written for the jobs has every default in it and reads back as an equal."""
+    """The file for the jobs has every default and reads back as an equal study."""
     study = parse(tiny_study())
     (tmp_path / "study.yaml").write_text(dump(study))
     assert load(tmp_path / "study.yaml") == study
@@ -247,7 +247,7 @@ def test_lenses_are_every_element_choice_with_every_design():
 
 
 def test_an_imported_lens_is_a_lens_of_the_study(tmp_path):
-    """The last one, of elements that need not exist; a resolved study keeps it."""
+    """It is the last lens, of elements that need not exist; a resolved study keeps it."""
     study = parse(with_imported(catalogues=[str(PLASTICS)]))
     assert list(study.lenses) == [*parse(tiny_study()).lenses, "quadruplet-phone"]
     assert study.lens("quadruplet-phone").elements == "quadruplet" and "quadruplet" not in study.elements

@@ -1,4 +1,4 @@
-"""`tasklens study ...` as a person types it: what each command says and writes, and how it complains in one line."""
+"""`tasklens study ...` as a user types it: output and files of each command, and its error messages of one line."""
 
 import json
 import zipfile
@@ -28,7 +28,7 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture
 def results(place):
-    """What two runs have left: `tiny`, and `tiny_2` with a faster lens, which is worse."""
+    """Results of two runs: `tiny`, and `tiny_2` with a faster and worse lens."""
     for name, f_number, numbers in (("tiny", 2.8, (60, 4)), ("tiny_2", 2.0, (55.5, 9))):
         folder = f"results/{name}"
         study = changed(tiny_study() | {"name": name}, "spec.f_number", f_number)
@@ -48,24 +48,24 @@ def study(*words: str) -> int:
 
 
 def complaint(capsys, *words: str) -> str:
-    """The one line that a command complains with, and nothing else."""
+    """Return the error message of a command, which is its only output and has one line."""
     assert study(*words) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.startswith("tasklens: ") and said.err.count("\n") == 1
-    return said.err
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.startswith("tasklens: ") and output.err.count("\n") == 1
+    return output.err
 
 
 # ---- new
 
 
 def test_a_new_study_has_what_was_wished(place, capsys):
-    """Of options alone; it can be read, and it says how to go on."""
+    """Options alone make a study file that loads; the command prints the next step."""
     options = "--networks vit,resnet --elements singlet,mine=COC+OKP4 --f-number 2.2 --field-of-view 50 --seeds 2"
     assert study("new", "wide", *options.split(), "--minutes", "600", "--yes") == 0
-    found = load("wide.yaml")
-    assert (found.name, found.supervisor, list(found.classifiers)) == ("wide", "vit", ["vit", "resnet"])
-    assert found.elements == {"singlet": ("COC",), "mine": ("COC", "OKP4")}
-    assert (found.spec.f_number, found.spec.field_of_view_deg, found.seeds) == (2.2, 50.0, (0, 1))
+    config = load("wide.yaml")
+    assert (config.name, config.supervisor, list(config.classifiers)) == ("wide", "vit", ["vit", "resnet"])
+    assert config.elements == {"singlet": ("COC",), "mine": ("COC", "OKP4")}
+    assert (config.spec.f_number, config.spec.field_of_view_deg, config.seeds) == (2.2, 50.0, (0, 1))
     out = capsys.readouterr().out
     assert out.startswith("wide.yaml: all four tables, about ")
     assert "snakemake -j2 tables --configfile wide.yaml" in out
@@ -74,53 +74,59 @@ def test_a_new_study_has_what_was_wished(place, capsys):
 
 
 def test_a_new_study_asks_for_what_was_not_given(place):
-    """Return takes the default; options are not asked about."""
+    """An empty answer takes the default; the command does not ask about values given as options."""
     answers = ["", "", "triplet", "3.5", "", "1", "45"]
-    done = CliRunner().invoke(app, ["study", "new", "asked"], input="\n".join(answers) + "\n")
-    assert done.exit_code == 0, done.output
-    found = load("asked.yaml")
-    assert list(found.elements) == ["triplet"] and found.spec.f_number == 3.5 and list(found.classifiers) == ["resnet"]
-    assert found.images.folder is None and found.seeds == (0,)
-    done = CliRunner().invoke(app, ["study", "new", "b", "--seeds", "1", "--f-number", "4"], input=6 * "\n")
-    assert done.exit_code == 0 and "Seeds" not in done.output and "F-number" not in done.output
+    result = CliRunner().invoke(app, ["study", "new", "asked"], input="\n".join(answers) + "\n")
+    assert result.exit_code == 0, result.output
+    config = load("asked.yaml")
+    assert (
+        list(config.elements) == ["triplet"] and config.spec.f_number == 3.5 and list(config.classifiers) == ["resnet"]
+    )
+    assert config.images.folder is None and config.seeds == (0,)
+    result = CliRunner().invoke(app, ["study", "new", "b", "--seeds", "1", "--f-number", "4"], input=6 * "\n")
+    assert result.exit_code == 0 and "Seeds" not in result.output and "F-number" not in result.output
 
 
 def test_less_time_gives_a_smaller_study(place):
-    """Each with fewer jobs or images than the one before, down to none."""
+    """Each shorter time gives fewer jobs or images."""
     sizes = []
     for minutes in ("600", "10", "4", "1.5"):
         assert study("new", "a", "--yes", "--force", "--minutes", minutes) == 0
-        found = load("a.yaml")
-        sizes.append((len(found.tables), len(found.designs), found.images.train))
+        config = load("a.yaml")
+        sizes.append((len(config.tables), len(config.designs), config.images.train))
     assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) >= 3
 
 
 def test_a_new_study_of_photographs(place):
-    """Of a network that starts from published weights, with images of its size."""
+    """The network starts from published weights, and the images have its size."""
     for path in (f"photos/{s}/{c}/{k}.jpg" for s in ("train", "test") for c in ("cat", "dog") for k in range(400)):
         write(path, "")
     assert study("new", "mine", "--yes", "--images", "photos", "--networks", "resnet18", "--minutes", "9999") == 0
-    found = load("mine.yaml")
-    assert str(found.images.folder) == "photos" and found.images.size == 224
-    assert found.images.minival == 160  # a fifth of 800
-    assert found.classifiers["resnet18"].model == "resnet18" and found.classifiers["resnet18"].pretrained
-    # With the steps of the photographs study, each of which costs as much as twelve of the default study's.
+    config = load("mine.yaml")
+    assert str(config.images.folder) == "photos" and config.images.size == 224
+    assert config.images.minival == 160  # a fifth of 800
+    assert config.classifiers["resnet18"].model == "resnet18" and config.classifiers["resnet18"].pretrained
+    # It has the steps of the photographs study; each costs as much as twelve of the default study's.
     published = yaml.safe_load((ROOT / "config/photographs.yaml").read_text())
-    assert found.designs["tasklens"].descents[-1].steps == published["designs"]["tasklens"]["descents"][-1]["steps"]
+    assert config.designs["tasklens"].descents[-1].steps == published["designs"]["tasklens"]["descents"][-1]["steps"]
     write("mine.safetensors", "")
     options = ["--networks", "resnet18.a1_in1k", "--weights", "mine.safetensors", "--minutes", "9999", "--force"]
     assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
-    own = load("mine.yaml").classifiers["resnet18_a1_in1k"]
-    assert (own.model, str(own.weights), own.pretrained) == ("resnet18.a1_in1k", "mine.safetensors", False)
-    assert own.training is None and own.outputs == "classes"  # it is used as it is
+    classifier = load("mine.yaml").classifiers["resnet18_a1_in1k"]
+    assert (classifier.model, str(classifier.weights), classifier.pretrained) == (
+        "resnet18.a1_in1k",
+        "mine.safetensors",
+        False,
+    )
+    assert classifier.training is None and classifier.outputs == "classes"  # it is used as it is
     options += ["--outputs", "imagenet", "--argument", "drop_rate=0.1"]
     assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
-    own = load("mine.yaml").classifiers["resnet18_a1_in1k"]
-    assert own.outputs == "imagenet" and own.arguments == {"drop_rate": 0.1}
+    classifier = load("mine.yaml").classifiers["resnet18_a1_in1k"]
+    assert classifier.outputs == "imagenet" and classifier.arguments == {"drop_rate": 0.1}
 
 
 def test_a_check_of_networks_reads_their_weights(place, capsys):
-    """As the first job would: weights of another network are refused before it."""
+    """The check loads the weights as the first job would, and so refuses weights of another network."""
     torch.manual_seed(0)
     save_file(timm.create_model("test_resnet", num_classes=10).state_dict(), "mine.safetensors")
     classifiers = {"small": {"model": "test_resnet", "weights": "mine.safetensors"}}
@@ -135,17 +141,19 @@ def test_the_least_study_of_photographs_has_fewer_of_them(place):
     """A quarter of 400 - 80 training and 100 test images, as its forecast says."""
     for path in (f"photos/{s}/{c}/{k}.jpg" for s, n in (("train", 200), ("test", 50)) for c in "ab" for k in range(n)):
         write(path, "")
-    wish = new_study.Wish("mine", Path("photos"), 64, ("resnet",), {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1)
-    sizes = [new_study.content(wish, cut)["images"] for cut in new_study.CUTS[-2:]]
+    request = new_study.StudyRequest(
+        "mine", Path("photos"), 64, ("resnet",), {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1
+    )
+    sizes = [new_study.content(request, cut)["images"] for cut in new_study.CUTS[-2:]]
     assert "train" not in sizes[0] and (sizes[1]["train"], sizes[1]["test"]) == (80, 25)
 
 
 def test_a_forecast_is_that_of_the_machine_of_the_file(place):
-    """Not of benchmarks that lie where one is; and a network is not the supervisor because its name begins like it."""
+    """Benchmarks in the current folder do not count; a network is no supervisor because its name begins alike."""
 
     def seconds(*networks: str) -> float:
-        wish = new_study.Wish("mine", None, 64, networks, {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1)
-        return new_study.seconds(parse(new_study.content(wish, new_study.CUTS[0])), 2)
+        request = new_study.StudyRequest("mine", None, 64, networks, {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1)
+        return new_study.seconds(parse(new_study.content(request, new_study.CUTS[0])), 2)
 
     before = seconds("resnet", "vit")
     write("benchmarks/design/a.tsv", "s\tmax_rss\n99999\t1\n")
@@ -188,7 +196,7 @@ def test_there_is_a_core(capsys, command):
 
 
 def test_a_new_study_overwrites_nothing(place, capsys):
-    """Unless it is told to."""
+    """The command overwrites a file only on request."""
     write("a.yaml", "mine")
     assert "--force" in complaint(capsys, "new", "a", "--yes")
     assert (place / "a.yaml").read_text() == "mine"
@@ -208,16 +216,16 @@ def test_check_finds_a_wrong_folder_and_missing_weights(place, capsys):
 
 
 def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
-    """Of a study of which nothing is done: 1 singlet of the tiny study in table 1, and nothing is written."""
+    """A plan of a study without results, 1 singlet of the tiny study in table 1; the command writes nothing."""
     designs = {"imaging1": tiny_study()["designs"]["imaging1"]}
     write("study.yaml", dump(parse(tiny_study() | {"designs": designs})))
     assert study("plan", "study.yaml", "--target", "table1", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    counts = {stage: len(jobs["missing"]) for stage, jobs in found["jobs"].items()}
+    plan = json.loads(capsys.readouterr().out)
+    counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
     assert counts == {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
-    assert found["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
-    assert found["seconds"] > 0 and found["memory_mb"] >= 1000 and found["changed"] == []
-    assert found["disk_mb"] == pytest.approx(70 * 3 * 16**2 / 1e6)
+    assert plan["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
+    assert plan["seconds"] > 0 and plan["memory_mb"] >= 1000 and plan["changed"] == []
+    assert plan["disk_mb"] == pytest.approx(70 * 3 * 16**2 / 1e6)
     assert not (place / "results").exists()
 
 
@@ -236,7 +244,7 @@ def test_an_unknown_target_is_told(capsys):
 
 
 def test_diff_tells_values_and_what_they_did(results, capsys):
-    """Configuration first; of the tables, accuracies, or all columns, but not the paper's."""
+    """Changes of the configuration come first, then accuracies of the tables or all columns, except the paper's."""
     assert study("diff", "results/tiny", "results/tiny_2") == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["name: tiny -> tiny_2", "spec.f_number: 2.8 -> 2.0"]
@@ -244,13 +252,13 @@ def test_diff_tells_values_and_what_they_did(results, capsys):
     assert study("diff", "--all", "results/tiny", "results/tiny_2") == 0
     assert "  singlet-imaging1  rms_spot_um 4 -> 9 (+5)" in capsys.readouterr().out.splitlines()
     assert study("diff", "--json", "results/tiny", "results/tiny_2") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert {"key": "spec.f_number", "old": 2.8, "new": 2.0} in found["changes"]
-    assert {each["column"]: each["new"] for each in found["tables"]} == {"accuracy": 55.5, "rms_spot_um": 9.0}
+    differences = json.loads(capsys.readouterr().out)
+    assert {"key": "spec.f_number", "old": 2.8, "new": 2.0} in differences["changes"]
+    assert {row["column"]: row["new"] for row in differences["tables"]} == {"accuracy": 55.5, "rms_spot_um": 9.0}
 
 
 def test_diff_of_equal_studies_and_of_one_without_tables(results, capsys):
-    """Also by their files; a row that only one of them has is told."""
+    """The command also takes their files; it reports a row that only one study has."""
     assert study("diff", "results/tiny", "results/tiny") == 0
     out = capsys.readouterr().out
     assert "The configurations are equal." in out and "The tables have the same numbers." in out
@@ -267,14 +275,14 @@ def test_diff_of_equal_studies_and_of_one_without_tables(results, capsys):
 
 
 def test_an_export_has_what_a_colleague_needs(results, capsys):
-    """All but images, checkpoints, weights, and what a running job has half written."""
+    """All files except images, checkpoints, weights, and unfinished files of a running job."""
     assert study("export", "results/tiny") == 0
     assert "tiny.zip: 6 files" in capsys.readouterr().out
-    kept = ("study.yaml", "tables/table1.csv", "lenses/a/seed0/lens.yaml", "metrics/a.csv", "logs/images.log")
+    paths = ("study.yaml", "tables/table1.csv", "lenses/a/seed0/lens.yaml", "metrics/a.csv", "logs/images.log")
     with zipfile.ZipFile("tiny.zip") as archive:
         names = set(archive.namelist())
         assert archive.testzip() is None
-        assert names == {f"tiny/{name}" for name in (*kept, "benchmarks/images.tsv", "README.txt")}
+        assert names == {f"tiny/{name}" for name in (*paths, "benchmarks/images.tsv", "README.txt")}
         write("study.yaml", archive.read("tiny/study.yaml").decode())
     assert load("study.yaml").name == "tiny"
     assert study("export", "results/tiny", "--weights", "--output", "all.zip") == 0
@@ -327,7 +335,7 @@ def test_a_study_without_results_is_told(place, capsys):
 
 
 def test_without_the_repository_a_new_study_says_so(place, monkeypatch, capsys):
-    """As from an installed wheel, in which the other commands work."""
+    """As from an installed wheel, in which all other commands work."""
     monkeypatch.setattr(new_study, "DEFAULT", place / "config.yaml")
     new_study.default_study.cache_clear()
     assert study("new", "mine", "--yes") == 2

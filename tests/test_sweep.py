@@ -1,4 +1,4 @@
-"""Sweeps: a study at every point of a grid, in a folder of its own, and one table beside each other."""
+"""Sweeps: a study at every point of a grid, each in its own folder, and one table of all points."""
 
 import json
 import logging
@@ -43,10 +43,10 @@ def swept(tmp_path, monkeypatch):
 
 
 def test_each_point_is_the_study_with_these_values(swept, tmp_path):
-    """A name of its own below the study's, nothing else changed; and it is read again as it was written."""
-    found = at_points(swept)
-    assert [study.name for study in found] == [f"tiny/{point}" for point in POINTS]
-    assert [(s.spec.f_number, s.capture.diffraction) for s in found] == [
+    """Its name is below the study's, and nothing else changes; it reads back as it was written."""
+    studies = at_points(swept)
+    assert [study.name for study in studies] == [f"tiny/{point}" for point in POINTS]
+    assert [(s.spec.f_number, s.capture.diffraction) for s in studies] == [
         (2.0, False),
         (2.0, True),
         (2.8, False),
@@ -54,9 +54,9 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
     ]
     plain = parse(one_lens())
     assert at_points(plain) == [plain]
-    assert found[2].model_copy(update={"name": "tiny"}) == plain.model_copy(update={"spec": found[2].spec})
-    write("results/study.yaml", dump(found[1]))
-    assert load("results/study.yaml") == found[1]
+    assert studies[2].model_copy(update={"name": "tiny"}) == plain.model_copy(update={"spec": studies[2].spec})
+    write("results/study.yaml", dump(studies[1]))
+    assert load("results/study.yaml") == studies[1]
 
 
 @pytest.mark.parametrize(
@@ -83,30 +83,30 @@ def test_a_grid_that_cannot_be_is_refused(sweep, words):
 def test_a_point_has_all_jobs_of_a_study(tmp_path):
     """Two F-numbers: every job twice, in folders of their own, and the table of both."""
     once = plan(tmp_path, one_lens(), "tables")
-    found = plan(tmp_path, one_lens(**{"spec.f_number": [2.0, 2.8]}), "tables")
-    assert found.pop("sweep_table") == 1
-    assert found == {rule: 2 * count for rule, count in once.items()}
+    counts = plan(tmp_path, one_lens(**{"spec.f_number": [2.0, 2.8]}), "tables")
+    assert counts.pop("sweep_table") == 1
+    assert counts == {rule: 2 * count for rule, count in once.items()}
 
 
 def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
-    """A lens of one point, made with another limit; the other point has none yet."""
+    """One point has a lens made with another limit; the other point has no lens yet."""
     lens = "results/tiny/spec.f_number=2.0/lenses/singlet-imaging1/seed0/lens.yaml"
     assert snakemake(tmp_path, one_lens(**{"spec.f_number": [2.0]}), lens).returncode == 0
     changed = one_lens(**{"spec.f_number": [2.0, 2.8]}) | {"constraints": {"max_track": 4.2}}
-    status, said = forked(tmp_path, changed, "--dry-run", "table1")
-    assert status == 0 and "results of the study tiny/spec.f_number=2.0; nothing was changed" in said
-    assert "--config name=tiny_2" in said and said.count("nothing was changed") == 1
+    status, output = forked(tmp_path, changed, "--dry-run", "table1")
+    assert status == 0 and "results of the study tiny/spec.f_number=2.0; nothing was changed" in output
+    assert "--config name=tiny_2" in output and output.count("nothing was changed") == 1
     point = [tmp_path / "results/tiny/spec.f_number=2.0/study.yaml"]  # a study like others
     assert snakemake(tmp_path, point, "results/tiny/spec.f_number=2.0/images/train.npy").returncode == 0
-    status, said = forked(tmp_path, one_lens(**{"spec.f_number": [2.0]}), "--dry-run", "verify")
-    assert status != 0 and "verify: of one point" in said
+    status, output = forked(tmp_path, one_lens(**{"spec.f_number": [2.0]}), "--dry-run", "verify")
+    assert status != 0 and "verify: of one point" in output
 
 
 def tables(study, accuracies: list[float]) -> None:
     """Table 1 of every point, with the accuracy of its lens."""
-    for each, accuracy in zip(at_points(study), accuracies, strict=True):
+    for point, accuracy in zip(at_points(study), accuracies, strict=True):
         rows = f"elements,design,accuracy,rms_spot_um\n,reference,80,\nsinglet,imaging1,{accuracy},{accuracy / 10}\n"
-        write(f"results/{each.name}/tables/table1.csv", rows)
+        write(f"results/{point.name}/tables/table1.csv", rows)
 
 
 def test_numbers_of_all_points_stand_beside_each_other(swept):
@@ -125,26 +125,28 @@ def test_the_last_words_are_the_table(swept):
     tables(swept, [10, 20, 30, 40])
     finish("sweep_table", swept)
     write(f"results/tiny/{POINTS[1]}/report.html", "")
-    said = closing.success(swept, {})
-    assert "| singlet-imaging1 |" in said and f"  results/tiny/{POINTS[1]}/report.html" in said
+    message = closing.success(swept, {})
+    assert "| singlet-imaging1 |" in message and f"  results/tiny/{POINTS[1]}/report.html" in message
     part = runs.Run(f"tiny/{POINTS[0]}", f"results/tiny/{POINTS[0]}", 1, {"images": runs.Job("images")})
-    assert "| singlet" not in closing.success(swept, {part.study: part})  # a run that did not make it again
+    assert "| singlet" not in closing.success(swept, {part.study: part})  # a run that did not remake the table
     part.end("images", runs.FAILED)
-    said = closing.failure({part.study: part, f"tiny/{POINTS[1]}": replace(part, study=f"tiny/{POINTS[1]}", jobs={})})
-    assert f"Study tiny/{POINTS[0]}: 0 of 1 jobs done." in said and said.count("FAILED") == 1
+    message = closing.failure(
+        {part.study: part, f"tiny/{POINTS[1]}": replace(part, study=f"tiny/{POINTS[1]}", jobs={})}
+    )
+    assert f"Study tiny/{POINTS[0]}: 0 of 1 jobs done." in message and message.count("FAILED") == 1
 
 
 def test_points_side_by_side_share_the_cores(swept):
-    """Two points on two cores, each with a job of a hundred seconds: a hundred seconds in all."""
-    found = []
+    """Two points on two cores, each with a job of a hundred seconds, take a hundred seconds."""
+    pairs = []
     for point in POINTS[:2]:
         folder = f"results/tiny/{point}"
         write(f"{folder}/benchmarks/design/a.tsv", "s\tmax_rss\n100\t1\n")
-        found.append(
+        pairs.append(
             (runs.Run(f"tiny/{point}", folder, 2, {"design/b": runs.Job("design")}), Durations("tiny", folder))
         )
-    assert runs.seconds_left(found) == pytest.approx(100)
-    assert runs.headline(found) == "0 of 2 jobs, about 2 min left"
+    assert runs.seconds_left(pairs) == pytest.approx(100)
+    assert runs.headline(pairs) == "0 of 2 jobs, about 2 min left"
 
 
 def test_the_table_of_points_is_of_a_sweep():
@@ -153,7 +155,7 @@ def test_the_table_of_points_is_of_a_sweep():
 
 
 def test_a_job_of_a_point_can_be_handed_to_a_cluster():
-    """Snakemake names it there by rule and wildcards in one word."""
+    """Snakemake's name for the job there is its rule and wildcards in one word."""
     words = f"design:study=tiny/{POINTS[1]},lens=singlet-imaging1,seed=0"
     (job,) = parse_target_jobs_cli_args([words])
     assert job.wildcards_dict == {"study": f"tiny/{POINTS[1]}", "lens": "singlet-imaging1", "seed": "0"}
@@ -182,26 +184,26 @@ def test_jobs_of_all_points_are_counted_together(swept, capsys):
     logger.info("", extra={"event": "job_info", "jobid": 7, "log": log, "output": output})
     logger.info("", extra={"event": "job_finished", "job_id": 7})
     terminal.close()
-    said = capsys.readouterr().err
-    assert said.startswith(f"1/4  {POINTS[2]} design singlet-imaging1-seed0") and "RMS spot 1.5 um" in said
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"1/4  {POINTS[2]} design singlet-imaging1-seed0") and "RMS spot 1.5 um" in errors
     states = [runs.read(Path("results/tiny", point)).jobs[label].state for point in POINTS]
     assert states == [runs.WAITING, runs.WAITING, runs.DONE, runs.WAITING]
 
 
 def test_commands_know_the_points(tmp_path, monkeypatch, capsys):
-    """`plan`, `check` and `status` speak of each."""
+    """`plan`, `check` and `status` report each point."""
     monkeypatch.chdir(tmp_path)
     write("study.yaml", yaml.safe_dump(one_lens(**{"spec.f_number": [2.0, 2.8]})))
     assert main(["study", "plan", "study.yaml", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    report = json.loads(capsys.readouterr().out)
     names = ["tiny", "tiny/spec.f_number=2.0", "tiny/spec.f_number=2.8"]
-    assert found["study"] == "tiny" and [point["study"] for point in found["points"]] == names
-    assert found["points"][1]["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
+    assert report["study"] == "tiny" and [point["study"] for point in report["points"]] == names
+    assert report["points"][1]["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
     assert main(["study", "check", "study.yaml", "--no-weights"]) == 0
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == names[1:]
     for point in ("spec.f_number=2.0", "spec.f_number=2.8"):
         runs.Run(f"tiny/{point}", f"results/tiny/{point}", 2, {"images": runs.Job("images")}).save()
     write("results/tiny/study.yaml", dump(load("study.yaml")))
     assert main(["study", "status", "study.yaml"]) == 0
-    said = capsys.readouterr().out
-    assert all(f"{name}: 0 of 1 jobs" in said for name in names[1:])
+    output = capsys.readouterr().out
+    assert all(f"{name}: 0 of 1 jobs" in output for name in names[1:])

@@ -1,4 +1,4 @@
-"""Tables from metrics and lens files of which every number is known."""
+"""Tables from metrics and lens files with known numbers."""
 
 import json
 import re
@@ -27,7 +27,7 @@ ACCURACY = {
     "doublet-imaging2": 65.0,
     "doublet-end_to_end_from_imaging": 60.0,
     "doublet-end_to_end_from_flat": 40.0,  # less than half-way from chance to reference
-    "quadruplet-phone_4p": 80.0,  # in no study but one that imports it
+    "quadruplet-phone_4p": 80.0,  # only in a study that imports it
 }
 PAPER = pandas.DataFrame(
     [
@@ -86,48 +86,48 @@ def results(tmp_path, monkeypatch, study):
 
 
 def table(study, name):
-    """A table from the files that its job is given, by design."""
+    """A table from the files of its job, indexed by design."""
     contents = table_of(study, name)
     rows = tables.collect(contents, measurements_of("tiny", contents))
     return tables.summarise(contents, rows, PAPER).set_index("design")
 
 
 def test_table1_means_over_fields_and_seeds(study):
-    """All lenses and the reference: means of 9 fields and 2 seeds, the spread of seeds, the paper beside."""
-    found = table(study, "table1")
-    assert list(found.index) == ["reference", "tasklens", "image_error", "imaging1", "imaging2"]
-    assert found.loc["reference", "accuracy"] == pytest.approx(90)
-    row = found.loc["tasklens"]
+    """All lenses and the reference: means of 9 fields and 2 seeds, the spread of seeds, the paper's values."""
+    frame = table(study, "table1")
+    assert list(frame.index) == ["reference", "tasklens", "image_error", "imaging1", "imaging2"]
+    assert frame.loc["reference", "accuracy"] == pytest.approx(90)
+    row = frame.loc["tasklens"]
     assert row["accuracy"] == pytest.approx(71) and row["accuracy_std"] == pytest.approx(2**0.5)
     assert row["accuracy_median"] == pytest.approx(71) and row["accuracy_best"] == pytest.approx(70)  # by minival
     assert row["psnr_db"] == pytest.approx(20) and row["psnr_db_std"] == pytest.approx(0, abs=1e-12)
     assert row["rms_spot_um"] == pytest.approx(12) and row["core_radius_um"] == pytest.approx(3)
     assert row["energy_in_window"] == pytest.approx(0.9)
-    assert row["worst_margin"] == pytest.approx(-0.02) and "worst_margin_std" not in found  # of both seeds the worst
-    assert row["frozen_loss"] == pytest.approx(0.29) and found.loc["reference", "frozen_loss"] == pytest.approx(0.1)
+    assert row["worst_margin"] == pytest.approx(-0.02) and "worst_margin_std" not in frame  # the worst of both seeds
+    assert row["frozen_loss"] == pytest.approx(0.29) and frame.loc["reference", "frozen_loss"] == pytest.approx(0.1)
     assert row["gap"] == pytest.approx(-0.05)  # below imaging2, 0.05 better
-    assert pandas.isna(found.loc["imaging2", "gap"])  # saw no image
-    assert found.loc["image_error", "gap"] > 0
+    assert pandas.isna(frame.loc["imaging2", "gap"])  # saw no image
+    assert frame.loc["image_error", "gap"] > 0
     assert row["accuracy_paper"] == 70.08 and row["psnr_db_paper"] == 19.46
-    assert found.loc["reference", "accuracy_paper"] == 75.63
-    assert pandas.isna(found.loc["imaging1", "accuracy_paper"])
+    assert frame.loc["reference", "accuracy_paper"] == 75.63
+    assert pandas.isna(frame.loc["imaging1", "accuracy_paper"])
 
 
 def test_table2_has_a_row_per_lens_and_classifier(study):
-    found = table(study, "table2").reset_index()
-    assert len(found) == 4 * 2
-    row = found[(found.design == "tasklens") & (found.classifier == "small")].iloc[0]
+    frame = table(study, "table2").reset_index()
+    assert len(frame) == 4 * 2
+    row = frame[(frame.design == "tasklens") & (frame.classifier == "small")].iloc[0]
     assert row["accuracy"] == pytest.approx(71) and row["reference_accuracy"] == pytest.approx(90)
     assert row["parameters_m"] == pytest.approx(0.5) and row["accuracy_paper"] == 70.0
 
 
 def test_table3_counts_failures_by_its_rule(study):
     """Half of the light in the window and half of the reference above chance; a seed that lacks one has failed."""
-    found = table(study, "table3")
-    assert found["failed"].to_dict() == {"tasklens": 0, "end_to_end_from_imaging": 0.5, "end_to_end_from_flat": 1}
-    shown = tables.printed(found.reset_index()).set_index("design")
-    assert shown.loc["tasklens", "failed"] == "0%" and shown.loc["end_to_end_from_flat", "failed"] == "100%"
-    assert shown.loc["end_to_end_from_flat", "failed_paper"] == "100%"
+    frame = table(study, "table3")
+    assert frame["failed"].to_dict() == {"tasklens": 0, "end_to_end_from_imaging": 0.5, "end_to_end_from_flat": 1}
+    text = tables.printed(frame.reset_index()).set_index("design")
+    assert text.loc["tasklens", "failed"] == "0%" and text.loc["end_to_end_from_flat", "failed"] == "100%"
+    assert text.loc["end_to_end_from_flat", "failed_paper"] == "100%"
 
 
 @pytest.mark.parametrize("accuracy, inside, expected", [(50, 0.5, False), (49.9, 1, True), (90, 0.49, True)])
@@ -143,23 +143,23 @@ def test_table4_is_about_restored_captures(study):
 
 
 def test_an_imported_lens_has_its_rows(study, tmp_path):
-    """In tables 1, 2 and 4, last, beside no value of the paper."""
+    """The lens is the last row of tables 1, 2 and 4, without a value of the paper."""
     (tmp_path / "phone.yaml").write_text("")
     entry = {"phone_4p": {"elements": "quadruplet", "file": str(tmp_path / "phone.yaml")}}
     study = parse(yaml.safe_load(dump(study)) | {"imported": entry})
     for name, accuracy in (("table1", 81), ("table2", 81), ("table4", 86)):
-        found = table(study, name)
-        rows = found[found.elements == "quadruplet"]
-        assert len(rows) == (2 if name == "table2" else 1) and found.index[-1] == "phone_4p"
+        frame = table(study, name)
+        rows = frame[frame.elements == "quadruplet"]
+        assert len(rows) == (2 if name == "table2" else 1) and frame.index[-1] == "phone_4p"
         assert rows["accuracy"].tolist() == pytest.approx([accuracy] * len(rows))
         assert rows["accuracy_paper"].isna().all() if "accuracy_paper" in rows else name == "table4"
     assert "quadruplet" not in set(table(study, "table3").elements)
 
 
 def test_one_seed_has_no_spread(study):
-    found = table(study.model_copy(update={"seeds": (0,)}), "table1")
-    assert not [name for name in found.columns if name.endswith("_std")]
-    assert found.loc["tasklens", "accuracy"] == pytest.approx(70)
+    frame = table(study.model_copy(update={"seeds": (0,)}), "table1")
+    assert not [name for name in frame.columns if name.endswith("_std")]
+    assert frame.loc["tasklens", "accuracy"] == pytest.approx(70)
 
 
 def make(contents) -> SimpleNamespace:
@@ -167,22 +167,22 @@ def make(contents) -> SimpleNamespace:
     files = measurements_of("tiny", contents)
     suffixes = {"csv": "csv", "md": "md", "tex": "tex", "seeds_csv": "seeds.csv", "json": "json"}
     outputs = {name: result("tiny", f"tables/{contents.name}.{suffix}") for name, suffix in suffixes.items()}
-    inputs = ([*found.values()] for found in (files.lenses, files.metrics, files.frozen))
+    inputs = ([*paths.values()] for paths in (files.lenses, files.metrics, files.frozen))
     tables.make(contents, *inputs, PAPER_VALUES, **outputs)
     return SimpleNamespace(**outputs)
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_files_of_a_table_agree(study, name):
-    """CSV, Markdown and LaTeX have the same rows; the sidecar says what made them."""
+    """CSV, Markdown and LaTeX have the same rows; the sidecar file records their provenance."""
     outputs = make(table_of(study, name))
     rows = pandas.read_csv(outputs.csv, keep_default_na=False)
     body = [line for line in outputs.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == {"table1": 5, "table2": 8, "table3": 3, "table4": 4}[name]
     assert all(row.design in line for row, line in zip(rows.itertuples(), body, strict=True))
-    each = pandas.read_csv(outputs.seeds_csv, keep_default_na=False)
-    assert len(each) == 2 * len(rows) and each["seed"].tolist() == [0] * len(rows) + [1] * len(rows)
-    assert each["accuracy"].astype(float).mean() == pytest.approx(rows["accuracy"].mean())
+    by_seed = pandas.read_csv(outputs.seeds_csv, keep_default_na=False)
+    assert len(by_seed) == 2 * len(rows) and by_seed["seed"].tolist() == [0] * len(rows) + [1] * len(rows)
+    assert by_seed["accuracy"].astype(float).mean() == pytest.approx(rows["accuracy"].mean())
     alignment, body = latex_body(outputs.tex)
     assert [line.split(" & ")[1] for line in body] == [design.replace("_", r"\_") for design in rows["design"]]
     assert {line.count(" & ") + 1 for line in body} == {len(alignment)}
@@ -199,13 +199,13 @@ def test_latex_escapes_underscores_everywhere(study):
 
 def latex_body(path: Path) -> tuple[str, list[str]]:
     """Alignment of the columns of a LaTeX table, and its rows without the heading."""
-    found = re.search(r"begin{tabular}{([lr]+)}.*\\midrule\n(.*) \\\\\n\\bottomrule", path.read_text(), re.DOTALL)
-    assert found is not None
-    return found[1], found[2].split(" \\\\\n")
+    match = re.search(r"begin{tabular}{([lr]+)}.*\\midrule\n(.*) \\\\\n\\bottomrule", path.read_text(), re.DOTALL)
+    assert match is not None
+    return match[1], match[2].split(" \\\\\n")
 
 
 def test_latex_can_be_pasted(study):
-    """Words and units as headings, mean and spread in one cell, the best value bold, the paper's columns named so."""
+    """Words and units as headings, mean and spread in one cell, the best value bold, the paper's columns labelled."""
     outputs = make(table_of(study, "table3"))
     latex, (alignment, body) = outputs.tex.read_text(), latex_body(outputs.tex)
     assert latex.startswith(r"% Needs \usepackage{booktabs}.") and r"\label{tab:tiny-table3}" in latex

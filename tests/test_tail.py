@@ -1,4 +1,4 @@
-"""Tails of PSFs: discs, Gaussian spots and cores with a halo, of which every number is known."""
+"""Tails of PSFs with known numbers: discs, Gaussian spots and cores with a halo."""
 
 import math
 from dataclasses import replace
@@ -28,19 +28,19 @@ def measured(
     x, y = (points + f64(centre)).T / 1e3
     rays = landed(x[None, None], y[None, None], valid)
     rays = replace(rays, status=rays.status * lost)
-    monkeypatch.setattr(tails_of, "trace_fields", lambda *given: rays)
-    monkeypatch.setattr(tails_of, "chief_points", lambda *given: f64([centre]) / 1e3)
+    monkeypatch.setattr(tails_of, "trace_fields", lambda *arguments: rays)
+    monkeypatch.setattr(tails_of, "chief_points", lambda *arguments: f64([centre]) / 1e3)
     by_field, curve = tail(None, view_of_spec(Spec()), len(points))
     return by_field[0], pandas.DataFrame(curve)
 
 
 def test_a_disc_of_even_light(monkeypatch):
     """Half of the light within R / sqrt(2), which is the RMS too; no tail. The centre is the chief ray's point."""
-    found, _ = measured(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
-    assert found["core_radius_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
-    assert found["radius_80_um"] == pytest.approx(10 * math.sqrt(0.8), rel=2e-3)
-    assert found["rms_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
-    assert found["tail_energy"] == found["outside_window"] == 0
+    row, _ = measured(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
+    assert row["core_radius_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
+    assert row["radius_80_um"] == pytest.approx(10 * math.sqrt(0.8), rel=2e-3)
+    assert row["rms_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
+    assert row["tail_energy"] == row["outside_window"] == 0
 
 
 def test_a_gaussian_spot(monkeypatch):
@@ -48,41 +48,41 @@ def test_a_gaussian_spot(monkeypatch):
     u, v = sobol_disc(8192, 0).T
     radius = u**2 + v**2  # uniform over 0 .. 1
     points = torch.stack([u, v], -1) * (torch.sqrt(-2 * torch.log1p(-radius)) / torch.sqrt(radius))[:, None] * 5
-    found, curve = measured(monkeypatch, points)
-    assert found["core_radius_um"] == pytest.approx(5 * math.sqrt(2 * math.log(2)), rel=2e-3)
-    assert found["rms_um"] / found["core_radius_um"] == pytest.approx(1 / math.sqrt(math.log(2)), rel=1e-2)
-    assert found["tail_energy"] == pytest.approx(2**-9, rel=0.1)
+    row, curve = measured(monkeypatch, points)
+    assert row["core_radius_um"] == pytest.approx(5 * math.sqrt(2 * math.log(2)), rel=2e-3)
+    assert row["rms_um"] / row["core_radius_um"] == pytest.approx(1 / math.sqrt(math.log(2)), rel=1e-2)
+    assert row["tail_energy"] == pytest.approx(2**-9, rel=0.1)
     expected = 1 - torch.exp(-0.5 * (f64(RADII_UM) / 5) ** 2)
     torch.testing.assert_close(f64(curve["fraction"].tolist()), expected, rtol=0, atol=2e-3)
 
 
 def test_a_core_in_a_halo(monkeypatch):
-    """Of ten rays six land 2 um from the centre, two at 20 um, one at 100 um beside the window, one is lost."""
+    """Of ten rays six land 2 um from the centre, two at 20 um, one at 100 um outside the window, one is lost."""
     points = f64([[2, 0]] * 6 + [[0, 20]] * 2 + [[0, 100], [0, 0]])
     valid = torch.tensor([True] * 9 + [False])[None, None]
-    found, curve = measured(monkeypatch, points, valid)
-    assert found["core_radius_um"] == pytest.approx(2) and found["radius_80_um"] == pytest.approx(20)
-    assert found["tail_energy"] == pytest.approx(0.4) and found["outside_window"] == pytest.approx(0.2)
-    assert found["rms_um"] == pytest.approx(math.sqrt((6 * 4 + 2 * 400 + 10_000) / 9))
+    row, curve = measured(monkeypatch, points, valid)
+    assert row["core_radius_um"] == pytest.approx(2) and row["radius_80_um"] == pytest.approx(20)
+    assert row["tail_energy"] == pytest.approx(0.4) and row["outside_window"] == pytest.approx(0.2)
+    assert row["rms_um"] == pytest.approx(math.sqrt((6 * 4 + 2 * 400 + 10_000) / 9))
     at = curve.set_index("radius_um")["fraction"]
     assert [at[1.778], at[2.239], at[1000.0]] == pytest.approx([0, 0.6, 0.9])
 
 
 def test_vignetted_light_is_left_out(monkeypatch):
-    """Of ten rays six are stopped by a clear aperture: half of the other four is the core, none of it is lost."""
+    """A clear aperture stops six of ten rays: half of the other four is the core, and no light counts as lost."""
     points = f64([[1, 0], [0, 2], [3, 0], [0, 100]] + [[0, 0]] * 6)
     valid = torch.tensor([True] * 4 + [False] * 6)[None, None]
-    found, curve = measured(monkeypatch, points, valid, lost=RayStatus.VIGNETTED)
-    assert found["core_radius_um"] == pytest.approx(2) and found["radius_80_um"] == pytest.approx(100)
-    assert found["outside_window"] == found["tail_energy"] == pytest.approx(0.25)
+    row, curve = measured(monkeypatch, points, valid, lost=RayStatus.VIGNETTED)
+    assert row["core_radius_um"] == pytest.approx(2) and row["radius_80_um"] == pytest.approx(100)
+    assert row["outside_window"] == row["tail_energy"] == pytest.approx(0.25)
     assert curve.set_index("radius_um")["fraction"][1000.0] == 1
 
 
 def test_a_field_without_a_core_has_no_tail_energy(monkeypatch):
     points, lost = torch.zeros(4, 2, dtype=torch.float64), torch.tensor([True, False, False, False])[None, None]
-    found, _ = measured(monkeypatch, points, lost)
-    assert math.isinf(found["core_radius_um"]) and math.isnan(found["tail_energy"])
-    assert found["outside_window"] == 0.75
+    row, _ = measured(monkeypatch, points, lost)
+    assert math.isinf(row["core_radius_um"]) and math.isnan(row["tail_energy"])
+    assert row["outside_window"] == 0.75
 
 
 def test_encircled_energy_is_a_count():
@@ -91,14 +91,14 @@ def test_encircled_energy_is_a_count():
     rays = landed(points[..., 0], points[..., 1])
     centre = f64([[0.0, 0.0], [0.5, -0.5]])
     radii = torch.cat([f64([0.0, 0.3, 1.0, 9.0]), distances(rays, centre)[0, 0, :3]])
-    found = encircled_energy(rays, centre, radii)
+    actual = encircled_energy(rays, centre, radii)
     away = (points - centre[:, None, None]).norm(dim=-1)
     expected = torch.stack([(away <= r * (1 + 1e-15)).double().mean((1, 2)) for r in radii], -1)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-15)
+    torch.testing.assert_close(actual, expected, rtol=0, atol=1e-15)
 
 
 def test_figures_agree_with_the_lens_file():
-    """By the same rays: core, 80 % radius, energy in the window and RMS about the chief ray."""
+    """Both use the same rays: core, 80 % radius, energy in the window and RMS about the chief ray."""
     looks = view_of_spec(Spec())
     lens = make_lens([0, 0.7, 0], [0.1, 0.4, 2.6], ("air", "COC", "air"), semi_diameter=[0.5, torch.inf, torch.inf])
     by_field, curve = tail(lens, looks, 256)
@@ -112,7 +112,7 @@ def test_figures_agree_with_the_lens_file():
 
 
 def test_table_means_over_fields_and_seeds(tmp_path):
-    """Ratios are of the means over fields; a field without a number leaves the mean without one."""
+    """Ratios are ratios of means over fields; the mean is NaN if one field is NaN."""
     cores = {("imaging1", 0): [1, 3], ("imaging1", 1): [4, 4], ("imaging2", 0): [1, 1], ("imaging2", 1): [math.inf, 1]}
     rows = []
     for (design, seed), core in cores.items():

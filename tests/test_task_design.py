@@ -45,10 +45,10 @@ def image_error(part):
 
 
 def designed(network, lens, limits=LIMITS, parts=(RESTARTS, REFINEMENT), batch_norm="stored", **settings):
-    posed = problem(limits)
-    supervisor = TaskLoss(frozen(network, posed.dataset.images, batch_norm))
-    given = {"augment": True, "batch_norm": batch_norm} | settings
-    return by_descents(lens, lambda part: supervisor, posed, *parts, **given)[::2]
+    task = problem(limits)
+    supervisor = TaskLoss(frozen(network, task.dataset.images, batch_norm))
+    options = {"augment": True, "batch_norm": batch_norm} | settings
+    return by_descents(lens, lambda part: supervisor, task, *parts, **options)[::2]
 
 
 def spot_lens(start):
@@ -84,7 +84,7 @@ def test_restarts_are_deterministic(start):
 
 
 def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
-    """Of three restarts, judged by a list, the second is refined, here by a step of next to nothing."""
+    """With validation losses from a list, the second of three restarts is refined, here by a negligible step."""
     judged, losses = [], iter([2.0, 1.0, 3.0])
 
     def validation_loss(self, lens, pixels):
@@ -95,15 +95,15 @@ def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
     coarse = DescentSettings(steps=3, pixels=(21, 20), lenses=3)
     nothing = DescentSettings(steps=1, pixels=(20, 20), step_size=1e-9)
     lens, _ = designed(small_network(), start, NO_LIMITS, (coarse, nothing))
-    moved = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
-    assert moved[1] < 0.01 * min(moved[0], moved[2])
+    changes = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
+    assert changes[1] < 0.01 * min(changes[0], changes[2])
 
 
 @pytest.mark.parametrize("pixels, step_size", [((5, 5), 20.0), ((20, 5), 4.0)])
 def test_a_descent_returns_its_best_lens(start, pixels, step_size):
-    """Steps far too long destroy the lens; the result is that of the least loss on the fixed images.
+    """Steps far too long destroy the lens; the result is the lens of the least loss on the fixed images.
 
-    After three validations without a better lens it goes back there, with half the step size.
+    After three validations without a better lens, the descent returns to the best lens and halves the step size.
     """
     far = DescentSettings(
         steps=40, pixels=pixels, duration=0.5, step_size=step_size, final=1.0, criterion="log_image_error"
@@ -126,7 +126,7 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
 
 
 def test_several_restarts_are_refined(start, monkeypatch):
-    """Of three restarts the two of the least loss go on, and the better of these is the lens."""
+    """The two of three restarts with the least loss are refined, and the better result is the lens."""
     losses = iter([2.0, 1.0, 3.0, 0.5, 0.7, 0.1])  # restarts, refinements, finish
     monkeypatch.setattr(Supervisor, "validation_loss", lambda self, lens, pixels: next(losses))
     parts = [DescentSettings(steps=1, pixels=(20, 19), duration=1.0, lenses=count) for count in (3, 2, 1)]
@@ -158,7 +158,7 @@ def test_the_best_candidate_is_the_start(start):
 
 @pytest.mark.parametrize("finished, kept", [(1.5, "sharp"), (0.5, "finished")])
 def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, finished, kept):
-    """Losses by a list: plates 2, sharp 1, then the finished lens; the lens file has that of the lens which it is."""
+    """Losses from a list: plates 2, sharp 1, then the finished lens; the lens file has the loss of its own lens."""
     losses = iter([2.0, 1.0, finished])
     monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
     finish = DescentSettings(steps=2, pixels=(5, 5), step_size=1.0, criterion="log_image_error")
@@ -185,7 +185,7 @@ class Failing(ImageError):
 
 @pytest.mark.parametrize("fails_at, told", [(1, False), (3, True), (5, False)])
 def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, fails_at, told):
-    """Of one of its own descents; not of a restart that was not refined, nor of a finish that was not kept."""
+    """It reports a divergence of its own descents, not of a rejected restart or a rejected finish."""
     parts = [DescentSettings(steps=1, pixels=(20, 20), lenses=lenses) for lenses in (2, 1)]
     if fails_at == 5:  # of a finish that is worse than its start
         losses = iter([1.0, 2.0])
@@ -194,13 +194,13 @@ def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, fails_a
         parts = [DescentSettings(steps=2, pixels=(20, 20))]
         _, origin, _ = by_descents(start, lambda p: failing, problem(), *parts, candidates={"start": start})
     else:
-        made = iter([Failing(0 if fails_at == 3 else 99), Failing(0), Failing(99)])  # restarts, refinement
-        _, origin, _ = by_descents(start, lambda p: next(made), problem(), *parts)
+        criteria = iter([Failing(0 if fails_at == 3 else 99), Failing(0), Failing(99)])  # restarts, refinement
+        _, origin, _ = by_descents(start, lambda p: next(criteria), problem(), *parts)
     assert ("diverged" in origin) is told
 
 
 def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
-    """With its limits repaired and its clear apertures, which can cost more than the descent has won."""
+    """Selection uses the repaired lens with clear apertures, which can cost more than the descent has gained."""
     judged = []
 
     def selection_loss(supervisor, lens, pixels):
@@ -210,31 +210,31 @@ def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
     monkeypatch.setattr(Supervisor, "selection_loss", selection_loss)
     finish = DescentSettings(steps=1, pixels=(5, 5), step_size=0.1, criterion="log_image_error")
     margins = manufacturing_margins(start, LIMITS, clear_semi_diameters(start, LOOKS))
-    least = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05  # broken by 0.05 mm
+    least = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05  # violated by 0.05 mm
     limits = LIMITS.model_copy(update={"min_centre_thickness": least})
     lens, _, _ = by_descents(start, image_error, problem(limits), finish, candidates={"start": start})
-    made, _ = repair(lens, LOOKS, limits)
-    assert not torch.equal(made.thickness, lens.thickness) and torch.equal(judged[-1].thickness, made.thickness)
+    repaired, _ = repair(lens, LOOKS, limits)
+    assert not torch.equal(repaired.thickness, lens.thickness) and torch.equal(judged[-1].thickness, repaired.thickness)
     assert lens.semi_diameter.isinf().any() and not judged[-1].semi_diameter.isinf().any()
 
 
 def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
-    """48 of 300 images lead, 192 others choose, each time the same."""
-    seen = []
+    """Validation uses 48 of 300 images, selection 192 others, the same ones each time."""
+    batches = []
     supervisor = Supervisor(ImageError(True), replace(problem(), dataset=random_images(300, 16, 3, 0)), None, False, 36)
     images = Supervisor.images
     monkeypatch.setattr(
-        Supervisor, "images", lambda self, indices, augment: seen.append(indices) or images(self, indices, augment)
+        Supervisor, "images", lambda self, indices, augment: batches.append(indices) or images(self, indices, augment)
     )
     for loss in (supervisor.validation_loss, supervisor.selection_loss) * 2:
         loss(start, 1.0)
-    assert [len(indices) for indices in seen] == [48, 192, 48, 192]
-    assert torch.equal(seen[0], seen[2]) and torch.equal(seen[1], seen[3])
-    assert not set(seen[0].tolist()) & set(seen[1].tolist())
+    assert [len(indices) for indices in batches] == [48, 192, 48, 192]
+    assert torch.equal(batches[0], batches[2]) and torch.equal(batches[1], batches[3])
+    assert not set(batches[0].tolist()) & set(batches[1].tolist())
 
 
 def test_the_noise_of_fixed_images_is_the_same_in_any_micro_batches(start):
-    """One image after another has noise of its own."""
+    """Successive images have different noise."""
     posed = replace(problem(), capture=CaptureSettings(sensor=SensorSettings(gain=16)))
     losses = [
         Supervisor(ImageError(False), posed, None, False, at_once).validation_loss(start, 1.0)
@@ -247,14 +247,14 @@ def test_distortion_costs_nothing_about_the_chief_ray(start):
     """Behind a lens in focus for 3 % more distance, light is where its chief ray is, not where a pinhole's is."""
     view = problem().view
     lens = replace(start, curvature=0 * start.curvature)
-    moved = replace(lens, thickness=1.03 * lens.thickness)
+    stretched = replace(lens, thickness=1.03 * lens.thickness)
     pupil = 0.01 * sobol_disc(16, 0)  # a narrow stop, so that plates make points
-    seen = {}
+    energies = {}
     for centre in ("pinhole", "chief_ray"):
         supervisor = Supervisor(ImageError(True), problem(), None, False, 12, centre)
-        seen[centre] = supervisor.trace(moved, pupil, 1.0)[1].sum((-2, -1)).mean(-1)
+        energies[centre] = supervisor.trace(stretched, pupil, 1.0)[1].sum((-2, -1)).mean(-1)
     outer = view.radii > 20e-3 * view.kernel_size * view.pixel_pitch
-    assert outer.any() and (seen["chief_ray"] > 0.999).all() and (seen["pinhole"][outer] < 0.001).all()
+    assert outer.any() and (energies["chief_ray"] > 0.999).all() and (energies["pinhole"][outer] < 0.001).all()
 
 
 def test_the_image_error_alone_makes_a_lens():
@@ -277,28 +277,28 @@ def test_the_image_error_alone_makes_a_lens():
 
 def test_a_joint_descent_trains_a_classifier_of_its_own(start):
     """Two restarts and a refinement begin with the trained classifier, move copies of it, and leave the original."""
-    network, seen = small_network().train(), []
+    network, criteria = small_network().train(), []
     before = copy.deepcopy(network.state_dict())
 
     def joint(part):
-        seen.append(JointTaskLoss(copy.deepcopy(network), 1e-2, part.steps, part.final))
-        return seen[-1]
+        criteria.append(JointTaskLoss(copy.deepcopy(network), 1e-2, part.steps, part.final))
+        return criteria[-1]
 
     descent = DescentSettings(steps=3, pixels=(5, 5), network_learning_rate=1e-2)
     restarts = descent.model_copy(update={"lenses": 2})
     by_descents(start, joint, problem(NO_LIMITS), restarts, descent, micro_batch=4)
-    assert len(seen) == 3 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
-    for criterion in seen:
+    assert len(criteria) == 3 and all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
+    for criterion in criteria:
         trained = criterion.network
         assert trained.training and criterion.schedule.last_epoch == descent.steps
         assert all(not torch.equal(v, before[k]) for k, v in trained.state_dict().items())
-        # Validations count no batch: batch norms have seen the batches of the steps alone.
+        # Validations do not count: batch norms track only the batches of the steps.
         batches = [m.num_batches_tracked for m in trained.modules() if isinstance(m, BatchNorm2d)]
         assert batches and all(int(count) == descent.steps for count in batches)
 
 
 def test_a_network_that_changes_halves_no_step(start):
-    """A lens that does not move is no worse than the best, though a network trained too fast reads it ever worse."""
+    """An unchanged lens is no worse than the best, even if a network trained too fast classifies it ever worse."""
     network = small_network().train()
     finish = DescentSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0, network_learning_rate=1.0)
 
@@ -312,27 +312,27 @@ def test_a_network_that_changes_halves_no_step(start):
 
 
 def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
-    """By the accuracy given with it; no other lens competes, and the lens file says which it was."""
+    """The best start has the highest accuracy; no candidates compete with it."""
     joint = {"start": ["imaging1", "imaging2"], "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
     study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
     study = parse(changed(study, "designs.joint", joint))
-    wanted, seen = lens_design(study, "doublet-joint", 0), []
+    design_settings, calls = lens_design(study, "doublet-joint", 0), []
 
     def design(begin, candidates, *rest):
-        seen.append((begin, candidates))
+        calls.append((begin, candidates))
         raise Seen
 
     sharp = spot_lens(start)
     starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (sharp, 70.0)}
     monkeypatch.setattr(descents, "design", design)
     with pytest.raises(Seen):
-        methods.design(wanted, small_network(), None, starts, {})
-    ((begin, candidates),) = seen
+        methods.design(design_settings, small_network(), None, starts, {})
+    ((begin, candidates),) = calls
     assert torch.equal(begin.curvature, sharp.curvature) and not candidates
 
 
 class Seen(Exception):
-    """Ends a design where it begins."""
+    """Ends a design at its beginning."""
 
 
 @pytest.mark.parametrize("names, start", [(["imaging1"], "even"), ("best_imaging", "uneven")])
@@ -344,13 +344,13 @@ def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names,
         rows = [f"{field},minival_accuracy,{value}\n" for field, value in enumerate(values)]
         write(tmp_path / name, "field,metric,value\n" + "".join(rows))
     joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
-    wanted = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
+    design_settings = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
 
     def design(settings, network, train, starts, *rest):
         raise Seen(max(starts, key=lambda name: starts[name][1]))
 
     monkeypatch.setattr(methods, "design", design)
-    settings = wanted.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
+    settings = design_settings.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
     starts, metrics = 2 * [tmp_path / "lens.yaml"], [tmp_path / name for name in accuracies]
     outputs = (tmp_path / name for name in ("out.yaml", "history.csv", "psf.safetensors"))
     with pytest.raises(Seen, match=f"^{start}$"):

@@ -40,8 +40,8 @@ OUTPUTS = range(1, 11)  # of the ten textures
 NOT_FLIPPED = torch.zeros(2, dtype=torch.bool)
 
 
-def settings(given: dict) -> TaskSettings:
-    return TaskSettings(**given, training=TRAINING, fine_tuning=TRAINING)
+def settings(content: dict) -> TaskSettings:
+    return TaskSettings(**content, training=TRAINING, fine_tuning=TRAINING)
 
 
 def data(count: int = 2) -> ObjectDataset:
@@ -78,13 +78,13 @@ def test_detection_of_the_truth_is_perfect():
 
     class Knows(nn.Module):
         def forward(self, images):
-            found = []
+            detections = []
             for k in range(len(images)):
                 labels, masks = dataset.objects_of(k)
                 scores = torch.ones(len(labels))
-                found.append({"boxes": objects.boxes(masks), "labels": labels + 1, "scores": scores,
+                detections.append({"boxes": objects.boxes(masks), "labels": labels + 1, "scores": scores,
                               "masks": masks[:, None].float()})  # fmt: skip
-            return found
+            return detections
 
     task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(4)
     answers = task.answers(Knows(), dataset.batch(indices))
@@ -96,18 +96,18 @@ def test_detection_of_the_truth_is_perfect():
 
 
 def test_objects_of_flipped_images_are_flipped():
-    """Boxes and masks that torchvision is given, from left to right."""
-    dataset, seen = data(), []
+    """Boxes and masks for torchvision are flipped from left to right."""
+    dataset, batches = data(), []
 
     class Records(nn.Module):
         def forward(self, images, targets):
-            seen.append(targets)
+            batches.append(targets)
             return {"loss": torch.zeros(())}
 
     task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(2)
     for flipped in (NOT_FLIPPED, ~NOT_FLIPPED):
         task.loss(Records(), dataset.batch(indices), indices, flipped)
-    for plain, mirrored in zip(*seen, strict=True):
+    for plain, mirrored in zip(*batches, strict=True):
         left, top, right, bottom = plain["boxes"].T
         assert torch.equal(mirrored["boxes"], torch.stack([32 - right, top, 32 - left, bottom], 1))
         assert torch.equal(mirrored["masks"], plain["masks"].flip(-1))
@@ -125,7 +125,7 @@ def test_losses_of_segmentation_are_of_each_image():
 
 
 def test_a_detector_judges_a_lens_alike_each_time(start):
-    """It samples boxes at random: the same for each lens, and training goes on with its own random numbers."""
+    """Its random sample of boxes is the same for each lens, and does not change the random numbers of training."""
     torch.manual_seed(0)
     dataset = data(4)
     network = task_networks.frozen(task_networks.build("a", settings(BOXES), 10, 32))
@@ -156,7 +156,7 @@ def test_numbers_of_the_table(tmp_path):
 
 @pytest.mark.parametrize("given", [SEGMENTATION, BOXES, MASKS], ids=["segmentation", "boxes", "masks"])
 def test_losses_have_gradients_at_captures(given):
-    """Of a frozen network, whose parameters get none: a lens can be designed by them."""
+    """A frozen network passes gradients to captures, for lens design, but not to its own parameters."""
     torch.manual_seed(0)
     dataset = data()
     network = task_networks.frozen(task_networks.build("a", settings(given), 10, 32))
@@ -172,8 +172,8 @@ def test_classification_is_a_task_too():
     dataset, network = random_images(40, 16, 3, seed=2), trained_network(0)
     pipeline = CapturePipeline(PsfCamera(torch.full((2, 3, 1, 1), 1.0) * torch.tensor([1.0, 0.5])[:, None, None, None]))
     correct = evaluation.evaluate([network], dataset, pipeline).correct
-    found = evaluation.scores(network, CLASSIFICATION, dataset, pipeline)
-    assert [row["value"] for row in found] == pytest.approx((100 * correct[0].double().mean(-1)).tolist())
+    rows = evaluation.scores(network, CLASSIFICATION, dataset, pipeline)
+    assert [row["value"] for row in rows] == pytest.approx((100 * correct[0].double().mean(-1)).tolist())
     captures, labels = dataset.batch(torch.arange(5))
     losses = CLASSIFICATION.losses(network, captures, labels).detach()
     whole = CLASSIFICATION.loss(network, captures, labels, torch.zeros(5, dtype=torch.bool)).detach()
@@ -181,12 +181,12 @@ def test_classification_is_a_task_too():
 
 
 def test_a_small_network_learns_where_objects_are():
-    """Objects or not, after forty steps: the loss falls by a third at least."""
+    """Forty steps of telling objects from background reduce the loss by at least a third."""
     torch.manual_seed(0)
     dataset = data(16)
     network = task_networks.build("a", settings(BOXES), 10, 32)
     task = Detection(dataset, OUTPUTS, with_masks=False)
-    wanted = TrainingSettings(epochs=20, learning_rate=2e-3, batch_size=8)
+    fit_settings = TrainingSettings(epochs=20, learning_rate=2e-3, batch_size=8)
 
     def loss() -> float:
         torch.manual_seed(1)
@@ -196,7 +196,7 @@ def test_a_small_network_learns_where_objects_are():
         )
 
     before = loss()
-    training.fit({"a": network}, dataset.as_images(), wanted, 0, "test", task=task)
+    training.fit({"a": network}, dataset.as_images(), fit_settings, 0, "test", task=task)
     assert loss() < before / 1.5
 
 
@@ -213,7 +213,7 @@ def test_whole_networks_of_torchvision():
 
 
 def test_published_weights_know_classes_by_name():
-    """A network of COCO's 90 numbers is asked for those of the data's classes alone, wherever they stand."""
+    """From a network with COCO's 90 classes, only the outputs of the data's classes count, in any order."""
     network = settings({"kind": "detection", "model": "fasterrcnn_resnet50_fpn", "pretrained": True})
     outputs = task_networks.outputs("a", network, ("toothbrush", "person"))
     assert outputs == (90, 1)
@@ -225,8 +225,8 @@ def test_published_weights_know_classes_by_name():
             corners = torch.tensor([[0.0, 0, 9, 9]]).repeat(3, 1)
             return [{"boxes": corners, "labels": torch.tensor([1, 2, 90]), "scores": torch.tensor([0.9, 0.8, 0.7])}]
 
-    (found,) = Detection(data(1), outputs, with_masks=False).answers(Finds(), torch.zeros(1, 3, 32, 32))
-    assert found.labels.tolist() == [1, 0] and found.scores.tolist() == pytest.approx([0.9, 0.7])
+    (detections,) = Detection(data(1), outputs, with_masks=False).answers(Finds(), torch.zeros(1, 3, 32, 32))
+    assert detections.labels.tolist() == [1, 0] and detections.scores.tolist() == pytest.approx([0.9, 0.7])
 
 
 @pytest.mark.parametrize(
@@ -245,38 +245,38 @@ def test_networks_that_do_not_fit_their_task(given):
 
 
 def test_splits_have_other_images():
-    found = object_splits.make(SceneSettings(size=32, train=3, test=3))
-    assert not torch.equal(found["train"].images, found["test"].images)
-    assert torch.equal(object_splits.make(SceneSettings(size=32, train=3, test=3))["test"].masks, found["test"].masks)
+    splits = object_splits.make(SceneSettings(size=32, train=3, test=3))
+    assert not torch.equal(splits["train"].images, splits["test"].images)
+    assert torch.equal(object_splits.make(SceneSettings(size=32, train=3, test=3))["test"].masks, splits["test"].masks)
 
 
 def test_a_study_of_tasks(tmp_path, monkeypatch):
     """Scenes, networks on sharp images, fine-tuning on captures, and the table; sharp images first."""
     monkeypatch.chdir(tmp_path)
     networks = {
-        name: given | {"training": TRAINING, "fine_tuning": TRAINING}
-        for name, given in (("pixels", SEGMENTATION), ("boxes", BOXES))
+        name: network | {"training": TRAINING, "fine_tuning": TRAINING}
+        for name, network in (("pixels", SEGMENTATION), ("boxes", BOXES))
     }
-    wanted = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
-    study = parse(tiny_study() | {"tasks": wanted})
+    section = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
+    study = parse(tiny_study() | {"tasks": section})
     finish("scenes", study)
     finish("images", study)
     finish("design", study, lens="singlet-imaging1", seed=0)
     for task in networks:
         finish("task_reference", study, task=task)
         for lens in ("sharp", "singlet-imaging1"):
-            made = finish("task_fine_tune", study, lens=lens, task=task, seed=0)
-            rows = read_rows(made.metrics)
+            paths = finish("task_fine_tune", study, lens=lens, task=task, seed=0)
+            rows = read_rows(paths.metrics)
             assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(9))))
             assert {row["tuned"] for row in rows} == {"True", "False"}
-            said = outcome("task_fine_tune", [*map(str, vars(made).values())], Path("no.log"))
-            assert said.startswith("miou" if task == "pixels" else "box_ap")
-    made = finish("tasks_table", study)
-    assert [(row["task"], row["design"]) for row in read_rows(made.csv)][:2] == [
+            message = outcome("task_fine_tune", [*map(str, vars(paths).values())], Path("no.log"))
+            assert message.startswith("miou" if task == "pixels" else "box_ap")
+    paths = finish("tasks_table", study)
+    assert [(row["task"], row["design"]) for row in read_rows(paths.csv)][:2] == [
         ("pixels", "reference"),
         ("pixels", "imaging1"),
     ]
-    assert "Other tasks" in made.md.read_text()
+    assert "Other tasks" in paths.md.read_text()
 
 
 def test_a_study_without_tasks_has_no_table():
@@ -302,17 +302,17 @@ def with_tasks(**design) -> dict:
 
 
 def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
-    """By its frozen network, on images with objects, from an imaging lens; it is in the tasks' table alone."""
+    """By its frozen network, on images with objects, from an imaging lens; it appears only in the tasks' table."""
     monkeypatch.chdir(tmp_path)
     study = parse(with_tasks())
     finish("images", study)
     finish("scenes", study)
     finish("task_reference", study, task="boxes")
     start = finish("design", study, lens="singlet-imaging1", seed=0)
-    found = finish("design", study, lens="singlet-for_boxes", seed=0)
-    lenses = [prescription.read(each.lens)[0].lens for each in (start, found)]
+    final = finish("design", study, lens="singlet-for_boxes", seed=0)
+    lenses = [prescription.read(paths.lens)[0].lens for paths in (start, final)]
     assert not torch.equal(lenses[0].curvature, lenses[1].curvature)
-    assert yaml.safe_load(Path(found.lens).read_text())["origin"]["start"] == "singlet-imaging1"
+    assert yaml.safe_load(Path(final.lens).read_text())["origin"]["start"] == "singlet-imaging1"
     assert all("singlet-for_boxes" not in tables.table(study, name).lenses for name in study.tables)
     assert task_jobs.tasks(study).lenses[-1] == "singlet-for_boxes"
     assert not any("for_boxes" in lens for claim in claims.claims(study).claims for lens in claim.lenses)

@@ -25,7 +25,7 @@ NOTHING = dict.fromkeys(GRADES["precision_moulding"], 0.0)
 
 
 def grade(**tolerances: float) -> Grade:
-    """A grade with these tolerances alone."""
+    """A grade with only these tolerances."""
     return Grade(**NOTHING | tolerances)
 
 
@@ -56,40 +56,42 @@ def test_elements_are_what_lies_between_air():
 
 
 def test_every_kind_of_error_is_listed_once():
-    found = errors(doublet()[0], Grade.model_validate("precision_moulding"))
-    assert len({error.name for error in found}) == len(found) == 4 + 8 + 2 + 2 + 4 + 8 + 8
-    assert not any("radius 0" in error.name or "form 0" in error.name for error in found)  # the stop
+    all_errors = errors(doublet()[0], Grade.model_validate("precision_moulding"))
+    assert len({error.name for error in all_errors}) == len(all_errors) == 4 + 8 + 2 + 2 + 4 + 8 + 8
+    assert not any("radius 0" in error.name or "form 0" in error.name for error in all_errors)  # the stop
     assert {error.kind for error in errors(doublet()[0], grade(index=0.001))} == {"index"}
 
 
 def test_drawn_errors_are_normal_and_cut():
     """Two standard deviations are the tolerance; more lenses begin with the same ones; another seed, others."""
-    found = errors(doublet()[0], Grade.model_validate("precision_moulding"))
-    drawn = draw(found, 4000, 3)
-    assert drawn.abs().max() <= 1.0 and drawn.abs().max() > 0.99
-    assert float(drawn.std()) == pytest.approx(DEVIATION, rel=0.01) and abs(float(drawn.mean())) < 0.005
-    assert float((drawn.abs() < 0.5).double().mean()) == pytest.approx(
+    all_errors = errors(doublet()[0], Grade.model_validate("precision_moulding"))
+    fractions = draw(all_errors, 4000, 3)
+    assert fractions.abs().max() <= 1.0 and fractions.abs().max() > 0.99
+    assert float(fractions.std()) == pytest.approx(DEVIATION, rel=0.01) and abs(float(fractions.mean())) < 0.005
+    assert float((fractions.abs() < 0.5).double().mean()) == pytest.approx(
         math.erf(math.sqrt(0.5)) / math.erf(math.sqrt(2)), abs=0.005
     )
-    assert torch.equal(draw(found, 10, 3), drawn[:10]) and not torch.equal(draw(found, 10, 4), drawn[:10])
+    assert torch.equal(draw(all_errors, 10, 3), fractions[:10]) and not torch.equal(
+        draw(all_errors, 10, 4), fractions[:10]
+    )
 
 
 def test_a_lens_without_errors_is_the_design():
     lens, view = doublet()
-    found = errors(lens, Grade.model_validate("commercial_moulding"))
-    same = built(lens, found, torch.zeros(len(found), dtype=torch.float64), view.reference)
+    all_errors = errors(lens, Grade.model_validate("commercial_moulding"))
+    perfect = built(lens, all_errors, torch.zeros(len(all_errors), dtype=torch.float64), view.reference)
     pupil = sobol_disc(64, seed=0)
-    rays, expected = trace_fields(same, view, pupil), trace_fields(lens, view, pupil)
+    rays, expected = trace_fields(perfect, view, pupil), trace_fields(lens, view, pupil)
     torch.testing.assert_close(rays.x, expected.x, rtol=0, atol=1e-14)
-    assert focus.focused(same, view, focus.peak(lens, view))[1] == pytest.approx(0.0, abs=1e-9)
+    assert focus.focused(perfect, view, focus.peak(lens, view))[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def one(lens: Lens, name: str, tolerances: Grade) -> Lens:
     """The lens with one error as large as its tolerance."""
-    found = errors(lens, tolerances)
-    along = f64([float(error.name == name) for error in found])
-    assert along.sum() == 1, [error.name for error in found]
-    return built(lens, found, along, D_LINE)
+    all_errors = errors(lens, tolerances)
+    fractions = f64([float(error.name == name) for error in all_errors])
+    assert fractions.sum() == 1, [error.name for error in all_errors]
+    return built(lens, all_errors, fractions, D_LINE)
 
 
 def test_errors_have_the_size_and_place_that_they_say():
@@ -98,10 +100,10 @@ def test_errors_have_the_size_and_place_that_they_say():
     assert one(lens, "radius 2", every).curvature[2] == pytest.approx(-0.2 / 1.005)
     assert one(lens, "thickness 3", every).thickness[3] == pytest.approx(0.515)
     assert one(lens, "air space 2", every).thickness[2] == pytest.approx(0.315)
-    moved = one(lens, "surface decentre 2 y", every).pose
-    assert moved.position[2].tolist() == pytest.approx([0.0, 0.015, 0.0]) and not moved.position[[0, 1, 3, 4]].any()
-    moved = one(lens, "element decentre 3 x", every).pose
-    assert moved.position[[3, 4], 0].tolist() == pytest.approx([0.0125] * 2) and not moved.position[:3].any()
+    pose = one(lens, "surface decentre 2 y", every).pose
+    assert pose.position[2].tolist() == pytest.approx([0.0, 0.015, 0.0]) and not pose.position[[0, 1, 3, 4]].any()
+    pose = one(lens, "element decentre 3 x", every).pose
+    assert pose.position[[3, 4], 0].tolist() == pytest.approx([0.0125] * 2) and not pose.position[:3].any()
     expected = lens.with_element_moved(3, 4, f64([0.0, 0.0]), f64([0.003, 0.0])).pose
     torch.testing.assert_close(
         one(lens, "element tilt 3 x", every).pose.position, expected.position, rtol=0, atol=1e-15
@@ -159,10 +161,10 @@ def test_rays_carry_derivatives_by_a_melt():
 
 def test_through_focus_is_the_mtf_of_each_plane():
     lens, view = doublet()
-    found = focus.through_focus(lens, view, -0.02, 0.01, 4)
-    for shift, value in zip((-0.02, -0.01, 0.0, 0.01), found.tolist(), strict=True):
-        moved = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
-        rays = trace_fields(moved, view, sobol_disc(256, seed=0))
+    contrast = focus.through_focus(lens, view, -0.02, 0.01, 4)
+    for shift, value in zip((-0.02, -0.01, 0.0, 0.01), contrast.tolist(), strict=True):
+        defocused = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
+        rays = trace_fields(defocused, view, sobol_disc(256, seed=0))
         expected = torch.stack(geometric_mtf(rays, view.directions, [1e3 / 2.0 / 8])).mean()
         assert value == pytest.approx(float(expected), abs=1e-9)
 
@@ -171,11 +173,11 @@ def test_through_focus_is_the_mtf_of_each_plane():
 def test_a_shifted_sensor_is_focused_back(shift):
     lens, view = doublet()
     peak = focus.peak(lens, view)
-    moved = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
-    found, by = focus.focused(moved, view, peak)
-    assert by == pytest.approx(-shift, abs=5e-4) and float(found.thickness[4] - lens.thickness[4]) == pytest.approx(
-        0.0, abs=5e-4
-    )
+    defocused = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
+    sharp_lens, by = focus.focused(defocused, view, peak)
+    assert by == pytest.approx(-shift, abs=5e-4) and float(
+        sharp_lens.thickness[4] - lens.thickness[4]
+    ) == pytest.approx(0.0, abs=5e-4)
 
 
 def test_a_field_without_light_has_no_displacements():
@@ -185,17 +187,17 @@ def test_a_field_without_light_has_no_displacements():
     last = torch.arange(len(lens.media)) == len(lens.media) - 1
     dark = replace(lens, semi_diameter=torch.where(last, 0.3, lens.semi_diameter))
     assert not trace_fields(dark, view, sobol_disc(64, seed=0)).valid.any(-1).any(-1).all()
-    found = errors(dark, grade(element_decentre_um=20.0))
-    assert torch.isinf(displacements(dark, view, found, 64)).all()
-    assert torch.isinf(traced_displacements(dark, view, found, 64)).all()
+    all_errors = errors(dark, grade(element_decentre_um=20.0))
+    assert torch.isinf(displacements(dark, view, all_errors, 64)).all()
+    assert torch.isinf(traced_displacements(dark, view, all_errors, 64)).all()
 
 
 def test_a_decentre_of_either_sign_is_focused_alike():
-    """It tilts the image surface; the fields of one quadrant alone would call that a shift."""
+    """A decentre tilts the image surface; fields of one quadrant alone would show it as a shift."""
     lens, view = doublet()
     peak = focus.peak(lens, view)
-    found = errors(lens, grade(element_decentre_um=20.0))
-    shifts = [focus.focused(built(lens, found, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)]
+    all_errors = errors(lens, grade(element_decentre_um=20.0))
+    shifts = [focus.focused(built(lens, all_errors, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)]
     assert float(shifts[0]) == pytest.approx(float(shifts[1]), abs=5e-4)
 
 
@@ -210,7 +212,7 @@ def test_fields_in_all_quadrants():
 
 
 def least_displacement_um(lens: Lens, changed: Lens, view: View) -> float:
-    """Of the core of a lens in the best image plane of a changed one, by search over planes, with other code."""
+    """Least displacement of the core of `lens` in `changed`, in the best image plane, by a search over planes."""
     pupil = sobol_disc(256, seed=0)
     nominal = trace_fields(lens, view, pupil)
     chief = trace_fields(lens, view.in_reference(), torch.zeros(1, 2, dtype=torch.float64))
@@ -224,8 +226,8 @@ def least_displacement_um(lens: Lens, changed: Lens, view: View) -> float:
             )
             fields = []
             for k in range(len(view.fields)):
-                moved = torch.stack([rays.x - nominal.x, rays.y - nominal.y])[:, k, core[k]]
-                fields.append((moved - moved.mean(1, keepdim=True)).square().sum(0).mean())
+                offsets = torch.stack([rays.x - nominal.x, rays.y - nominal.y])[:, k, core[k]]
+                fields.append((offsets - offsets.mean(1, keepdim=True)).square().sum(0).mean())
             best, at = min((best, at), (1e3 * float(sum(fields) / len(fields)) ** 0.5, shift))
         width /= 10
     return best
@@ -236,36 +238,38 @@ def test_displacements_are_those_of_lenses_that_are_off_and_refocused(name):
     """By derivative, and traced, against a search for the best image plane."""
     lens, view = doublet()
     every = Grade.model_validate("precision_moulding")
-    found = errors(lens, every)
-    at = [error.name for error in found].index(name)
+    all_errors = errors(lens, every)
+    at = [error.name for error in all_errors].index(name)
     expected = least_displacement_um(lens, one(lens, name, every), view.in_all_quadrants())
     assert expected > 0.001
-    assert float(displacements(lens, view, found, 256)[at]) == pytest.approx(expected, rel=0.03)
-    assert float(traced_displacements(lens, view, found, 256)[at]) == pytest.approx(expected, rel=0.03)
+    assert float(displacements(lens, view, all_errors, 256)[at]) == pytest.approx(expected, rel=0.03)
+    assert float(traced_displacements(lens, view, all_errors, 256)[at]) == pytest.approx(expected, rel=0.03)
 
 
 def test_x_and_y_are_alike():
-    """As the fields are."""
+    """Errors along x and y have equal effects, as the fields are symmetric."""
     lens, view = doublet()
-    found = errors(lens, grade(element_decentre_um=10.0, surface_tilt_mrad=1.0))
-    moved = dict(zip((error.name for error in found), displacements(lens, view, found, 4096).tolist(), strict=True))
+    all_errors = errors(lens, grade(element_decentre_um=10.0, surface_tilt_mrad=1.0))
+    displacement_um = dict(
+        zip((error.name for error in all_errors), displacements(lens, view, all_errors, 4096).tolist(), strict=True)
+    )
     for name in ("element decentre 1", "element decentre 3"):
-        assert moved[f"{name} x"] == pytest.approx(moved[f"{name} y"], rel=0.02)
-    assert moved["surface tilt 2 x"] == pytest.approx(moved["surface tilt 2 y"], rel=0.02)
+        assert displacement_um[f"{name} x"] == pytest.approx(displacement_um[f"{name} y"], rel=0.02)
+    assert displacement_um["surface tilt 2 x"] == pytest.approx(displacement_um["surface tilt 2 y"], rel=0.02)
 
 
 def test_built_lenses_follow_linear_theory():
     """Small errors: the mean square displacement of core rays is the sum over errors, times the variance."""
     lens, view = doublet()
     small = Grade(**{kind: value / 20 for kind, value in GRADES["precision_moulding"].items()})
-    found = errors(lens, small)
-    expected = DEVIATION**2 * float(displacements(lens, view, found, 128).square().sum())
+    all_errors = errors(lens, small)
+    expected = DEVIATION**2 * float(displacements(lens, view, all_errors, 128).square().sum())
     wide, pupil = view.in_all_quadrants(), sobol_disc(128, seed=0)
     nominal, centre = trace_fields(lens, wide, pupil), chief_points(lens, wide)
     core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
     squares = []
-    for fractions in draw(found, 400, 1):
-        rays = trace_fields(built(lens, found, fractions, D_LINE), wide, pupil)
+    for fractions in draw(all_errors, 400, 1):
+        rays = trace_fields(built(lens, all_errors, fractions, D_LINE), wide, pupil)
         d = torch.stack([rays.x - nominal.x, rays.y - nominal.y])
         q = torch.stack([rays.l / rays.n, rays.m / rays.n])
         d, q = (torch.stack([v[:, k, core[k]] for k in range(len(core))], 1) for v in (d, q))
@@ -282,35 +286,35 @@ def test_built_lenses_follow_linear_theory():
 
 def test_tolerances_are_the_cheapest_for_their_effect():
     """No others with the same mean square displacement have a smaller sum of inverse tolerances."""
-    moved = f64([0.2, 1.0, 3.0, 0.7])
-    found = allocation.cheapest(moved, 0.5)
+    effects = f64([0.2, 1.0, 3.0, 0.7])
+    tolerances = allocation.cheapest(effects, 0.5)
     generator = torch.Generator().manual_seed(0)
     for _ in range(50):
-        other = found * torch.exp(0.3 * torch.randn(4, generator=generator, dtype=torch.float64))
-        other = other * ((found * moved).square().sum() / (other * moved).square().sum()).sqrt()
-        assert (1 / other).sum() >= (1 / found).sum() - 1e-12
-    assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # nothing is gained by more
+        other = tolerances * torch.exp(0.3 * torch.randn(4, generator=generator, dtype=torch.float64))
+        other = other * ((tolerances * effects).square().sum() / (other * effects).square().sum()).sqrt()
+        assert (1 / other).sum() >= (1 / tolerances).sum() - 1e-12
+    assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # wider tolerances would gain nothing
 
 
 def test_a_drawing_has_one_tolerance_for_x_and_y():
-    found = errors(doublet()[0], grade(element_decentre_um=1.0, thickness_um=1.0))
-    names = [error.name for error in found]
-    moved = torch.arange(1.0, 1.0 + len(found), dtype=torch.float64)
-    same = dict(zip(names, allocation.both_axes(found, moved).tolist(), strict=True))
-    x, y = (float(moved[names.index(f"element decentre 1 {axis}")]) for axis in "xy")
-    assert same["element decentre 1 x"] == same["element decentre 1 y"] == pytest.approx(math.hypot(x, y) / 2**0.5)
-    assert same["thickness 3"] == float(moved[names.index("thickness 3")])
+    all_errors = errors(doublet()[0], grade(element_decentre_um=1.0, thickness_um=1.0))
+    names = [error.name for error in all_errors]
+    effects = torch.arange(1.0, 1.0 + len(all_errors), dtype=torch.float64)
+    common = dict(zip(names, allocation.both_axes(all_errors, effects).tolist(), strict=True))
+    x, y = (float(effects[names.index(f"element decentre 1 {axis}")]) for axis in "xy")
+    assert common["element decentre 1 x"] == common["element decentre 1 y"] == pytest.approx(math.hypot(x, y) / 2**0.5)
+    assert common["thickness 3"] == float(effects[names.index("thickness 3")])
 
 
 def test_the_widest_tolerances_that_pass():
-    moved = f64([0.2, 1.0, 3.0])
-    found = allocation.widest(moved, lambda t: float((t * moved).square().sum()) <= 1.0)
-    assert 0.6 < float((found * moved).square().sum()) <= 1.0
-    assert allocation.widest(moved, lambda t: False) is None
-    tight = allocation.widest(moved, lambda t: float((t * moved).square().sum()) <= 0.01)
-    assert 0.006 < float((tight * moved).square().sum()) <= 0.01
+    effects = f64([0.2, 1.0, 3.0])
+    tolerances = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 1.0)
+    assert 0.6 < float((tolerances * effects).square().sum()) <= 1.0
+    assert allocation.widest(effects, lambda t: False) is None
+    tight = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 0.01)
+    assert 0.006 < float((tight * effects).square().sum()) <= 0.01
     tried = []
-    assert allocation.widest(moved, lambda t: not tried.append(t)) is not None
+    assert allocation.widest(effects, lambda t: not tried.append(t)) is not None
     assert len(tried) < allocation.TRIALS
 
 

@@ -29,7 +29,7 @@ def test_without_a_grade_the_design_itself_is_looked_at(start):
 
 
 def test_built_lenses_are_drawn_anew(start):
-    """By seed: each has errors of its own everywhere, and a focus; the design stays as it is."""
+    """The seed sets the errors of each lens; each is focused; the design itself does not change."""
     lens = spot_lens(start)
     first, second = supervisor(COMMERCIAL).as_built(lens, 3, 2)
     (again,), (other,) = (supervisor(COMMERCIAL).as_built(lens, seed) for seed in (3, 4))
@@ -42,16 +42,16 @@ def test_built_lenses_are_drawn_anew(start):
 
 
 def test_a_built_lens_carries_the_gradient_of_the_design(start):
-    """Of the image points of its rays by a curvature and a thickness, against differences at the same errors.
+    """The gradient of its image points by a curvature and a thickness, against differences at the same errors.
 
-    It is focused at both: the image plane moves with the design.
+    Both sides of a difference are focused: the image plane moves with the design.
     """
-    without_form = PHONE.model_copy(update={"irregularity_fringes": 0.0})  # of which the height goes with the aperture
-    lens, made, pupil = spot_lens(start), supervisor(without_form), sobol_disc(16, seed=0)
+    without_form = PHONE.model_copy(update={"irregularity_fringes": 0.0})  # its height depends on the aperture
+    lens, criterion, pupil = spot_lens(start), supervisor(without_form), sobol_disc(16, seed=0)
 
     def points(curvature: torch.Tensor, thickness: torch.Tensor) -> torch.Tensor:
-        (built,) = made.as_built(replace(lens, curvature=curvature, thickness=thickness), 1)
-        rays = trace_fields(built, problem().view, pupil)
+        (built_lens,) = criterion.as_built(replace(lens, curvature=curvature, thickness=thickness), 1)
+        rays = trace_fields(built_lens, problem().view, pupil)
         return torch.where(rays.valid, rays.x, 0.0).sum()
 
     values = [lens.curvature.clone().requires_grad_(), lens.thickness.clone().requires_grad_()]
@@ -64,26 +64,26 @@ def test_a_built_lens_carries_the_gradient_of_the_design(start):
 
 
 def test_validation_is_of_built_lenses(start):
-    """The mean of eight, which are none of those that a study reports."""
-    lens, made = spot_lens(start), supervisor(COMMERCIAL)
-    every = made.as_built(lens, problem().seed + supervision._VALIDATION_SEED, 8)
-    expected = sum(supervisor(None).validation_loss(each, 1.0) for each in every) / 8
-    assert made.validation_loss(lens, 1.0) == pytest.approx(expected, rel=1e-12)
-    assert made.validation_loss(lens, 1.0) != supervisor(None).validation_loss(lens, 1.0)
+    """Validation is the mean of eight built lenses; a study reports others."""
+    lens, criterion = spot_lens(start), supervisor(COMMERCIAL)
+    every = criterion.as_built(lens, problem().seed + supervision._VALIDATION_SEED, 8)
+    expected = sum(supervisor(None).validation_loss(built_lens, 1.0) for built_lens in every) / 8
+    assert criterion.validation_loss(lens, 1.0) == pytest.approx(expected, rel=1e-12)
+    assert criterion.validation_loss(lens, 1.0) != supervisor(None).validation_loss(lens, 1.0)
 
 
 def test_built_lenses_have_the_illumination_of_the_design(start, monkeypatch):
-    """Relative illumination is traced by symmetry, which a decentred lens has not."""
-    seen = []
-    monkeypatch.setattr(supervision, "relative_illumination", lambda lens, view: seen.append(lens) or f64([1.0] * 9))
+    """Relative illumination is traced by symmetry, which a decentred lens lacks."""
+    lenses = []
+    monkeypatch.setattr(supervision, "relative_illumination", lambda lens, view: lenses.append(lens) or f64([1.0] * 9))
     lens, lit = spot_lens(start), replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
-    made = Supervisor(TaskLoss(small_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
-    assert math.isfinite(made.validation_loss(lens, 1.0))
-    assert seen and all(each.pose is None for each in seen)
+    criterion = Supervisor(TaskLoss(small_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
+    assert math.isfinite(criterion.validation_loss(lens, 1.0))
+    assert lenses and all(item.pose is None for item in lenses)
 
 
 def test_a_design_for_built_lenses_is_another(start):
-    """With the same images and rays; and the same again from the same seed."""
+    """With equal images and rays, built lenses lead to another design; the same seed repeats it."""
     network = small_network()
     plain, tolerant, again = (designed(network, start, tolerances=grade)[0] for grade in (None, COMMERCIAL, COMMERCIAL))
     assert not torch.equal(plain.curvature, tolerant.curvature)
@@ -92,8 +92,8 @@ def test_a_design_for_built_lenses_is_another(start):
 
 
 def test_a_classifier_supervises_built_lenses_too(start):
-    made, curvature = supervisor(COMMERCIAL, TaskLoss(small_network())), start.curvature.clone().requires_grad_()
-    (built,) = made.as_built(replace(start, curvature=curvature), 5)
-    loss = made.loss(built, sobol_disc(32, 0), 20.0, torch.arange(2), 0)
+    criterion, curvature = supervisor(COMMERCIAL, TaskLoss(small_network())), start.curvature.clone().requires_grad_()
+    (built_lens,) = criterion.as_built(replace(start, curvature=curvature), 5)
+    loss = criterion.loss(built_lens, sobol_disc(32, 0), 20.0, torch.arange(2), 0)
     (gradient,) = torch.autograd.grad(loss.value, curvature)
     assert torch.isfinite(loss.fields).all() and gradient.abs().sum() > 0

@@ -20,7 +20,7 @@ def test_training_is_deterministic():
 
 
 def test_networks_that_train_together_end_as_if_alone():
-    """To the last bit: they see the same captures, each of which is made once."""
+    """Equal to the last bit: all networks see the same captures, each simulated once."""
     dataset, settings = random_images(60, 16, 3, seed=1), TrainingSettings(epochs=2, learning_rate=1e-2, batch_size=10)
     captured = []
 
@@ -68,7 +68,7 @@ def test_what_the_classifier_sees_is_what_it_learns_from():
 
 @pytest.mark.parametrize("bad", [1, 3, 5])
 def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path):
-    """At whichever step, and the state kept last is from before it."""
+    """At any step; the last checkpoint is from before that step."""
     steps = iter(range(1, 6))
 
     def capture(images: torch.Tensor, generator: torch.Generator, share: slice) -> torch.Tensor:

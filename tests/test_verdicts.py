@@ -1,4 +1,4 @@
-"""Claims that a study can decide, and verdicts from images of which every one is known."""
+"""Claims that a study can decide, and verdicts from known predictions."""
 
 import math
 from pathlib import Path
@@ -45,10 +45,10 @@ def folder(tmp_path, monkeypatch):
 
 
 def results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
-    """Files of a study in which a lens recognises a fraction accuracy(lens, classifier, seed) of all captures.
+    """Write files of a study in which a fraction accuracy(lens, classifier, seed) of all captures is correct.
 
-    Drawn by chance, one number for an image and its field for all lenses: a better lens recognises what a worse one
-    does, and more.
+    One random number per image and field, shared by all lenses, decides: a capture that is correct through a lens is
+    also correct through a better one.
     """
     luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
     index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
@@ -57,12 +57,12 @@ def results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
             for name in [*study.classifiers, *map(restored, study.classifiers)]:
                 fields = 1 if lens == SHARP else FIELDS
                 right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
-                chosen = (minival or accuracy)(lens, name, seed)
+                minival_share = (minival or accuracy)(lens, name, seed)
                 columns = {f"field{k}": right[:, k] for k in range(fields)}
                 for kind in ("-predictions", "-frozen"):
                     path = measurement(study.name, lens, name, seed, kind)
                     write(path, pandas.DataFrame(index | columns).to_csv(index=False))
-                rows = [("minival_accuracy", k, 100 * chosen) for k in range(fields)] + [("chance", "", 10.0)]
+                rows = [("minival_accuracy", k, 100 * minival_share) for k in range(fields)] + [("chance", "", 10.0)]
                 rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
                 write(measurement(study.name, lens, name, seed), frame.to_csv(index=False))
@@ -77,7 +77,7 @@ def judged(study, accuracy, **others) -> pandas.DataFrame:
 
 
 def collected(study) -> pandas.DataFrame:
-    """The verdicts, by the files that their job is given."""
+    """The verdicts from the files of their job."""
     return verdicts.collect(claims.claims(study), measurements_of(study.name, claims.claims(study)))
 
 
@@ -91,12 +91,12 @@ def by_design(**accuracies):
 def test_claims_of_each_table():
     """Tables 1 and 4 of the supervisor, 2 of the other classifiers, table 3 about end-to-end design."""
     job = claims.claims(study_of(1))
-    found = {(c.table, c.text, c.lens, c.classifier): c.baselines for c in job.claims}
-    assert len(found) == len(job.claims)
+    by_claim = {(c.table, c.text, c.lens, c.classifier): c.baselines for c in job.claims}
+    assert len(by_claim) == len(job.claims)
     squares = ("doublet-imaging2", "doublet-imaging3")
     triplets = ("triplet-image_error", *(f"triplet-imaging{k}" for k in (1, 2, 3)))
     for table, classifiers in (("table1", ["small"]), ("table2", ["other"]), ("table4", ["small-restored"])):
-        mine = {key[1:]: baselines for key, baselines in found.items() if key[0] == table}
+        mine = {key[1:]: baselines for key, baselines in by_claim.items() if key[0] == table}
         assert len(mine) == 7 * len(classifiers)
         for classifier in classifiers:
             assert mine[OVER_IMAGING1, "doublet-tasklens", classifier] == ("doublet-imaging1",)
@@ -104,34 +104,34 @@ def test_claims_of_each_table():
             assert mine[OVER_IMAGE_QUALITY, "doublet-tasklens", classifier] == ("doublet-image_error",)
             assert mine[FEWER_ELEMENTS, "doublet-tasklens", classifier] == triplets
             assert (FEWER_ELEMENTS, "triplet-tasklens", classifier) not in mine
-    assert {key[1:]: baselines for key, baselines in found.items() if key[0] == "table3"} == {
+    assert {key[1:]: baselines for key, baselines in by_claim.items() if key[0] == "table3"} == {
         (OVER_END_TO_END, "doublet-tasklens", "small"): ("doublet-end_to_end_from_imaging",),
         (FLAT_FAILS, "doublet-end_to_end_from_flat", "small"): (),
         (OVER_END_TO_END, "triplet-tasklens", "small"): ("triplet-end_to_end_from_imaging",),
         (FLAT_FAILS, "triplet-end_to_end_from_flat", "small"): (),
     }
     alone = claims.claims(parse(yaml.safe_load(dump(study_of(1))) | {"tables": ["table2"]})).claims
-    assert {c.classifier for c in alone} == {"small", "other"}  # where no table 1 has those of the supervisor
+    assert {c.classifier for c in alone} == {"small", "other"}  # if no table 1 has the supervisor's claims
 
 
 def test_claims_after_restoration_are_about_what_is_restored():
-    """Doublets alone, against doublets alone; the other tables keep theirs."""
+    """Table 4 compares doublets with doublets only; the claims of other tables stay."""
     study = study_of(1)
     only = parse(yaml.safe_load(dump(study)) | {"restored": ["doublet"]})
     assert {lens.partition("-")[0] for lens in tables.table(only, "table4").lenses} == {"doublet"}
-    found, whole = claims.claims(only).claims, claims.claims(study).claims
-    assert [c for c in found if c.table != "table4"] == [c for c in whole if c.table != "table4"]
-    restored = [c for c in found if c.table == "table4"]
+    doublet_claims, all_claims = claims.claims(only).claims, claims.claims(study).claims
+    assert [c for c in doublet_claims if c.table != "table4"] == [c for c in all_claims if c.table != "table4"]
+    restored = [c for c in doublet_claims if c.table == "table4"]
     assert {c.text for c in restored} == {OVER_IMAGING1, OVER_LEAST_SQUARES, OVER_IMAGE_QUALITY}
     assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.baselines)} == {"doublet"}
 
 
 def test_fewer_elements_are_judged_between_neighbours_in_the_study():
-    """Without a triplet, a doublet meets the quadruplets; another choice of plastics is no other number of elements."""
+    """Without a triplet, a doublet is compared with quadruplets; other plastics are not another number of elements."""
     others = {"other": DOUBLET[::-1], "quadruplet": 2 * DOUBLET, "singlet": ["COC"]}
     job = claims.claims(study_of(1, doublet=DOUBLET, **others))
-    found = {c.lens: {r.partition("-")[0] for r in c.baselines} for c in job.claims if c.text == FEWER_ELEMENTS}
-    assert found == {
+    baselines = {c.lens: {r.partition("-")[0] for r in c.baselines} for c in job.claims if c.text == FEWER_ELEMENTS}
+    assert baselines == {
         "singlet-tasklens": {"doublet", "other"},
         "doublet-tasklens": {"quadruplet"},
         "other-tasklens": {"quadruplet"},
@@ -144,9 +144,9 @@ def test_claims_about_absent_lenses_are_left_out():
     study = parse(tiny_study() | {"designs": designs})
     job = claims.claims(study)
     assert job.claims == ()
-    made = finish("verdicts_table", study)
-    assert list(pandas.read_csv(made.csv)) == verdicts.COLUMNS
-    assert "Study `tiny` has no lenses that the paper's claims are about" in made.md.read_text()
+    paths = finish("verdicts_table", study)
+    assert list(pandas.read_csv(paths.csv)) == verdicts.COLUMNS
+    assert "Study `tiny` has no lenses that the paper's claims are about" in paths.md.read_text()
 
 
 # ---- their verdicts
@@ -172,7 +172,7 @@ def test_rule(low, high, p, seeds, margin, expected, reason):
 
 
 def test_the_same_claim_of_a_table_is_one_family():
-    """For two kinds of elements the p-values of each alone, where nothing is corrected, by Holm's method."""
+    """P-values of two numbers of elements equal the uncorrected ones of single studies, corrected by Holm's method."""
     accuracy = by_design(tasklens=0.525, imaging1=0.52, imaging2=0.49, image_error=0.51)
     kinds = {"doublet": DOUBLET, "other": DOUBLET}
     alone = {name: judged(study_of(5, **{name: plastics}), accuracy)["p_holm"] for name, plastics in kinds.items()}
@@ -185,32 +185,32 @@ def test_the_same_claim_of_a_table_is_one_family():
 
 
 def test_five_seeds_decide():
-    """Clearly better, clearly worse, and not different at all, with seeds that vary together."""
+    """Clearly better, clearly worse, and equal, with seeds that vary together."""
 
     def accuracy(lens, name, seed):
         return by_design(tasklens=0.7, imaging1=0.5, imaging2=0.8, end_to_end_from_imaging=0.7)(lens, name, seed) + (
             0.01 * seed
         )
 
-    found = judged(study_of(5, doublet=DOUBLET), accuracy)
-    better = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
+    frame = judged(study_of(5, doublet=DOUBLET), accuracy)
+    better = frame.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert better["verdict"] == HOLDS and better["difference"] == pytest.approx(20, abs=2)
     assert better["low"] < better["difference"] < better["high"] and better["seeds"] == 5
-    worse = found.loc["table4", OVER_LEAST_SQUARES, "doublet-tasklens", "small-restored"]
+    worse = frame.loc["table4", OVER_LEAST_SQUARES, "doublet-tasklens", "small-restored"]
     assert worse["verdict"] == FAILS and worse["baseline"] == "doublet-imaging2"
-    same = found.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
+    same = frame.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
     assert same["verdict"] == HOLDS and same["difference"] == same["low"] == same["high"] == 0  # at least as good
 
 
 def test_fewer_than_five_seeds_suggest():
-    found = judged(study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
-    row = found.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
+    frame = judged(study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
+    row = frame.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert row["verdict"].startswith("suggests +") and row["reason"] == "fewer than five seeds"
     assert 50 < row["low"] <= row["difference"] <= row["high"] < 70
 
 
 def test_the_baseline_is_chosen_on_the_minival():
-    """imaging2 is the best by test and the worst by minival: imaging3 it is; each classifier chooses its own."""
+    """imaging2 is the best by test and the worst by minival: the baseline is imaging3; each classifier has its own."""
 
     def minival(lens, name, seed):
         return (
@@ -219,22 +219,22 @@ def test_the_baseline_is_chosen_on_the_minival():
             else by_design(imaging3=0.6, imaging2=0.1)(lens, name, seed)
         )
 
-    found = judged(study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
-    assert found.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
-    assert found.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["baseline"] == "triplet-imaging3"
-    assert found.loc["table2", OVER_LEAST_SQUARES, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
+    frame = judged(study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
+    assert frame.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
+    assert frame.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["baseline"] == "triplet-imaging3"
+    assert frame.loc["table2", OVER_LEAST_SQUARES, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
 
 
 def test_each_seed_chooses_its_baseline():
-    """Seed 1 has a bad imaging2: whoever designed two lenses takes the other one then."""
+    """Seed 1 has a bad imaging2, so its baseline is the other lens."""
 
     def accuracy(lens, name, seed):
         return by_design(tasklens=0.7, imaging2=0.1 if seed == 1 else 0.6, imaging3=0.5, image_error=0.2)(
             lens, name, seed
         )
 
-    found = judged(study_of(5, doublet=DOUBLET), accuracy)
-    row = found.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]
+    frame = judged(study_of(5, doublet=DOUBLET), accuracy)
+    row = frame.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]
     assert row["baseline"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
     assert row["difference"] == pytest.approx((4 * 10 + 20) / 5, abs=3)
 
@@ -244,12 +244,12 @@ def test_each_seed_chooses_its_baseline():
     [(0.2, 0.9, HOLDS, 35), (0.8, 0.9, FAILS, -25), (0.8, 0.3, HOLDS, 20), (0.3, 0.3, HOLDS, 25)],
 )
 def test_convergence_is_judged_by_the_rule_of_table_3(accuracy, inside, expected, difference):
-    """Sharp images 100 %, chance 10 %: half-way is 55 %. Half of the light is missed by 50 % less what is inside."""
+    """Sharp images 100 %, chance 10 %: half-way is 55 %. The light misses its half by 50 % minus the light inside."""
     accuracies = by_design(sharp=1.0, end_to_end_from_flat=accuracy)
-    found = judged(study_of(5, doublet=DOUBLET), accuracies, inside=inside)
-    found = found.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
-    assert found["verdict"] == expected and found["baseline"] == ""
-    assert found["difference"] == pytest.approx(difference, abs=3)
+    row = judged(study_of(5, doublet=DOUBLET), accuracies, inside=inside)
+    row = row.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
+    assert row["verdict"] == expected and row["baseline"] == ""
+    assert row["difference"] == pytest.approx(difference, abs=3)
 
 
 def test_interval_is_of_images_not_of_captures():
@@ -263,12 +263,12 @@ def test_interval_is_of_images_not_of_captures():
         share[lens] = right
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | {f"field{k}": right for k in range(9)})
         write(predictions(study, lens), frame.to_csv(index=False))
-    found = collected(study).iloc[0]
-    assert (found["lens"], found["baseline"]) == tuple(share)
+    row = collected(study).iloc[0]
+    assert (row["lens"], row["baseline"]) == tuple(share)
     difference = 100 * (share["doublet-tasklens"] - share["doublet-imaging1"])
-    assert found["difference"] == pytest.approx(difference.mean())
+    assert row["difference"] == pytest.approx(difference.mean())
     width = 2 * 1.96 * difference.std() / math.sqrt(IMAGES)
-    assert found["high"] - found["low"] == pytest.approx(width, rel=0.05)
+    assert row["high"] - row["low"] == pytest.approx(width, rel=0.05)
 
 
 def predictions(study, lens) -> Path:
@@ -287,13 +287,13 @@ def test_other_images_are_refused():
 def test_files_of_the_verdicts_agree():
     study = study_of(1)
     results(study, by_design(tasklens=0.6))
-    made = finish("verdicts_table", study)
-    rows = pandas.read_csv(made.csv)
-    body = [line for line in made.md.read_text().splitlines() if line.startswith("|")][2:]
+    paths = finish("verdicts_table", study)
+    rows = pandas.read_csv(paths.csv)
+    body = [line for line in paths.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 7 + 7 + 4 + 7
     assert all(f"{row.difference:+.2f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
     assert all(
-        row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(made.csv), body, strict=True)
+        row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(paths.csv), body, strict=True)
     )
 
 
@@ -301,20 +301,20 @@ def test_files_of_the_verdicts_agree():
 
 
 def test_lenses_of_other_specifications_are_no_baselines():
-    """A faster triplet is no lens with more elements for a doublet; each stands against its own elements in the map."""
+    """A faster triplet is no baseline with more elements for a doublet; in the map, each has its own elements."""
     study = study_of(1, doublet=DOUBLET, triplet_f2=[*DOUBLET, "COC"])
     assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(study).claims)
     faster = study.model_copy(update={"specs": {"triplet_f2": {"f_number": 2.0}}})
     assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(faster).claims)
-    found = {claim.lens: claim.baselines for claim in claims.regime_claims(faster).claims}
-    assert found == {
+    baselines = {claim.lens: claim.baselines for claim in claims.regime_claims(faster).claims}
+    assert baselines == {
         f"{name}-tasklens": (f"{name}-image_error", *(f"{name}-imaging{k}" for k in (1, 2, 3)))
         for name in ("doublet", "triplet_f2")
     }
 
 
 def test_map_of_regimes():
-    """A row per elements: what was planted, against the baseline with the best minival, and the specification."""
+    """A row per elements: the planted difference from the baseline with the best minival, and the specification."""
     study = study_of(1).model_copy(update={"specs": {"triplet": {"f_number": 2.0}}})
     share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
     results(study, lambda lens, *_: share.get(lens, 0.3))
@@ -324,8 +324,8 @@ def test_map_of_regimes():
         media = ["air", *(name for plastic in lens.plastics for name in (plastic.name, "air"))]
         content = {"spec": spec, "surfaces": [{"medium": medium} for medium in media]}
         path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | content))
-    made = finish("regimes_table", study)
-    rows = pandas.read_csv(made.csv).set_index("elements")
+    paths = finish("regimes_table", study)
+    rows = pandas.read_csv(paths.csv).set_index("elements")
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
@@ -333,7 +333,7 @@ def test_map_of_regimes():
     for elements in ("doublet", "triplet"):
         assert rows["tried_task"][elements] == tried_in_all(study, f"{elements}-tasklens")
         assert rows["tried_imaging"][elements] == tried_in_all(study, rows["baseline"][elements])
-    assert "doublet-imaging2" in made.md.read_text()
+    assert "doublet-imaging2" in paths.md.read_text()
 
 
 @pytest.mark.parametrize(

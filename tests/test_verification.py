@@ -1,4 +1,4 @@
-"""What `verify` finds in a study of which every file is known: nothing, or exactly what was broken."""
+"""`verify` on a study with known files: it finds nothing, or exactly the planted errors."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def study():
 
 @pytest.fixture(autouse=True)
 def results(tmp_path, monkeypatch, study):
-    """Lenses inside all limits, and classifiers that recognise 3 of 4 images at every field, each time again."""
+    """Lenses inside all limits, and classifiers that are right on 3 of 4 images at every field, each time."""
     monkeypatch.chdir(tmp_path)
     for lens, name in tables.verification(study).measured:
         right = [int(k % 4 > 0) for k in range(IMAGES)]
@@ -78,12 +78,12 @@ def lens_content(efl_mm, **margins) -> dict:
 
 
 def verified(study, **changes) -> verification.Findings:
-    """What is found in the files that the job is given; `changes` are to its settings."""
+    """Findings in the files of the job; `changes` are changes of its settings."""
     contents = tables.verification(study).model_copy(update=changes)
     every = tables.verification(study)
     anew = {key: outputs("reproduce", study, **named(key)).predictions for key in every.measured_keys}
-    made = {each.name: outputs("table", study, table=each.name).csv for each in every.tables}
-    return verification.verify(contents, measurements_of(study.name, every), anew, made)
+    csv_paths = {entry.name: outputs("table", study, table=entry.name).csv for entry in every.tables}
+    return verification.verify(contents, measurements_of(study.name, every), anew, csv_paths)
 
 
 def named(key) -> dict:
@@ -96,10 +96,10 @@ def failures(study) -> list[str]:
 
 def test_a_study_that_keeps_its_word(study):
     """Two lenses; sharp images and both lenses with two classifiers, and both restored."""
-    found = verified(study)
-    assert not found.failures and not found.unconstrained
-    assert (found.lenses, found.measurements) == (2, 8)
-    assert verification.summary(found) == "Checked 2 lenses and 8 measurements: 0 failures."
+    findings = verified(study)
+    assert not findings.failures and not findings.unconstrained
+    assert (findings.lenses, findings.measurements) == (2, 8)
+    assert verification.summary(findings) == "Checked 2 lenses and 8 measurements: 0 failures."
 
 
 @pytest.mark.parametrize(
@@ -110,28 +110,32 @@ def test_a_broken_limit_is_named(study, margin, kept):
     """A margin below zero, beyond rounding, or one that is no number; every broken limit of every lens."""
     content = lens_content(study.spec.efl_mm, max_slope=margin, max_track=-0.5)
     write(lens_file(study, LENS), yaml.safe_dump(content))
-    found = failures(study)
-    assert f"{LENS} seed 0: max_track: margin -0.5" in found
-    assert len(found) == (1 if kept else 2)
-    assert kept or any(text.startswith(f"{LENS} seed 0: max_slope: margin {margin:.4g}") for text in found)
+    messages = failures(study)
+    assert f"{LENS} seed 0: max_track: margin -0.5" in messages
+    assert len(messages) == (1 if kept else 2)
+    assert kept or any(text.startswith(f"{LENS} seed 0: max_slope: margin {margin:.4g}") for text in messages)
 
 
 @pytest.mark.parametrize("part, kept", [(1.019, True), (0.981, True), (1.021, False), (0.979, False), (-1, False)])
 def test_the_focal_length_is_kept_to_2_percent(study, part, kept):
     content = lens_content(part * study.spec.efl_mm)
     write(lens_file(study, LENS), yaml.safe_dump(content))
-    found = failures(study)
-    assert (not found) if kept else len(found) == 1 and found[0].startswith(f"{LENS} seed 0: efl_tolerance: margin -")
+    messages = failures(study)
+    assert (
+        (not messages)
+        if kept
+        else len(messages) == 1 and messages[0].startswith(f"{LENS} seed 0: efl_tolerance: margin -")
+    )
 
 
 def test_a_lens_that_is_not_constrained_is_reported_only(study):
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(9.0, max_slope=-0.1)))
     settings = tables.verification(study)
     assert settings.constrained == settings.lenses == tuple(study.lenses)
-    found = verified(study, constrained=("singlet-tasklens",))
-    assert not found.failures
-    assert [failure.limit for failure in found.unconstrained] == ["max_slope", "efl_tolerance"]
-    assert "unconstrained: singlet-imaging1 seed 0: max_slope: margin -0.1" in verification.summary(found)
+    findings = verified(study, constrained=("singlet-tasklens",))
+    assert not findings.failures
+    assert [failure.limit for failure in findings.unconstrained] == ["max_slope", "efl_tolerance"]
+    assert "unconstrained: singlet-imaging1 seed 0: max_slope: margin -0.1" in verification.summary(findings)
 
 
 def test_every_lens_is_constrained_but_end_to_end_from_flat_and_the_imported():
@@ -152,14 +156,14 @@ def optimum(gain: float, error: float = 0.001) -> dict:
 
 
 def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
-    """A step lowers its loss by more than two standard errors and 0.002; of an imaging lens by spots none is asked."""
+    """A step lowers the loss by over two standard errors and 0.002; lenses designed by spots are not tested."""
     for lens in study.lenses:
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm) | optimum(0.0039)))
     assert failures(study) == []
     for lens in study.lenses:
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm) | optimum(0.0041)))
-    (found,) = failures(study)
-    assert found == (
+    (message,) = failures(study)
+    assert message == (
         "singlet-tasklens seed 0: not converged: a step within the limits lowers the loss: "
         "+0.0041 +- 0.0010, 0.3 um, gradient"
     )
@@ -168,9 +172,9 @@ def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
 
 
 def test_of_whom_an_optimum_is_asked():
-    """Constrained lenses that captures or PSFs have designed: neither spots, nor least squares, nor imported ones."""
-    found = tables.verification(parse(with_imported())).supervised
-    assert found == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
+    """Constrained lenses designed by captures or PSFs: neither by spots, nor by least squares, nor imported ones."""
+    lenses = tables.verification(parse(with_imported())).supervised
+    assert lenses == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
 
 
 def edited(path, change):
@@ -203,7 +207,7 @@ def test_a_swap_that_the_mean_does_not_show(study):
 
 
 def test_an_edited_metrics_file(study):
-    """Also where the mean over fields stays, and where a field is missing."""
+    """An edit is found even if the mean over fields stays, or if a field is missing."""
 
     def shift(frame):
         frame["value"] = frame["value"].astype(float)
@@ -216,7 +220,7 @@ def test_an_edited_metrics_file(study):
 
 
 def test_an_edited_table(study):
-    """The lens, and the row of sharp images."""
+    """The rows of the lenses and the row of sharp images."""
 
     def better(frame):
         frame["accuracy"] += 1.0
@@ -232,7 +236,7 @@ def test_other_images_do_not_reproduce(study):
 
 
 def test_the_job_says_what_it_found_and_fails_by_its_status(study, capsys):
-    """All on standard output, below the verdicts; 0 where nothing fails."""
+    """All on standard output, below the verdicts; the status is 0 if nothing fails."""
     write(outputs("verdicts_table", study).md, "the verdicts\n")
     finish("verify", study)
     assert capsys.readouterr().out == "the verdicts\n\nChecked 2 lenses and 8 measurements: 0 failures.\n"

@@ -43,18 +43,18 @@ def ellipsoid() -> Lens:
 def stopped(lens: Lens, radius: float, stop: int = 0) -> Lens:
     """The lens in focus, with an entrance pupil of this radius and without other apertures."""
     lens = replace(lens, stop=stop, semi_diameter=torch.ones_like(lens.semi_diameter))
-    found = paraxial(lens, REFERENCE)
+    first_order = paraxial(lens, REFERENCE)
     semi = torch.full_like(lens.semi_diameter, torch.inf)
-    semi[stop] = radius / found.entrance_pupil_radius
-    return replace(lens, thickness=torch.cat([lens.thickness[:-1], found.bfl[None]]), semi_diameter=semi)
+    semi[stop] = radius / first_order.entrance_pupil_radius
+    return replace(lens, thickness=torch.cat([lens.thickness[:-1], first_order.bfl[None]]), semi_diameter=semi)
 
 
 @pytest.mark.parametrize("lens", [hyperboloid(radius=20.0), ellipsoid()], ids=["hyperboloid", "ellipsoid"])
 def test_a_perfect_lens_has_no_path_difference(lens):
     """F/1.5 in air, and an image in glass of half angle 13 degrees: less than a billionth of a wave."""
-    found = wavefront(lens, looking([[0.0, 0.0]]), PUPIL)
-    assert float(found.opd.abs().max()) < 1e-9 and found.centre.abs().max() < 1e-12
-    assert float(found.towards.norm(dim=-1).max()) > 0.2
+    wave = wavefront(lens, looking([[0.0, 0.0]]), PUPIL)
+    assert float(wave.opd.abs().max()) < 1e-9 and wave.centre.abs().max() < 1e-12
+    assert float(wave.towards.norm(dim=-1).max()) > 0.2
 
 
 def test_defocus_is_the_fourth_coefficient():
@@ -62,17 +62,17 @@ def test_defocus_is_the_fourth_coefficient():
     shift, aperture = 0.4, 0.5 / 50
     opd = wavefront(hyperboloid(shift), looking([[0.0, 0.0]]), sobol_disc(1024, 0)).opd[0, 0]
     expected = shift * aperture**2 / (1e-3 * REFERENCE) / 4
-    found = zernike_coefficients(opd, sobol_disc(1024, 0), 11)
-    assert float(found[3]) == pytest.approx(expected / math.sqrt(3), rel=1e-2)
-    assert float(found[0]) == pytest.approx(expected, rel=1e-2)
-    assert found[[1, 2, *range(4, 11)]].abs().max() < 1e-4
-    assert float(rms_wavefront_error(opd, sobol_disc(1024, 0))) == pytest.approx(float(found[3]), rel=1e-2)
+    coefficients = zernike_coefficients(opd, sobol_disc(1024, 0), 11)
+    assert float(coefficients[3]) == pytest.approx(expected / math.sqrt(3), rel=1e-2)
+    assert float(coefficients[0]) == pytest.approx(expected, rel=1e-2)
+    assert coefficients[[1, 2, *range(4, 11)]].abs().max() < 1e-4
+    assert float(rms_wavefront_error(opd, sobol_disc(1024, 0))) == pytest.approx(float(coefficients[3]), rel=1e-2)
 
 
 @pytest.mark.parametrize("stop", [0, 2, 4])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
-    """W about the paraxial image point, distortion too; what the sums leave falls with the sixth power of the scale."""
+    """W about the paraxial image point, distortion too; the remainder falls with the sixth power of the scale."""
     pupil = 0.8 * PUPIL
     px, py = pupil.unbind(-1)
     square = px**2 + py**2
@@ -85,29 +85,29 @@ def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
         expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
         expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
         ideal = looks.tangents * paraxial(lens, REFERENCE).efl
-        found = 1e-3 * REFERENCE * wavefront(lens, looks, pupil, ideal).opd[:, 0]
-        left.append(float((found - expected).abs().max()))
-        size.append(float(found.abs().max()))
+        opd = 1e-3 * REFERENCE * wavefront(lens, looks, pupil, ideal).opd[:, 0]
+        left.append(float((opd - expected).abs().max()))
+        size.append(float(opd.abs().max()))
     assert left[0] < 0.05 * size[0]
     assert left[0] / left[1] == pytest.approx(64, rel=0.1)
     assert size[0] / size[1] == pytest.approx(16, rel=0.1)
 
 
 def test_the_centre_of_the_sphere_is_a_tilt():
-    """Spheres about the chief ray of the middle wavelength instead of each its own: lateral colour, a plane in W.
+    """Spheres about the chief ray of the middle wavelength, not of each own wavelength: lateral colour, a plane in W.
 
     Moving the centre by D adds n' D . (chief ray - ray), direction cosines on the sphere, up to second order in D.
     """
     lens, looks = stopped(random_lens(1), 0.2), looking([[0.0, 0.0], [0.2, 0.1]], WAVELENGTHS)
-    own, common = wavefront(lens, looks, PUPIL), wavefront(lens, looks, PUPIL, chief_points(lens, looks))
-    assert common.centre.shape == own.centre.shape == (2, 3, 2)
-    torch.testing.assert_close(own.opd[:, 1], common.opd[:, 1], rtol=0, atol=0, equal_nan=True)
-    moved = common.centre - own.centre
-    assert 5e-3 < float(moved[1, 2].norm()) < 2e-2 and moved[0].abs().max() < 1e-15
+    separate, common = wavefront(lens, looks, PUPIL), wavefront(lens, looks, PUPIL, chief_points(lens, looks))
+    assert common.centre.shape == separate.centre.shape == (2, 3, 2)
+    torch.testing.assert_close(separate.opd[:, 1], common.opd[:, 1], rtol=0, atol=0, equal_nan=True)
+    shift = common.centre - separate.centre
+    assert 5e-3 < float(shift[1, 2].norm()) < 2e-2 and shift[0].abs().max() < 1e-15
     chief = wavefront(lens, looks, 0 * PUPIL[:1]).towards
-    turned = (moved[:, :, None] * (chief - own.towards)).sum(-1) / (1e-3 * f64(WAVELENGTHS)[:, None])
+    turned = (shift[:, :, None] * (chief - separate.towards)).sum(-1) / (1e-3 * f64(WAVELENGTHS)[:, None])
     assert float(turned.nan_to_num().abs().max()) > 0.3
-    torch.testing.assert_close(common.opd - own.opd, turned, rtol=0, atol=5e-3, equal_nan=True)
+    torch.testing.assert_close(common.opd - separate.opd, turned, rtol=0, atol=5e-3, equal_nan=True)
 
 
 def test_the_exit_pupil_is_the_image_of_the_stop():
@@ -116,10 +116,10 @@ def test_the_exit_pupil_is_the_image_of_the_stop():
     f, d, radius = 4.0, 1.5, 0.6
     media, semi = ("air", "COC", "air"), [radius, torch.inf, torch.inf]
     lens = make_lens([0.0, 1 / f / (n - 1), 0.0], [d, 0.0, 3.5], media, semi_diameter=semi)
-    found = paraxial(lens, REFERENCE)
-    assert float(found.exit_pupil_z) == pytest.approx(-d * f / (f - d), rel=1e-13)
-    assert float(found.exit_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
-    assert float(found.pupil_vergence) == pytest.approx(1 / (3.5 + d * f / (f - d)), rel=1e-13)
+    first_order = paraxial(lens, REFERENCE)
+    assert float(first_order.exit_pupil_z) == pytest.approx(-d * f / (f - d), rel=1e-13)
+    assert float(first_order.exit_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
+    assert float(first_order.pupil_vergence) == pytest.approx(1 / (3.5 + d * f / (f - d)), rel=1e-13)
     behind = paraxial(replace(random_lens(1), stop=4, semi_diameter=f64([1.0] * 4 + [0.7])), REFERENCE)
     assert float(behind.exit_pupil_z) == 0.0 and float(behind.exit_pupil_radius) == pytest.approx(0.7, rel=1e-13)
 
@@ -130,26 +130,26 @@ def test_a_telecentric_lens_has_a_plane_reference():
     semi, looks = [0.5, torch.inf, torch.inf], looking([[0.0, 0.1]])
 
     def lens(distance: torch.Tensor) -> Lens:
-        made = make_lens([0.0, 1 / (4 * (n - 1)), 0.0], [0, 0, 4.0], ("air", "COC", "air"), semi_diameter=semi)
-        return replace(made, thickness=torch.stack([distance, f64(0.0), f64(4.0)]))
+        base = make_lens([0.0, 1 / (4 * (n - 1)), 0.0], [0, 0, 4.0], ("air", "COC", "air"), semi_diameter=semi)
+        return replace(base, thickness=torch.stack([distance, f64(0.0), f64(4.0)]))
 
     distance = f64(4.0).requires_grad_()
-    found = wavefront(lens(distance), looks, PUPIL)
-    assert abs(float(found.curvature.detach())) < 1e-15
-    assert torch.autograd.grad(found.opd.square().sum(), distance)[0].isfinite()
+    wave = wavefront(lens(distance), looks, PUPIL)
+    assert abs(float(wave.curvature.detach())) < 1e-15
+    assert torch.autograd.grad(wave.opd.square().sum(), distance)[0].isfinite()
     nearer, farther = (wavefront(lens(f64(4.0 + by)), looks, PUPIL) for by in (-1e-5, 1e-5))
     assert float(nearer.curvature) > 0 > float(farther.curvature)
-    torch.testing.assert_close(found.opd.detach(), (nearer.opd + farther.opd) / 2, rtol=0, atol=1e-6)
+    torch.testing.assert_close(wave.opd.detach(), (nearer.opd + farther.opd) / 2, rtol=0, atol=1e-6)
 
 
 def test_lost_rays_are_nan_and_those_of_a_lost_chief_ray_too():
     lens = make_lens([0.0, 0.3], [1.0, 5.0], ("air", "COC"), semi_diameter=[0.1, 0.5])
     looks = looking([[0.0, 0.0], [0.0, 0.45], [0.0, 0.52], [0.0, 1.0]], WAVELENGTHS)
-    found = wavefront(lens, looks, PUPIL)
+    wave = wavefront(lens, looks, PUPIL)
     valid = trace_fields(lens, looks, PUPIL).valid
     assert valid[1].any() and valid[2].any() and not (valid[1].all() or valid[3].any())
-    assert torch.equal(found.opd[:2].isnan(), ~valid[:2]) and found.opd[2:].isnan().all()
-    assert torch.equal(found.towards.isnan().any(-1), found.opd.isnan())
+    assert torch.equal(wave.opd[:2].isnan(), ~valid[:2]) and wave.opd[2:].isnan().all()
+    assert torch.equal(wave.towards.isnan().any(-1), wave.opd.isnan())
     curvature = lens.curvature.clone().requires_grad_()
     opd = wavefront(replace(lens, curvature=curvature), looks, PUPIL).opd
     gradient = torch.autograd.grad(rms_wavefront_error(opd, PUPIL)[:2].sum(), curvature)[0]
@@ -164,7 +164,7 @@ def test_an_exit_pupil_on_the_image_has_no_wavefront():
 @pytest.mark.parametrize("stop", [0, 2])
 @pytest.mark.parametrize("name", ["curvature", "conic", "alpha", "thickness"])
 def test_gradients_are_those_of_differences(name, stop):
-    """Of coefficients and RMS at two fields and two colours, in every parameter of the lens."""
+    """Gradients of coefficients and RMS at two fields and two colours, by every parameter of the lens."""
     lens = stopped(random_lens(1), 0.2, stop)
     looks, pupil = looking([[0.0, 0.05], [0.2, 0.1]], WAVELENGTHS[:2]), 0.8 * PUPIL
 
@@ -173,14 +173,14 @@ def test_gradients_are_those_of_differences(name, stop):
         return torch.cat([zernike_coefficients(opd, pupil, 8), rms_wavefront_error(opd, pupil)[..., None]], -1)
 
     values = getattr(lens, name).clone().requires_grad_()
-    found = numbers(values).flatten()
-    assert found.isfinite().all()
-    gradient = torch.stack([torch.autograd.grad(v, values, retain_graph=True)[0] for v in found])
+    outputs = numbers(values).flatten()
+    assert outputs.isfinite().all()
+    gradient = torch.stack([torch.autograd.grad(v, values, retain_graph=True)[0] for v in outputs])
     expected = difference(lambda v: numbers(v).flatten(), values.detach(), 2e-5)
     torch.testing.assert_close(gradient, expected, rtol=1e-5, atol=1e-5)
 
 
-# ---- what Optiland 0.6.3 says, in waves: `Wavefront` with its chief-ray strategy, indices ours, no clear apertures;
+# ---- results of Optiland 0.6.3, in waves: `Wavefront` with its chief-ray strategy, indices ours, no clear apertures;
 # its rays aimed at a stop inside, as `optiland_lenses.in_optiland` has them
 
 POINTS = f64([[0.0, 0.5], [0.0, -0.9], [0.6, 0.3], [-0.4, 0.0]])
@@ -217,8 +217,8 @@ def aspheres() -> tuple[Lens, View]:
 
 def phone() -> tuple[Lens, View]:
     path = SHIPPED / "lenses" / "cellphone" / "source" / "US-12078784-B2-e6.zmx"
-    found = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
-    return found.lens, looking([[0.15, 0.25]], found.wavelengths_um)
+    imported = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
+    return imported.lens, looking([[0.15, 0.25]], imported.wavelengths_um)
 
 
 def triplet() -> tuple[Lens, View]:

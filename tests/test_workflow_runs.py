@@ -1,4 +1,4 @@
-"""The study as a workflow: a true small run, what reruns after a change, and runs that fail or are killed."""
+"""The study as a workflow: a real small run, reruns after a change, and runs that fail or are killed."""
 
 import json
 import os
@@ -26,13 +26,13 @@ STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """Table 1 of one lens, truly run."""
+    """Table 1 of one lens, from a real run."""
     folder = tmp_path_factory.mktemp("run")
-    done = snakemake(folder, one_lens(), "table1")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "Study tiny: 6 jobs" in done.stdout and "results/tiny/tables/table1.md" in done.stdout
-    ends = [line.split()[0] for line in done.stderr.splitlines() if "/6  " in line]
-    assert ends == [f"{k}/6" for k in range(1, 7)], done.stderr
+    process = snakemake(folder, one_lens(), "table1")
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "Study tiny: 6 jobs" in process.stdout and "results/tiny/tables/table1.md" in process.stdout
+    ends = [line.split()[0] for line in process.stderr.splitlines() if "/6  " in line]
+    assert ends == [f"{k}/6" for k in range(1, 7)], process.stderr
     return folder
 
 
@@ -65,13 +65,13 @@ def test_a_dry_run_changes_nothing(finished):
 
 
 def test_finished_results_are_not_overwritten_without_consent(finished):
-    """A dry run says so too; a further seed asks nothing; nothing is changed, nor is the last run forgotten."""
+    """A dry run asks too; a further seed needs no consent; no file changes, and the last run's state stays."""
     faster = changed(one_lens(), "spec.f_number", 2.0)
-    kept = [path for path in (finished / "results").rglob("*") if path.is_file()]
-    before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in kept}
-    done = snakemake(finished, faster, "table1")
-    output = done.stdout + done.stderr
-    assert done.returncode != 0 and "spec.f_number: 2.8 -> 2.0: 1 lens, 1 classifier again" in output, output
+    paths = [path for path in (finished / "results").rglob("*") if path.is_file()]
+    before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in paths}
+    process = snakemake(finished, faster, "table1")
+    output = process.stdout + process.stderr
+    assert process.returncode != 0 and "spec.f_number: 2.8 -> 2.0: 1 lens, 1 classifier again" in output, output
     assert "--config overwrite=true" in output and "Traceback" not in output and "goes on from here" not in output
     assert "1 lens, 1 classifier again" in forked(finished, faster, "--dry-run", "table1")[1]
     stored = finished / "results/tiny/study.yaml"
@@ -82,21 +82,21 @@ def test_finished_results_are_not_overwritten_without_consent(finished):
     for study, *others in ((faster, "--config", "overwrite=true"), (one_lens() | {"seeds": [0, 1]},)):
         status, output = forked(finished, study, "--dry-run", "table1", *others)
         assert status == 0 and "again" not in output and "design" in output
-    assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in kept} == before
-    assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(kept)
+    assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in paths} == before
+    assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(paths)
 
 
 def test_commands_know_what_has_run(finished, monkeypatch, capsys):
-    """Nothing is left to plan; with another value, what it makes again; status and the last run's jobs."""
+    """No job is left to plan; with another value, the plan has the reruns; `status` has the last run's jobs."""
     monkeypatch.chdir(finished)
     write("study.yaml", yaml.safe_dump(one_lens()))
     assert main(["study", "plan", "study.yaml", "--target", "table1"]) == 0
     assert "tiny: nothing is to be done for table1." in capsys.readouterr().out
     write("faster.yaml", yaml.safe_dump(changed(one_lens(), "spec.f_number", 2.0)))
     assert main(["study", "plan", "faster.yaml", "--target", "table1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["changed"] == ["spec.f_number: 2.8 -> 2.0"]
-    again = {stage: len(jobs["again"]) for stage, jobs in found["jobs"].items() if jobs["again"]}
+    report = json.loads(capsys.readouterr().out)
+    assert report["changed"] == ["spec.f_number: 2.8 -> 2.0"]
+    again = {stage: len(jobs["again"]) for stage, jobs in report["jobs"].items() if jobs["again"]}
     assert again == {"design": 1, "fine_tune": 1, "table": 1}
     assert main(["study", "status", "results/tiny"]) == 0
     assert "6 of 6 jobs done" in capsys.readouterr().out
@@ -119,13 +119,13 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     ids=lambda v: v if isinstance(v, str) else "",
 )
 def test_a_changed_value_reruns_what_reads_it(finished, key, value, rerun):
-    """And what comes after that, up to the table; everything else stays."""
-    found = plan(finished, changed(one_lens(), key, value), "table1")
-    assert found == rerun
+    """All later jobs up to the table rerun too; all others stay."""
+    counts = plan(finished, changed(one_lens(), key, value), "table1")
+    assert counts == rerun
 
 
 def test_a_job_computes_what_its_run_was_started_with(tmp_path):
-    """Whatever is written to the file of the study since, and whatever another run of it does."""
+    """Later changes of the study's file and other runs of the study do not matter."""
     study = tiny_study()
     target = "results/tiny/lenses/singlet-tasklens/seed0/lens.yaml"
     log = tmp_path / "results/tiny/logs/images.log"
@@ -136,8 +136,8 @@ def test_a_job_computes_what_its_run_was_started_with(tmp_path):
     other = changed(study, "designs.tasklens.descents.1.steps", 7)
     other = changed(other, "designs.imaging1.descents.0.steps", 4)
     lens = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml"
-    done = snakemake(tmp_path, other, lens, "--nolock")
-    assert done.returncode == 0, done.stderr
+    second_run = snakemake(tmp_path, other, lens, "--nolock")
+    assert second_run.returncode == 0, second_run.stderr
     assert process.wait() == 0
     assert load(tmp_path / "results/tiny/study.yaml") == parse(other)
     steps = [row["step"] for row in read_rows(tmp_path / target.replace("lens.yaml", "history.csv"))]
@@ -156,10 +156,10 @@ def test_a_failing_job_leaves_no_output(tmp_path):
     bad = tmp_path / "photos" / "val" / "b" / "1.png"
     bad.write_text("not an image")
     images = {"size": 16, "minival": 2, "folder": str(tmp_path / "photos")}
-    done = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.npy")
-    assert done.returncode != 0
+    process = snakemake(tmp_path, changed(one_lens(), "images", images), "results/tiny/images/train.npy")
+    assert process.returncode != 0
     assert str(bad) in (tmp_path / "results/tiny/logs/images.log").read_text()
-    lines = (done.stdout + done.stderr).splitlines()
+    lines = (process.stdout + process.stderr).splitlines()
     assert any(line.startswith("FAILED  images  after ") for line in lines), lines
     assert any(line.startswith(f"FAILED  images: tasklens: {bad}") for line in lines), lines
     left = [path for path in (tmp_path / "results/tiny/images").rglob("*") if path.is_file()]
@@ -168,9 +168,9 @@ def test_a_failing_job_leaves_no_output(tmp_path):
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on(tmp_path):
-    """Killed with Snakemake in the midst of a long design: neither lens nor history; unlocked, it is made again.
+    """A run killed during a long design leaves neither lens nor history; after unlocking, the design runs again.
 
-    Also where one of its two files is there already.
+    It does so even if one of its two files exists.
     """
     study = changed(one_lens(), "designs.imaging1.descents.0.steps", 1_000_000)
     target, log = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml", tmp_path / "results/tiny/logs/design"
@@ -195,8 +195,8 @@ def test_a_killed_run_goes_on(tmp_path):
     (tmp_path / target).write_text("half")
     study = one_lens()
     assert forked(tmp_path, study, "--unlock")[0] == 0
-    done = snakemake(tmp_path, study, target)
-    assert done.returncode == 0, done.stderr
+    second_run = snakemake(tmp_path, study, target)
+    assert second_run.returncode == 0, second_run.stderr
     assert yaml.safe_load((tmp_path / target).read_text())["margins"]
 
 
@@ -204,8 +204,8 @@ def test_a_killed_run_goes_on(tmp_path):
 def test_a_changed_file_reruns_the_imported_lens(tmp_path):
     """The lens file or a catalogue; a file that cannot be used stops the study before its first job."""
     study, target = with_imported(tmp_path), "results/smoke/lenses/singlet-theirs/seed0/lens.yaml"
-    done = snakemake(tmp_path, study, target)
-    assert done.returncode == 0 and (tmp_path / target).exists(), done.stdout + done.stderr
+    process = snakemake(tmp_path, study, target)
+    assert process.returncode == 0 and (tmp_path / target).exists(), process.stdout + process.stderr
     assert plan(tmp_path, study, target) == {}
     for name, old, new in (("singlet.zmx", "DISZ 0.5", "DISZ 0.6"), ("glass.agf", "2.3", "2.4")):
         path = tmp_path / name
@@ -215,6 +215,6 @@ def test_a_changed_file_reruns_the_imported_lens(tmp_path):
         path.write_text(before)
         os.utime(path, times)
     path.write_text("NM COC 1 0 1.5\n")
-    done = snakemake(tmp_path, study, "results/smoke/images/train.npy")
-    assert done.returncode != 0 and "glass.agf" in done.stdout + done.stderr
+    process = snakemake(tmp_path, study, "results/smoke/images/train.npy")
+    assert process.returncode != 0 and "glass.agf" in process.stdout + process.stderr
     assert not (tmp_path / "results/smoke/images").exists()

@@ -1,4 +1,4 @@
-"""Lenses as they are built: yields by spot and MTF, without a network."""
+"""Built lenses: yields by spot and MTF, without a network."""
 
 import json
 import math
@@ -28,7 +28,7 @@ def spread(tolerances: yields.Tolerances) -> float:
 
 
 def test_spots_deviate_in_proportion_to_small_errors(found):
-    """A tenth of the errors, the same otherwise: a tenth of the deviations, to the second order that is left."""
+    """A tenth of the same errors gives a tenth of the deviations, up to second order."""
     tenth = Grade.model_validate({name: 0.1 * getattr(FINE, name) for name in GRADES["precision_moulding"]})
     finer = yields.tolerances(cooke_triplet(), VIEW, tenth, 20, 0)
     assert spread(finer) == pytest.approx(0.1 * spread(found), rel=0.2) and spread(found) > 0.05
@@ -37,7 +37,7 @@ def test_spots_deviate_in_proportion_to_small_errors(found):
 
 
 def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(found):
-    """For the same lens: what is allotted over the grade falls as the grade becomes coarser."""
+    """For the same lens, the ratio of allotted tolerances to the grade falls for a coarser grade."""
     coarse = yields.tolerances(cooke_triplet(), VIEW, Grade.model_validate("commercial_moulding"), 20, 0)
     assert spread(coarse) > 10 * spread(found)
     assert found.allotted is not None and float(found.allotted.mean()) > 1
@@ -50,16 +50,16 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     zemax.write(tmp_path / "lens.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.5876,), 0))
     command = ["lens", "tolerance", "lens.zmx", "--lenses", "10", "--pixel-pitch", "20", "--kernel-size", "51"]
     assert main([*command, "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
-    assert shown["lenses"] == 10 and shown["grade"] == "precision_moulding"
+    result = json.loads(capsys.readouterr().out)
+    assert result["lenses"] == 10 and result["grade"] == "precision_moulding"
     assert (
-        shown["yield_by_rms"]["2.0"] >= shown["yield_by_rms"]["1.1"]
-        and shown["median"]["rms_um"] > shown["design"]["rms_um"]
+        result["yield_by_rms"]["2.0"] >= result["yield_by_rms"]["1.1"]
+        and result["median"]["rms_um"] > result["design"]["rms_um"]
     )
-    moved = [error["moved_um"] for error in shown["errors"]]
-    assert moved == sorted(moved, reverse=True)
+    displacements = [error["moved_um"] for error in result["errors"]]
+    assert displacements == sorted(displacements, reverse=True)
     assert main(command) == 0
     text = capsys.readouterr().out
-    assert "10 lenses built to precision moulding" in text and shown["errors"][0]["error"] in text
+    assert "10 lenses built to precision moulding" in text and result["errors"][0]["error"] in text
     assert main([*command, "--grade", "perfect"]) == 2
     assert "--grade perfect: expected one of commercial_moulding" in capsys.readouterr().err

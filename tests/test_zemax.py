@@ -1,4 +1,4 @@
-"""Reading Zemax files: what they say, and what is refused with its line."""
+"""Reading Zemax files: their contents, and refusals that name the line."""
 
 import math
 
@@ -89,8 +89,8 @@ def edited(*changes: tuple[str, str]) -> str:
 
 
 def test_what_a_file_says(tmp_path):
-    found = read(tmp_path)
-    lens = found.lens
+    imported = read(tmp_path)
+    lens = imported.lens
     assert lens.curvature.tolist() == [0.25, -0.1, 0.0, 0.1, 0.0]
     assert lens.conic.tolist() == [-0.5, 0.0, 0.0, 0.0, 0.0]
     assert lens.alpha[0].tolist() == [0.01, -0.002, 0, 0, 0, 0, 0, 1e-6] and not lens.alpha[1:].any()
@@ -98,11 +98,11 @@ def test_what_a_file_says(tmp_path):
     assert lens.media == (builtin("COC"), AIR, AIR, model_glass(1.64, 23.3, 0.01), AIR)
     assert lens.stop == 2
     semi = lens.semi_diameter.tolist()
-    assert semi[:2] == [math.inf, 0.8] and semi[3:] == [1.1, math.inf]  # automatic, fixed; floating aperture, nothing
-    assert (found.title, found.comments) == ("A doublet", ("front  lens", "", "", "", ""))
-    assert found.aperture == ("entrance_pupil_diameter_mm", 1.2)
-    assert found.fields == ("angle_deg", ((0.0, 0.0), (1.5, 20.0)))
-    assert (found.wavelengths_um, found.primary) == ((0.6563, 0.5893, 0.4861), 1)
+    assert semi[:2] == [math.inf, 0.8] and semi[3:] == [1.1, math.inf]  # automatic, fixed; floating aperture, none
+    assert (imported.title, imported.comments) == ("A doublet", ("front  lens", "", "", "", ""))
+    assert imported.aperture == ("entrance_pupil_diameter_mm", 1.2)
+    assert imported.fields == ("angle_deg", ((0.0, 0.0), (1.5, 20.0)))
+    assert (imported.wavelengths_um, imported.primary) == ((0.6563, 0.5893, 0.4861), 1)
 
 
 @pytest.mark.parametrize(
@@ -110,10 +110,10 @@ def test_what_a_file_says(tmp_path):
 )
 def test_the_distance_of_the_object(tmp_path, distance, unit, expected):
     """In the file's unit; beyond Zemax's limit the object is at infinity. The lens itself is the same."""
-    found = read(tmp_path, edited(("DISZ INFINITY", f"DISZ {distance}"), ("UNIT MM", f"UNIT {unit}")))
+    imported = read(tmp_path, edited(("DISZ INFINITY", f"DISZ {distance}"), ("UNIT MM", f"UNIT {unit}")))
     far = read(tmp_path, edited(("UNIT MM", f"UNIT {unit}")))
-    assert found.object_distance_mm == pytest.approx(expected, rel=1e-15) and math.isinf(far.object_distance_mm)
-    assert all(torch.equal(a, b) for a, b in zip(*map(tensors, (found.lens, far.lens)), strict=True))
+    assert imported.object_distance_mm == pytest.approx(expected, rel=1e-15) and math.isinf(far.object_distance_mm)
+    assert all(torch.equal(a, b) for a, b in zip(*map(tensors, (imported.lens, far.lens)), strict=True))
 
 
 @pytest.mark.parametrize("line", ["ENPD 1.2", "FNUM 2.8 0"])
@@ -128,26 +128,26 @@ def test_the_stop_is_what_the_aperture_asks_for(tmp_path, line):
 
 
 def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
-    found = read(tmp_path, edited(("ENPD 1.2", "FLOA")))
-    assert found.aperture is None and float(found.lens.semi_diameter[2]) == 0.55
+    imported = read(tmp_path, edited(("ENPD 1.2", "FLOA")))
+    assert imported.aperture is None and float(imported.lens.semi_diameter[2]) == 0.55
 
 
 @pytest.mark.parametrize("aperture", ["ENPD 1.2", "FLOA"])
 @pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1\n  CLAP 0 0.4 0"])
 def test_a_stop_that_vignettes_at_less_than_the_aperture_asks_for(tmp_path, aperture, line):
     """As in Edmund Optics' 47728: a pupil of 15 mm, and 13.5 mm clear at the stop."""
-    found = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))
-    assert found.aperture is None and float(found.lens.semi_diameter[2]) == 0.4
-    zemax.write(tmp_path / "lens.zmx", found)
-    assert torch.equal(zemax.read(tmp_path / "lens.zmx").lens.semi_diameter, found.lens.semi_diameter)
+    imported = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))
+    assert imported.aperture is None and float(imported.lens.semi_diameter[2]) == 0.4
+    zemax.write(tmp_path / "lens.zmx", imported)
+    assert torch.equal(zemax.read(tmp_path / "lens.zmx").lens.semi_diameter, imported.lens.semi_diameter)
 
 
 @pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.9 0", "DIAM 0.5 0 0 0 1\n  FLAP 0 0.5 0"])
 def test_a_stop_that_vignettes_nothing_keeps_the_aperture(tmp_path, line):
     expected = read(tmp_path)
-    found = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line)))
-    assert found.aperture == expected.aperture
-    assert torch.equal(found.lens.semi_diameter, expected.lens.semi_diameter)
+    actual = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line)))
+    assert actual.aperture == expected.aperture
+    assert torch.equal(actual.lens.semi_diameter, expected.lens.semi_diameter)
 
 
 @pytest.mark.parametrize(
@@ -169,9 +169,9 @@ def test_a_fixed_semi_diameter_clips_where_the_surface_refracts(tmp_path, flag):
     """OpticStudio has no floating aperture on a surface without power: neither a dummy plane nor a stop in air."""
     expected = read(tmp_path)
     last = ("  CURV 0\n  DISZ 2.5", f"  CURV 0\n  DISZ 2.5\n  DIAM 0.1 {flag}")
-    found = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0.4 {flag}"), last))
-    assert found.aperture == expected.aperture
-    semi = found.lens.semi_diameter.tolist()
+    actual = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0.4 {flag}"), last))
+    assert actual.aperture == expected.aperture
+    semi = actual.lens.semi_diameter.tolist()
     assert semi[2] == float(expected.lens.semi_diameter[2]) and semi[4] == 0.1  # surface 5 ends the glass of surface 4
     dummy = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0 {flag}"))).lens
     assert torch.equal(dummy.semi_diameter, expected.lens.semi_diameter)
@@ -219,7 +219,7 @@ def test_extended_aspheres_are_normalised(tmp_path):
 
 
 def test_the_catalogue_that_the_file_names_first_defines_a_glass(tmp_path):
-    """GCAT SECOND FIRST, however the catalogues are given; before the built-in plastics."""
+    """GCAT SECOND FIRST sets the order of catalogues, whatever the order of the paths; built-in plastics come last."""
     paths = []
     for name, index in (("FIRST", 1.4), ("second", 1.6), ("THIRD", 1.7)):
         paths.append(tmp_path / f"{name}.agf")
@@ -231,11 +231,11 @@ def test_the_catalogue_that_the_file_names_first_defines_a_glass(tmp_path):
 
 def test_glasses_are_picked_up_and_labelled(tmp_path):
     """Solve 2 takes the glass of another surface; solve 1 is a model whatever the name says."""
-    found = read(tmp_path, edited(("___BLANK 1 0 1.64 23.3 0.01", "COC 2 1 1.5 40"))).lens
-    assert found.media[3] == builtin("COC")
-    found = read(tmp_path, edited(("COC 0 0 1.5 40", "COC 1 0 1.5 40"), ("___BLANK 1 0", "___BLANK 2 1"))).lens
-    assert found.media[0] == found.media[3] == model_glass(1.5, 40.0, 0.0, "COC")
-    assert found.media[0].refractive_index(0.5875618) == 1.5 and found.media[0].name.startswith("COC ")
+    lens = read(tmp_path, edited(("___BLANK 1 0 1.64 23.3 0.01", "COC 2 1 1.5 40"))).lens
+    assert lens.media[3] == builtin("COC")
+    lens = read(tmp_path, edited(("COC 0 0 1.5 40", "COC 1 0 1.5 40"), ("___BLANK 1 0", "___BLANK 2 1"))).lens
+    assert lens.media[0] == lens.media[3] == model_glass(1.5, 40.0, 0.0, "COC")
+    assert lens.media[0].refractive_index(0.5875618) == 1.5 and lens.media[0].name.startswith("COC ")
 
 
 @pytest.mark.parametrize("kind, keyword, first", [("XOSPHERE", "XDAT", 3), ("ODDASPHE", "PARM", 1)])
@@ -253,8 +253,8 @@ def test_an_odd_asphere_without_odd_terms_is_an_even_one(tmp_path, kind, keyword
 
 @pytest.mark.parametrize("line", ["ENVD 20 1 1", "GFAC 1 0", "GFAC 0 3", "STUD 1", "FSVY 2 3", "CHZH 0 0"])
 def test_what_changes_no_ray_is_read(tmp_path, line):
-    expected, found = read(tmp_path), read(tmp_path, edited(("MODE SEQ", f"MODE SEQ\n{line}")))
-    assert all(torch.equal(a, b) for a, b in zip(tensors(found.lens), tensors(expected.lens), strict=True))
+    expected, actual = read(tmp_path), read(tmp_path, edited(("MODE SEQ", f"MODE SEQ\n{line}")))
+    assert all(torch.equal(a, b) for a, b in zip(tensors(actual.lens), tensors(expected.lens), strict=True))
 
 
 def test_fields_of_old_files_and_more_than_twelve(tmp_path):
@@ -265,17 +265,17 @@ def test_fields_of_old_files_and_more_than_twelve(tmp_path):
     twelve = " ".join(map(str, heights[:12]))
     further = "".join(f"FEFD {i + 1} 0 {height} 1 0 0 0 0 0\n" for i, height in enumerate(heights))
     changes = [("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 14 3 0 0 0 2"), ("XFLN 0 1.5", f"XFLN{12 * ' 0'}")]
-    found = read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further}"))).fields
-    assert found == ("angle_deg", tuple((0.0, height) for height in heights))
+    fields = read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further}"))).fields
+    assert fields == ("angle_deg", tuple((0.0, height) for height in heights))
     with pytest.raises(FileError, match="FEFD: differs from field 3"):
         read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further.replace('3 0 2.0', '3 0 2.5')}")))
 
 
 def test_a_glass_that_no_catalogue_has_is_that_of_its_line(tmp_path):
-    """Of nd and Vd, with a remark; nd = Vd = 0 is refused (`MISTAKES`)."""
-    found = read(tmp_path, edited(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
-    assert found.lens.media[0] == model_glass(1.5, 40.0, 0.0, "MINE")
-    (remark,) = found.remarks
+    """The glass has nd and Vd of its line, with a remark; nd = Vd = 0 is refused (`MISTAKES`)."""
+    imported = read(tmp_path, edited(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
+    assert imported.lens.media[0] == model_glass(1.5, 40.0, 0.0, "MINE")
+    (remark,) = imported.remarks
     assert remark.startswith("glass MINE is in no catalogue: taken as one of nd = 1.5 and Vd = 40, as its line says")
     assert "; the nearest one is " in remark
     assert read(tmp_path).remarks == ()
@@ -296,7 +296,7 @@ EFFL 0 2 0 0 0 0 6 1
 
 
 def test_configurations(tmp_path):
-    """The one in which the file was saved, or another, whose surfaces are set; a field that differs is refused."""
+    """The saved configuration, or another, which sets surfaces; one with different fields is refused."""
     text = edited(("MNUM 1 1\n", "MNUM 2 1\n" + CONFIGURATIONS))
     saved = read(tmp_path, text)
     assert all(torch.equal(a, b) for a, b in zip(tensors(saved.lens), tensors(read(tmp_path).lens), strict=True))
@@ -318,7 +318,7 @@ def test_configurations(tmp_path):
 
 @pytest.mark.parametrize("end", ["SURF 4", "SURF 5", "SURF 6", "  DISZ 2.5"])
 def test_a_file_that_is_cut_off_is_refused(tmp_path, end):
-    """Its last surface is no image surface."""
+    """The last surface of the file is not an image surface."""
     with pytest.raises(FileError, match=r"lens\.zmx"):
         read(tmp_path, TEXT[: TEXT.index(end)])
 

@@ -1,8 +1,8 @@
-"""Zemax files of other people, in tests/data and ../shared, against numbers that another program read from them.
+"""Zemax files by other authors, in tests/data and ../shared, against numbers that another program read from them.
 
-Geometry, first-order data and rays are compared with the indices of the reference. Its catalogue glasses are ours to
-the last digits, and compared as such. Its model glasses are a two-term Cauchy curve through nd and Vd: they share with
-ours what these numbers fix, nd and nF - nC, but not the partial dispersion (nF and nC differ by up to 6e-4).
+Geometry, first-order data and rays are compared with the indices of the reference. Its catalogue glasses equal
+ours to the last digits. Its model glasses are a two-term Cauchy curve through nd and Vd: they share with ours nd and
+nF - nC, which these numbers fix, but not the partial dispersion (nF and nC differ by up to 6e-4).
 """
 
 import json
@@ -65,12 +65,12 @@ def test_kinds_of_files():
 @every_file
 def test_geometry(reading):
     """Curvatures, conics, aspheres, spaces and the stop: every number exactly."""
-    (shown, reference), surfaces = reading, reading[1]["surfaces"][:-1]
-    lens = shown.lens
+    (imported, reference), surfaces = reading, reading[1]["surfaces"][:-1]
+    lens = imported.lens
     assert len(lens.media) == len(surfaces)
     for i, surface in enumerate(surfaces):
-        found = {str(2 * j): a for j, a in enumerate(lens.alpha[i].tolist(), 1) if a}
-        assert found == {order: a for order, a in surface["even_asphere"].items() if a}
+        asphere = {str(2 * j): a for j, a in enumerate(lens.alpha[i].tolist(), 1) if a}
+        assert asphere == {order: a for order, a in surface["even_asphere"].items() if a}
         assert float(lens.curvature[i]) == surface["c"] and float(lens.conic[i]) == surface["k"]
         assert float(lens.thickness[i]) == surface["thickness_after"]
         assert (i == lens.stop) == surface["stop"]
@@ -80,18 +80,18 @@ def test_geometry(reading):
 
 @every_file
 def test_indices(reading):
-    """Catalogue glasses to the last digits; of model glasses what nd and Vd fix."""
-    shown, reference = reading
-    for material, surface in zip(shown.lens.media, reference["surfaces"], strict=False):
+    """Catalogue glasses to the last digits; model glasses in nd and nF - nC only."""
+    imported, reference = reading
+    for material, surface in zip(imported.lens.media, reference["surfaces"], strict=False):
         if material == AIR:
             continue
         expected = surface["n"]
-        found = {line: material.refractive_index(w) for line, w in LINES.items()}
+        indices = {line: material.refractive_index(w) for line, w in LINES.items()}
         if material.formula == "model":
-            assert found["d"] == pytest.approx(expected["d"], abs=4e-7)  # the reference takes d as 0.58756 um
-            assert found["F"] - found["C"] == pytest.approx(expected["F"] - expected["C"], rel=3e-5)
+            assert indices["d"] == pytest.approx(expected["d"], abs=4e-7)  # the reference takes d as 0.58756 um
+            assert indices["F"] - indices["C"] == pytest.approx(expected["F"] - expected["C"], rel=3e-5)
         else:
-            assert found == pytest.approx(expected, rel=0, abs=1e-14)
+            assert indices == pytest.approx(expected, rel=0, abs=1e-14)
 
 
 def bare(reading: tuple[Prescription, dict]) -> Lens:
@@ -104,16 +104,16 @@ def bare(reading: tuple[Prescription, dict]) -> Lens:
 @every_file
 def test_first_order_and_rays(reading):
     """EFL, BFL, pupil, and where 12 rays in three colours meet the image: within 1e-9 mm, on aspheres 1.2e-6 mm."""
-    shown, reference = reading
+    imported, reference = reading
     expected = reference["reference"]
     lens = bare(reading)
-    if shown.aperture is not None:
-        lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, shown.aperture, D_LINE)
+    if imported.aperture is not None:
+        lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, imported.aperture, D_LINE)
     first_order = paraxial(lens, D_LINE)
     assert float(first_order.efl) == pytest.approx(expected["efl_d"], rel=0, abs=1e-9)
     assert float(first_order.bfl) == pytest.approx(expected["bfl_d"], rel=0, abs=1e-9)
     assert float(first_order.entrance_pupil_z) == pytest.approx(expected["entrance_pupil_z"], rel=0, abs=1e-9)
-    if shown.aperture is not None:  # else the file gives the size of the stop, the reference a nominal F-number
+    if imported.aperture is not None:  # otherwise the file has the stop size, the reference a nominal F-number
         assert 2 * float(first_order.entrance_pupil_radius) == pytest.approx(reference["epd"], rel=0, abs=1e-9)
     tolerance = 1.2e-6 if lens.alpha.any() or lens.conic.any() else 1e-9
     lens = bare(reading)
@@ -121,14 +121,14 @@ def test_first_order_and_rays(reading):
     start = f64([ray["start"] for ray in rays]).T[:, None]
     assert len(rays) > 5
     for line, wavelength in LINES.items():
-        found = trace(lens, launch(*start), lens.refractive_indices((wavelength,)))
+        image_rays = trace(lens, launch(*start), lens.refractive_indices((wavelength,)))
         image = f64([ray["image"][line] for ray in rays]).T
-        torch.testing.assert_close(torch.cat([found.x, found.y]), image[:2], rtol=0, atol=tolerance)
+        torch.testing.assert_close(torch.cat([image_rays.x, image_rays.y]), image[:2], rtol=0, atol=tolerance)
 
 
 @every_file
 def test_spots(reading):
-    """Heights of the centroids and RMS spot radii in three colours, where all rays of the reference came through.
+    """Heights of the centroids and RMS spot radii in three colours, if no ray of the reference is lost.
 
     Its rays fill a grid of 33 x 33 over the paraxial entrance pupil.
     """
@@ -146,55 +146,62 @@ def test_spots(reading):
         zero = torch.zeros_like(x)
         rays = launch(x, y - tangent * reference["reference"]["entrance_pupil_z"], zero, zero, tangent * n, n)
         for line, wavelength in LINES.items():
-            found = trace(lens, rays, lens.refractive_indices((wavelength,)))
-            assert found.valid.all()
-            assert float(found.y.mean()) == pytest.approx(spot[f"ymean_mm_{line}"], rel=0, abs=1e-12)
-            rms = 1e3 * float(torch.hypot(found.x - found.x.mean(), found.y - found.y.mean()).square().mean().sqrt())
+            image_rays = trace(lens, rays, lens.refractive_indices((wavelength,)))
+            assert image_rays.valid.all()
+            assert float(image_rays.y.mean()) == pytest.approx(spot[f"ymean_mm_{line}"], rel=0, abs=1e-12)
+            rms = 1e3 * float(
+                torch.hypot(image_rays.x - image_rays.x.mean(), image_rays.y - image_rays.y.mean())
+                .square()
+                .mean()
+                .sqrt()
+            )
             assert rms == pytest.approx(spot[f"rms_um_{line}"], rel=0, abs=1e-9)
 
 
 @every_file
 def test_nothing_is_lost_on_the_way_to_yaml_and_back_to_zemax(reading, tmp_path):
     """Title, comments, aperture, fields, wavelengths and every number of the lens."""
-    shown = reading[0]
-    prescription.write(tmp_path / "lens.yaml", shown, {})
+    original = reading[0]
+    prescription.write(tmp_path / "lens.yaml", original, {})
     from_yaml = prescription.read(tmp_path / "lens.yaml")[0]
-    definitions = {medium.name: medium.definition() for medium in shown.lens.media if medium.formula != "model"}
+    definitions = {medium.name: medium.definition() for medium in original.lens.media if medium.formula != "model"}
     definitions.pop("air", None)
     (tmp_path / "glasses.yaml").write_text(yaml.safe_dump(definitions))
     zemax.write(tmp_path / "lens.zmx", from_yaml)
     again = zemax.read(tmp_path / "lens.zmx", [tmp_path / "glasses.yaml"])
-    for found in (from_yaml, again):
-        assert replace(found, lens=None) == replace(shown, lens=None)
-        assert (found.lens.media, found.lens.stop) == (shown.lens.media, shown.lens.stop)
+    for copy in (from_yaml, again):
+        assert replace(copy, lens=None) == replace(original, lens=None)
+        assert (copy.lens.media, copy.lens.stop) == (original.lens.media, original.lens.stop)
         for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
-            assert torch.equal(getattr(found.lens, name), getattr(shown.lens, name)), name
+            assert torch.equal(getattr(copy.lens, name), getattr(original.lens, name)), name
 
 
 def test_what_a_file_says_of_its_use():
     """Aperture, fields, wavelengths, primary, title and comments of four files, as they stand in their text."""
-    read = {path.stem: reading_of(path)[0] for path in FILES}
-    near = {name: shown.object_distance_mm for name, shown in read.items() if shown.object_distance_mm < 1e10}
-    assert near == {name: distance for name, distance in NEAR_OBJECTS.items() if name in read}
-    gauss = read["US00583336-2-scaled"]
+    files = {path.stem: reading_of(path)[0] for path in FILES}
+    near = {
+        name: lens_file.object_distance_mm for name, lens_file in files.items() if lens_file.object_distance_mm < 1e10
+    }
+    assert near == {name: distance for name, distance in NEAR_OBJECTS.items() if name in files}
+    gauss = files["US00583336-2-scaled"]
     assert (gauss.title, gauss.aperture) == ("Original Double Gauss", ("f_number", 4.5))
     assert gauss.fields == ("angle_deg", ((0.0, 0.0), (0.0, 17.0), (0.0, 24.0)))
     assert gauss.wavelengths_um == (0.4861327, 0.5875618, 0.6562725) and gauss.primary == 1
     assert gauss.lens.semi_diameter.tolist()[1:6] == [6.3, 6.3, 5.94, 5.94, 4.5]  # FLAP
-    condenser = read["ACL3026U-Zemax(ZMX)"]
+    condenser = files["ACL3026U-Zemax(ZMX)"]
     assert condenser.title.startswith("Aspheric Condenser Lens, Uncoated, Ø30 mm")
     assert condenser.comments == ("", "ACL3026U", "")
-    canon = read["ef35mm_f2.0"]  # float by stop size; WAVL; no FLAP: fixed semi-diameters alone
+    canon = files["ef35mm_f2.0"]  # float by stop size; WAVL; no FLAP: fixed semi-diameters alone
     assert canon.aperture is None and canon.wavelengths_um == (0.486, 0.587, 0.656)
     assert float(canon.lens.semi_diameter[canon.lens.stop]) == 9.8795
-    phone = read["US20210165194A1"]
+    phone = files["US20210165194A1"]
     assert phone.wavelengths_um == (0.47, 0.51, 0.555, 0.61, 0.65) and phone.primary == 2
     assert phone.lens.semi_diameter[phone.lens.stop + 1 :].isinf().all()  # automatic
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_every_file_is_a_lens_to_look_at(path):
-    """With its field, also of a near object by its real image height; on the axis alone where it has no other."""
+    """A lens keeps its field, even that of a near object by real image height; without one, it has only the axis."""
     file = lens_files.read(path)
     half = math.degrees(math.atan(float(file.view.radii.max()) / file.view.efl))
     expected = reference_of(path)["half_field_deg"]

@@ -1,4 +1,4 @@
-"""Optiland, another ray tracer, reads the Zemax files that we write, but for surfaces that it does not have."""
+"""Optiland, another ray tracer, reads the Zemax files that we write, except for surfaces that it lacks."""
 
 import math
 
@@ -26,35 +26,38 @@ WITHOUT_SURFACE = {"US-12078784-B2-e6", "US20210165194A1"}  # extended aspheres
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_optiland_reads_what_we_write(tmp_path, path):
-    """Surfaces, stop, aperture, fields and wavelengths as they are, the focal length as far as it knows the glasses."""
-    shown = reading_of(path)[0]
-    zemax.write(tmp_path / "lens.zmx", shown)
+    """Surfaces, stop, aperture, fields and wavelengths are equal, and the focal length is within 5e-4."""
+    imported = reading_of(path)[0]
+    zemax.write(tmp_path / "lens.zmx", imported)
     if path.stem in WITHOUT_SURFACE:
         with pytest.raises(ValueError, match="xasphere"):
             optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
         return
-    found = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
-    lens = shown.lens
-    assert [float(r) for r in found.surfaces.radii[1:-1]] == [1 / c if c else math.inf for c in lens.curvature.tolist()]
-    assert found.surfaces.stop_index == lens.stop + 1
+    optic = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
+    lens = imported.lens
+    assert [float(r) for r in optic.surfaces.radii[1:-1]] == [1 / c if c else math.inf for c in lens.curvature.tolist()]
+    assert optic.surfaces.stop_index == lens.stop + 1
     kinds = {"entrance_pupil_diameter_mm": "EPD", "f_number": "imageFNO"}
-    if shown.aperture is not None:
-        assert (found.aperture.ap_type, float(found.aperture.value)) == (kinds[shown.aperture[0]], shown.aperture[1])
-    assert sorted((float(f.x), float(f.y)) for f in found.fields) == sorted(shown.fields[1])
-    assert tuple(float(w.value) for w in found.wavelengths) == shown.wavelengths_um
-    efl = float(paraxial(lens, shown.wavelengths_um[shown.primary]).efl)
-    assert float(found.paraxial.f2()) == pytest.approx(efl, rel=5e-4)
+    if imported.aperture is not None:
+        assert (optic.aperture.ap_type, float(optic.aperture.value)) == (
+            kinds[imported.aperture[0]],
+            imported.aperture[1],
+        )
+    assert sorted((float(f.x), float(f.y)) for f in optic.fields) == sorted(imported.fields[1])
+    assert tuple(float(w.value) for w in optic.wavelengths) == imported.wavelengths_um
+    efl = float(paraxial(lens, imported.wavelengths_um[imported.primary]).efl)
+    assert float(optic.paraxial.f2()) == pytest.approx(efl, rel=5e-4)
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_optiland_reads_a_lens_of_a_study(tmp_path):
-    """Its spec becomes fields and wavelengths; names of glasses are those that both programs know."""
+    """The specification becomes fields and wavelengths; glasses have names that both programs know."""
     view = view_of_spec(Spec())
     zemax.write(tmp_path / "lens.zmx", with_use(Prescription(LENS), view))
-    found = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
-    assert float(found.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
-    assert found.fields.num_fields == len(view.fields)
-    assert found.fields.max_y_field == pytest.approx(math.degrees(math.atan(float(view.tangents[:, 1].max()))))
-    assert [float(wave.value) for wave in found.wavelengths] == list(view.wavelengths)
+    optic = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
+    assert float(optic.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
+    assert optic.fields.num_fields == len(view.fields)
+    assert optic.fields.max_y_field == pytest.approx(math.degrees(math.atan(float(view.tangents[:, 1].max()))))
+    assert [float(wave.value) for wave in optic.wavelengths] == list(view.wavelengths)
     ours = zemax.read(tmp_path / "lens.zmx")
     assert ours.lens.media == LENS.media and ours.lens.curvature.tolist() == LENS.curvature.tolist()

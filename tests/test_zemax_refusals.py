@@ -1,4 +1,4 @@
-"""A Zemax file is read, or refused with its line, where it changes rays: flags, apertures, environment, numbers."""
+"""Lines of a Zemax file that change rays are read, or refused by line: flags, apertures, environment, numbers."""
 
 import codecs
 import math
@@ -99,8 +99,8 @@ def test_what_changes_no_ray_changes_nothing(tmp_path):
     surface = "  HIDE 1 1 1 1 0 0 0 0 0 0\n  OBDC 0.0 0.0\n  IGNR 0\n  PZUP 1 1 0 0\n  COAT AR\n  MIRR 2 0\n  FIMP \n"
     end = "WFNO 0 0 0 0 0 0 0 0 0 0\nMNUM 1 1\nIGNR   2   1 0 0 0 0 1 1\nTEMP   0   1 2.0E+1 0 0\n"
     changes = ("MODE SEQ", f"MODE SEQ\n{system}"), ("  CURV -0.1\n", f"  CURV -0.1\n{surface}"), ("MNUM 1 1\n", end)
-    found, plain = read(tmp_path, edited(*changes)), read(tmp_path)
-    assert all((a == b).all() for a, b in zip(tensors(found.lens), tensors(plain.lens), strict=True))
+    imported, plain = read(tmp_path, edited(*changes)), read(tmp_path)
+    assert all((a == b).all() for a, b in zip(tensors(imported.lens), tensors(plain.lens), strict=True))
 
 
 NUMBERS = [
@@ -145,7 +145,7 @@ def test_numbers_that_leave_the_range_in_mm(tmp_path, line):
     ],
 )
 def test_a_lens_without_a_finite_stop(tmp_path, changes):
-    """Powers that overflow, and a plane-parallel plate of which an F-number is asked."""
+    """Powers that overflow, and a plane-parallel plate with an F-number."""
     line = "FNUM 2.8 0"
     assert_refused(tmp_path, edited(*changes, ("ENPD 1.2", line)), line, "radius of the stop")
 
@@ -179,8 +179,8 @@ def test_terms_of_an_extended_asphere(tmp_path, lines, row, words):
 
 
 def test_all_terms_of_an_extended_asphere(tmp_path):
-    found = read(tmp_path, extended("1 240", "2 1", "242 1e-300")).lens
-    assert found.alpha.shape[1] == 240 and float(found.alpha[0, 239]) == 1e-300
+    lens = read(tmp_path, extended("1 240", "2 1", "242 1e-300")).lens
+    assert lens.alpha.shape[1] == 240 and float(lens.alpha[0, 239]) == 1e-300
     assert not read(tmp_path, extended("1 0")).lens.alpha.any()
 
 

@@ -1,4 +1,4 @@
-"""Writing Zemax files: what is read back is the same to the last bit, and what they cannot hold is refused."""
+"""Writing Zemax files: they read back the same to the last bit, and what they cannot hold is refused."""
 
 import math
 from dataclasses import replace
@@ -61,23 +61,23 @@ def unsourced(material: Material) -> Material:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_round_trip_keeps_every_bit(tmp_path, seed):
-    shown = random_prescription(seed)
+    original = random_prescription(seed)
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"MINE": MINE.definition()}))
-    zemax.write(tmp_path / "lens.zmx", shown)
-    found = zemax.read(tmp_path / "lens.zmx", [tmp_path / "mine.yaml"])
-    assert replace(found, lens=None) == replace(shown, lens=None)
-    assert [unsourced(m) for m in found.lens.media] == [unsourced(m) for m in shown.lens.media]
-    assert found.lens.stop == shown.lens.stop
+    zemax.write(tmp_path / "lens.zmx", original)
+    copy = zemax.read(tmp_path / "lens.zmx", [tmp_path / "mine.yaml"])
+    assert replace(copy, lens=None) == replace(original, lens=None)
+    assert [unsourced(m) for m in copy.lens.media] == [unsourced(m) for m in original.lens.media]
+    assert copy.lens.stop == original.lens.stop
     for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
-        a, b = getattr(found.lens, name), getattr(shown.lens, name)
+        a, b = getattr(copy.lens, name), getattr(original.lens, name)
         assert torch.equal(a.view(torch.int64), b.view(torch.int64)), name
 
 
 def test_a_written_file_has_what_opticstudio_looks_for(tmp_path):
-    shown = random_prescription(4)
-    zemax.write(tmp_path / "lens.zmx", replace(shown, title="T"))
+    original = random_prescription(4)
+    zemax.write(tmp_path / "lens.zmx", replace(original, title="T"))
     lines = (tmp_path / "lens.zmx").read_bytes().decode("ascii", "replace").split("\r\n")
-    assert f"FNUM {shown.aperture[1]:.17g} 0" in lines  # 0: F-number in image space
+    assert f"FNUM {original.aperture[1]:.17g} 0" in lines  # 0: F-number in image space
     for start in ("VERS ", "MODE SEQ", "NAME T", "UNIT MM", "FTYP 0 0 5 3", "XFLN ", "YFLN ", "PWAV 2"):
         assert any(line.startswith(start) for line in lines), start
     assert [line for line in lines if line.startswith("SURF")] == [f"SURF {i}" for i in range(8)]
@@ -104,17 +104,17 @@ def test_what_a_file_cannot_hold_is_refused(tmp_path, change, words):
 
 
 def test_glasses_have_the_names_of_opticstudio(tmp_path):
-    """Polystyrene is POLYSTYR of MISC there; what it lacks is in a catalogue beside the file."""
-    shown = random_prescription(1)
+    """Polystyrene is POLYSTYR of MISC there; a catalogue beside the file has the other plastics."""
+    original = random_prescription(1)
     media = (*materials("PS", "COC", "OKP4HT", "OKP4"), MINE, AIR)
-    zemax.write(tmp_path / "lens.zmx", replace(shown, aperture=None, lens=replace(shown.lens, media=media)))
+    zemax.write(tmp_path / "lens.zmx", replace(original, aperture=None, lens=replace(original.lens, media=media)))
     lines = (tmp_path / "lens.zmx").read_bytes().decode("latin-1").replace("\0", "").split("\r\n")
     assert "GCAT LENS MISC PLASTIC2022" in lines
     names = [line.split()[1] for line in lines if line.startswith("  GLAS")]
     assert names == ["POLYSTYR", "COC", "OKP4HTL", "OKP4", "MINE"]
-    found = zemax.read(tmp_path / "lens.zmx").lens.media
-    assert found[:3] == media[:3]
-    assert found[3:] == (*(replace(medium, source="lens.agf") for medium in media[3:5]), AIR)
+    read_media = zemax.read(tmp_path / "lens.zmx").lens.media
+    assert read_media[:3] == media[:3]
+    assert read_media[3:] == (*(replace(medium, source="lens.agf") for medium in media[3:5]), AIR)
     (tmp_path / "lens.agf").unlink()
     without = zemax.read(tmp_path / "lens.zmx")
     assert without.lens.media[4].abbe() == pytest.approx(MINE.abbe(), rel=1e-12)
@@ -132,14 +132,16 @@ def test_a_catalogue_has_nd_and_vd_for_lists(tmp_path):
 
 @pytest.mark.parametrize("name", ["MY GLASS", "MIRROR", "___BLANK"])
 def test_a_glass_that_zemax_cannot_name_is_refused(tmp_path, name):
-    shown = random_prescription(1)
+    original = random_prescription(1)
     glass = Material(name, "conrady", (1.5, 0.0, 0.0), (0.4, 0.8))
     with pytest.raises(FileError, match=name):
-        zemax.write(tmp_path / "lens.zmx", replace(shown, aperture=None, lens=replace(shown.lens, media=(glass,) * 6)))
+        zemax.write(
+            tmp_path / "lens.zmx", replace(original, aperture=None, lens=replace(original.lens, media=(glass,) * 6))
+        )
 
 
 def test_a_stop_without_a_size_is_refused(tmp_path):
-    shown = random_prescription(0)
-    shown.lens.semi_diameter[shown.lens.stop] = math.inf
+    original = random_prescription(0)
+    original.lens.semi_diameter[original.lens.stop] = math.inf
     with pytest.raises(FileError, match="radius of its stop"):
-        zemax.write(tmp_path / "lens.zmx", shown)
+        zemax.write(tmp_path / "lens.zmx", original)

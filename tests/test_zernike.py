@@ -61,16 +61,16 @@ def test_terms_are_orthonormal_over_the_disc():
 
 
 def test_a_known_sum_is_found_where_rays_are_lost():
-    """Several wavefronts at once, each with its own lost rays; their coefficients by no more than rounding."""
+    """Several wavefronts at once, each with its own lost rays; the coefficients agree to rounding."""
     generator = torch.Generator().manual_seed(0)
-    known = torch.randn(2, 3, 21, generator=generator, dtype=torch.float64)
-    opd = known @ zernike(PUPIL, 21).mT
+    coefficients = torch.randn(2, 3, 21, generator=generator, dtype=torch.float64)
+    opd = coefficients @ zernike(PUPIL, 21).mT
     opd[torch.rand(opd.shape, generator=generator) < 0.3] = torch.nan
-    torch.testing.assert_close(zernike_coefficients(opd, PUPIL, 21), known, rtol=0, atol=1e-11)
+    torch.testing.assert_close(zernike_coefficients(opd, PUPIL, 21), coefficients, rtol=0, atol=1e-11)
 
 
 def test_too_few_points_determine_nothing():
-    """Of three points not four terms, of points on a line not three, of no point none."""
+    """Three points do not fix four terms, points on a line not three, and no point fixes none."""
     opd = torch.full((3, 256), torch.nan, dtype=torch.float64)
     opd[0, :3] = 1.0
     assert not zernike_coefficients(opd[0], PUPIL, 3).isnan().any()
@@ -86,8 +86,8 @@ def test_rms_without_the_first_terms():
     angle = torch.arange(16, dtype=torch.float64) * math.pi / 8
     square = (f64([1.0, 3, 5, 7, 9, 11, 13, 15]) / 16).sqrt()[:, None]
     points = torch.stack([square * torch.cos(angle), square * torch.sin(angle)], -1).reshape(-1, 2)
-    known = f64([3.0, 2.0, -1.0, 0.5])
-    opd = known @ zernike(points, 4).mT
+    coefficients = f64([3.0, 2.0, -1.0, 0.5])
+    opd = coefficients @ zernike(points, 4).mT
     for removed, expected in ((1, math.hypot(2, 1, 0.5)), (3, 0.5), (4, 0.0)):
         assert float(rms_wavefront_error(opd, points, removed)) == pytest.approx(expected, rel=0.02, abs=1e-14)
     assert float(rms_wavefront_error(opd, points, 0)) == pytest.approx(float(opd.square().mean().sqrt()), rel=1e-14)

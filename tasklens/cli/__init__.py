@@ -1,1 +1,1 @@
-"""The command line: a module for each group of commands; what they compute is elsewhere."""
+"""The command line: a module for each group of commands; computations are in other packages."""

@@ -1,4 +1,4 @@
-"""The command `tasklens`: its groups, and how it ends.
+"""The command `tasklens`: its groups and its exit status.
 
 Only commands that need torch import it.
 """
@@ -37,7 +37,7 @@ def _overview() -> str:
     for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]  # of a group
         members = getattr(command, "commands", {})
         lines += ["", f"tasklens {name} ...   {command.help}" if members else f"tasklens {name}   {_sentence(command)}"]
-        lines += [f"  {member:<18} {_sentence(each)}" for member, each in members.items()]
+        lines += [f"  {member:<18} {_sentence(subcommand)}" for member, subcommand in members.items()]
     return "\n".join(
         [*lines, "", "Each explains itself: tasklens lens draw --help. Shell: tasklens --install-completion"]
     )
@@ -50,8 +50,8 @@ def _sentence(command: typer.main.TyperCommand) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; return exit status 2 for a user error, 1 for a failed verification, else 0.
 
-    As a program, without `argv`, it does not return: the process ends without freeing every object, which takes longer
-    than some jobs. All files are complete then.
+    As a program, without `argv`, it does not return: the process ends without freeing every object, because that takes
+    longer than some jobs. All files are complete by then.
     """
     if argv is None:
         with reporting_errors(None):

@@ -86,7 +86,7 @@ def design(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Design one lens. By least squares a doublet takes a minute; by a network lenses for image quality come first.
+    """Design one lens. A doublet takes a minute by least squares; a network's design starts from image-quality lenses.
 
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 
@@ -113,57 +113,57 @@ def design(
     if classifier is not None:
         network = network_settings(classifier, weights, pretrained, outputs, argument)
     specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}
-    changed, limited = nested(settings or (), "--set"), nested(limits or (), "--limit")
+    method_settings, constraint_settings = nested(settings or (), "--set"), nested(limits or (), "--limit")
     from tasklens import notebook
     from tasklens.design import single
     from tasklens.report import glance
 
-    unused, page = None, output.with_suffix(".html")
+    test_images, page = None, output.with_suffix(".html")
     if verdict and method == "task" and images is not None and network is not None:
         new_file(page, force, ".html")
-        unused = single.unused_images(images, size)
+        test_images = single.unused_images(images, size)
     with progress_bars(), _keys_as_options():
-        made = single.designs(
+        result = single.designs(
             method,
             (elements or _ELEMENTS).split(","),
             seed=seed,
             start=start,
             free=None if free is None else _free(free),
-            settings=changed,
-            constraints=limited,
+            settings=method_settings,
+            constraints=constraint_settings,
             materials=materials or (),
             images=images,
             size=size,
             classifier=network,
-            baselines=() if unused is None else single.BASELINES,
+            baselines=() if test_images is None else single.BASELINES,
             **specified,
         )
-    for remark in made.remarks:
+    for remark in result.remarks:
         say(f"{start}: {remark}")
-    lens, view, notes = made.lens, made.view, made.notes
+    lens, view, notes = result.lens, result.view, result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:
         raise InputError(f"the design has no light at {dark} of its fields, and is not written: try another --seed")
     notebook.save_lens(output, lens, view, notes)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
-    if unused is not None:
+    if test_images is not None:
         from tasklens.notebook.verdict import verdict as judged
 
         with progress_bars():
-            answer, ranking = judged(made, unused)
+            answer, ranking = judged(result, test_images)
         ranking.save(page, "What is the lens worth?", [answer])
         summary |= {"verdict": answer, "page": str(page)}
     if json:
         print_json(summary)
         return
     print(glance.text(str(output), summary))
-    if unused is not None:
+    if test_images is not None:
         print(f"\n{summary['verdict']}\nThe page: {page}")
 
 
 @contextmanager
 def _keys_as_options() -> Iterator[None]:
-    """Name the options of this command in errors about the keys of a study."""
+    """Replace keys of a study by options of this command in error messages."""
     try:
         yield
     except InputError as error:
@@ -173,10 +173,10 @@ def _keys_as_options() -> Iterator[None]:
 
 
 def _free(text: str) -> dict[str, tuple[int, ...] | None]:
-    """Return variables and their surfaces from NAME or NAME:0+1+3, with commas between; alpha_4..8 are several.
+    """Parse variables and their surfaces: NAME or NAME:0+1+3, separated by commas; alpha_4..8 means several.
 
     Raises:
-        InputError: another text.
+        InputError: the text has another form.
     """
     free: dict[str, tuple[int, ...] | None] = {}
     for part in text.split(","):

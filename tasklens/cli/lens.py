@@ -1,4 +1,4 @@
-"""`tasklens lens ...`: lenses in a lens.yaml of ours, or in Zemax's .zmx."""
+"""`tasklens lens ...`: lenses in our lens.yaml or in Zemax's .zmx."""
 
 import math
 from collections.abc import Callable
@@ -25,19 +25,19 @@ Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
 
 @lens_command(app)
 def show(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
-    """Say at a glance what lenses are: elements, focal length, sharpness from axis to corner, worst limit."""
+    """Summarise lenses: elements, focal length, sharpness from axis to corner, worst limit."""
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
-    found = {str(path): read(path) for path in files}
-    shown = {
-        name: glance.summary(each.lens, each.content, figures(each.lens, each.view, rays))
-        for name, each in found.items()
+    lenses = {str(path): read(path) for path in files}
+    summaries = {
+        name: glance.summary(item.lens, item.content, figures(item.lens, item.view, rays))
+        for name, item in lenses.items()
     }
     if json:
-        print_json(shown)
+        print_json(summaries)
     else:
-        print("\n\n".join(glance.text(name, each) for name, each in shown.items()))
+        print("\n\n".join(glance.text(name, item) for name, item in summaries.items()))
 
 
 @lens_command(app)
@@ -46,8 +46,8 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
-    found = {name: read(path) for name, path in _named(files, whole=json).items()}
-    rows = [glance.row(name, each.content, figures(each.lens, each.view, rays)) for name, each in found.items()]
+    lenses = {name: read(path) for name, path in _named(files, whole=json).items()}
+    rows = [glance.row(name, lens.content, figures(lens.lens, lens.view, rays)) for name, lens in lenses.items()]
     if json:
         print_json(rows)
     else:
@@ -60,13 +60,13 @@ def analyse(read: Callable, file: File, rays: Rays = 4096, json: AsJson = False)
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
     from tasklens.report import certificate
 
-    found = read(file)
-    computed = {**found.content, "figures": figures(found.lens, found.view, rays)}
-    by_surface = seidel_by_surface(found.lens, found.view)
+    lens = read(file)
+    content = {**lens.content, "figures": figures(lens.lens, lens.view, rays)}
+    by_surface = seidel_by_surface(lens.lens, lens.view)
     if json:
-        print_json(computed["figures"] | {"fields_mm": found.view.fields.tolist(), "seidel_by_surface_um": by_surface})
+        print_json(content["figures"] | {"fields_mm": lens.view.fields.tolist(), "seidel_by_surface_um": by_surface})
     else:
-        print(certificate.markdown(str(file), found.view.fields.tolist(), computed, by_surface), end="")
+        print(certificate.markdown(str(file), lens.view.fields.tolist(), content, by_surface), end="")
 
 
 @lens_command(app)
@@ -95,17 +95,17 @@ def tolerance(
     seed: Annotated[int, typer.Option(min=0, help="Of their errors.")] = 0,
     json: AsJson = False,
 ) -> None:
-    """Say what a lens loses in manufacture: yields, the errors that matter, tolerances for a drawing."""
+    """Estimate the losses in manufacture: yields, the errors that matter, tolerances for a drawing."""
     from tasklens.optics.tolerancing import focus, yields
     from tasklens.report import yields as report
     from tasklens.study.tolerance_settings import GRADES, Grade
 
     if grade not in GRADES:
         raise InputError(f"--grade {grade}: expected one of {', '.join(GRADES)}")
-    shown = read(file)
+    lens = read(file)
     with progress_bars():
-        found = yields.tolerances(shown.lens, shown.view, Grade.model_validate(grade), lenses, seed)
-    summary = report.summary(found, grade, focus.frequency(shown.view))
+        result = yields.tolerances(lens.lens, lens.view, Grade.model_validate(grade), lenses, seed)
+    summary = report.summary(result, grade, focus.frequency(lens.view))
     if json:
         print_json(summary)
     else:
@@ -128,8 +128,8 @@ def psf(
     from tasklens.report import image_files
 
     new_file(output, force, ".npz", ".safetensors", ".png")
-    found = read(file)
-    image_files.write_psf(output, notebook.psf(found.lens, found.view, rays, diffraction), found.lens, found.view)
+    lens = read(file)
+    image_files.write_psf(output, notebook.psf(lens.lens, lens.view, rays, diffraction), lens.lens, lens.view)
     say(f"wrote {output}")
 
 
@@ -154,7 +154,7 @@ def simulate(
     diffraction: Annotated[bool, typer.Option("--diffraction", help="With diffraction: half a minute.")] = False,
     force: Force = False,
 ) -> None:
-    """Show what the sensor sees of an image, as if all of it lay at one field, or with --sensor all of it."""
+    """Simulate the capture of an image, as if all of it lay at one field, or with --sensor over the whole sensor."""
     from tasklens import notebook
     from tasklens.report import image_files
     from tasklens.study.settings import SensorSettings
@@ -164,19 +164,19 @@ def simulate(
         raise InputError("--sensor: not with --field, --grid, --noise or --diffraction")
     if not sensor and (true_pixels or distortion or illumination):
         raise InputError("--true-pixels, --distortion and --illumination: only with --sensor")
-    found = read(file)
+    lens = read(file)
     if sensor:
-        pitch = found.view.pixel_pitch if true_pixels else None
-        how: Any = {"colour": colour, "distortion": distortion, "illumination": illumination, "rays": rays}
+        pitch = lens.view.pixel_pitch if true_pixels else None
+        options: Any = {"colour": colour, "distortion": distortion, "illumination": illumination, "rays": rays}
         with progress_bars():
-            captures = notebook.simulate_sensor(image, found.lens, found.view, pitch, **how)[None]
+            captures = notebook.simulate_sensor(image, lens.lens, lens.view, pitch, **options)[None]
         say(f"{image}: in pixels of {pitch:g} um" if pitch else f"{image}: as if it filled the sensor")
     else:
         captures = notebook.simulate(
             image,
-            found.lens,
-            found.view,
-            None if grid else [_field(found.view, field)],
+            lens.lens,
+            lens.view,
+            None if grid else [_field(lens.view, field)],
             colour=colour,
             sensor=SensorSettings() if noise else None,
             rays=rays,
@@ -201,35 +201,35 @@ def export(
     from tasklens.optics.io.zemax_glasses import NamedGlasses
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
-    found, content = lens_files.read_prescription(file, [*(catalogue or ()), *users_files()], configuration)
-    if output.suffix.lower() == ".zmx" and not (found.fields and found.wavelengths_um):
-        found = prescription.with_use(
-            found, reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
+    lens_data, content = lens_files.read_prescription(file, [*(catalogue or ()), *users_files()], configuration)
+    if output.suffix.lower() == ".zmx" and not (lens_data.fields and lens_data.wavelengths_um):
+        lens_data = prescription.with_use(
+            lens_data, reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
         )
-    own = NamedGlasses.of(found.lens.media, output.stem).own if output.suffix.lower() == ".zmx" else ()
-    if own:
-        beside = new_file(output.with_suffix(".agf"), force, ".agf")
-    lens_files.write(output, found, content)
+    glasses = NamedGlasses.of(lens_data.lens.media, output.stem).own if output.suffix.lower() == ".zmx" else ()
+    if glasses:
+        glass_file = new_file(output.with_suffix(".agf"), force, ".agf")
+    lens_files.write(output, lens_data, content)
     say(f"wrote {output}")
-    if own:
-        say(f"wrote {beside} with {', '.join(glass.name for glass in own)}, for OpticStudio's folder Glasscat")
+    if glasses:
+        say(f"wrote {glass_file} with {', '.join(glass.name for glass in glasses)}, for OpticStudio's folder Glasscat")
 
 
 def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
-    """Return files by names as short as tells them apart: stem, file name, or `whole` path."""
+    """Return files by their shortest unique names: stem, file name, or `whole` path."""
     for name in () if whole else (lambda path: path.stem, lambda path: path.name):
-        found = {name(path): path for path in files}
-        if len(found) == len(set(files)):
-            return found
+        by_name = {name(path): path for path in files}
+        if len(by_name) == len(set(files)):
+            return by_name
     return {str(path): path for path in files}
 
 
 def _field(view: "View", name: str) -> tuple[float, float]:
     """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
     order = view.radii.argsort().tolist()
-    named = {"axis": order[0], "middle": order[len(order) // 2], "corner": order[-1]}
-    if name in named:
-        x, y = view.fields[named[name]].tolist()
+    indices = {"axis": order[0], "middle": order[len(order) // 2], "corner": order[-1]}
+    if name in indices:
+        x, y = view.fields[indices[name]].tolist()
         return x, y
     try:
         x, y = (float(word) for word in name.split(","))

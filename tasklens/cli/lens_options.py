@@ -80,17 +80,17 @@ def reader(
     return read
 
 
-def _with_image_moved(found: "LensFile", shift: float) -> "LensFile":
+def _with_image_moved(file: "LensFile", shift: float) -> "LensFile":
     """Return a lens with its image plane `shift` micrometres further away; raises InputError."""
     if not math.isfinite(shift):
         raise InputError(f"--focus {shift}: expected a number of micrometres, such as -10")
-    thickness = found.lens.thickness.clone()
+    thickness = file.lens.thickness.clone()
     thickness[-1] += 1e-3 * shift
-    return replace(found, lens=replace(found.lens, thickness=thickness))
+    return replace(file, lens=replace(file.lens, thickness=thickness))
 
 
 def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds a command whose first parameter reads lenses; it has the options of `reader` too."""
+    """Return a decorator that adds a command with the options of `reader`; its first parameter reads lenses."""
     shared = inspect.signature(reader, eval_str=True).parameters
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
@@ -100,7 +100,7 @@ def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[.
 
         own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
         parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in (*own, *shared.values())]
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # typer reads it
         command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         app.command()(command)
         return command

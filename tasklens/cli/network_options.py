@@ -35,7 +35,7 @@ Arguments = Annotated[
 def network_settings(
     name: str, weights: Path | None, pretrained: bool, outputs: str, arguments: Sequence[str] | None
 ) -> dict[str, Any]:
-    """Return the section of a study for a network; raises InputError for one without weights."""
+    """Return the section of a study for a network; raises InputError if it has no weights."""
     if (weights is None) != pretrained and not is_users(name):
         raise InputError(f"--classifier {name}: expected its --weights FILE, or --pretrained")
     if weights is not None and not weights.is_file():

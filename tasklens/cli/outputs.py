@@ -15,7 +15,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for programs."
 
 
 def new_file(path: Path, force: bool, *suffixes: str) -> Path:
-    """Return the path of an output; raises InputError for one that exists, or has none of the suffixes."""
+    """Return the path of an output; raises InputError if it exists or has none of the suffixes."""
     if path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
     if path.is_dir() or (path.exists() and not force):
@@ -24,12 +24,12 @@ def new_file(path: Path, force: bool, *suffixes: str) -> Path:
 
 
 def print_json(content: Any) -> None:
-    """Print JSON; numbers that are not finite, which JSON does not have, are null."""
+    """Print JSON; numbers that are not finite become null."""
     print(json.dumps(_finite(content), indent=2))
 
 
 def say(text: str) -> None:
-    """Say something to a person, on standard error, where no program reads it."""
+    """Print a message for the user on standard error; standard output is for results."""
     print(f"tasklens: {text}", file=sys.stderr)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 @contextmanager
 def progress_bars() -> Iterator[None]:
-    """Show progress as a bar for each part of the work on a terminal; else lines come as from any job."""
+    """Show a progress bar for each part of the work on a terminal; otherwise print lines as jobs do."""
     if not sys.stderr.isatty():
         yield
         return
@@ -22,7 +22,7 @@ def progress_bars() -> Iterator[None]:
         tasks: dict[str, Any] = {}
 
         def listen(label: str, step: int, total: int, values: Any) -> None:
-            if label not in tasks or bars.tasks[tasks[label]].completed >= total > step:  # the next part of this name
+            if label not in tasks or bars.tasks[tasks[label]].completed >= total > step:  # a new part of the same name
                 tasks[label] = bars.add_task(label, total=total, values="")
             first = next(iter(values.items()), None)
             bars.update(tasks[label], completed=min(step, total), values=f"{first[0]} {first[1]:.4g}" if first else "")

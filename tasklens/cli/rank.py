@@ -1,4 +1,4 @@
-"""`tasklens rank`: which lens for a network."""
+"""`tasklens rank`: rank lenses for a network."""
 
 from pathlib import Path
 from typing import Annotated
@@ -64,7 +64,7 @@ def rank(
     cores: Annotated[int, typer.Option("--cores", "-j", min=1, help="Jobs at once.")] = 2,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results of other options.")] = False,
 ) -> None:
-    """Rank lenses by what a network recognises through them: a table, and one page. It goes on where it was stopped.
+    """Rank lenses by the accuracy of a network behind them: a table and a page. An interrupted ranking resumes.
 
     tasklens rank catalogue/ --images photographs --classifier resnet18 --weights mine.safetensors --diagonal 6
     """

@@ -6,7 +6,7 @@ from tasklens.study import schema as study_schema
 
 
 def schema() -> None:
-    """Print the JSON schema of study files, by which editors complete and check them.
+    """Print the JSON schema of study files, which editors use to complete and check them.
 
     With the YAML extension of VS Code: save it as study.schema.json, and begin a study file with
 

@@ -57,7 +57,7 @@ def new(
 
     place = asked(images, "Images: a folder with train/<class>/* and test/<class>/*, or built-in", "built-in")
     folder = None if place == "built-in" else Path(place)
-    wish = new_study.Wish(
+    request = new_study.StudyRequest(
         name=name,
         folder=folder,
         size=size or (64 if folder is None else 224),
@@ -77,34 +77,34 @@ def new(
     if weights is not None and not weights.is_file():
         raise FileError(f"--weights {weights}: no such file")
     minutes = asked(minutes, "Time to spend [minutes]", 30.0)
-    cut, seconds = new_study.fit(wish, minutes, cores)
-    new_study.check(wish, cut)
-    write_text(path, new_study.text(wish, cut, seconds, cores, path))
+    cut, seconds = new_study.fit(request, minutes, cores)
+    new_study.check(request, cut)
+    write_text(path, new_study.text(request, cut, seconds, cores, path))
     study = loading.load(path)
     remaining = planning.plan([path], "tables").get(study.name, {})
-    seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as Snakemake and `study plan` say it
-    write_text(path, new_study.text(wish, cut, seconds, cores, path))
+    seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as in Snakemake and `study plan`
+    write_text(path, new_study.text(request, cut, seconds, cores, path))
     print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
     print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables --configfile {path}")
 
 
 def _words(option: str, text: str) -> tuple[str, ...]:
-    found = tuple(word.strip() for word in text.split(",") if word.strip())
-    if not found:
+    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    if not words:
         raise InputError(f"{option}: expected names, separated by commas")
-    return found
+    return words
 
 
 def _elements(text: str) -> dict[str, list[str]]:
     """Parse names of the default study's elements, and `name=PLASTIC+PLASTIC`."""
-    found = {}
+    elements = {}
     for word in _words("--elements", text):
-        name, given, plastics = word.partition("=")
-        if not given and name not in new_study.elements():
-            known = ", ".join(new_study.elements())
-            raise InputError(f"--elements: unknown {name!r}; expected one of {known}, or NAME=PLASTIC+PLASTIC")
-        found[name] = plastics.split("+") if given else list(new_study.elements()[name])
-    return found
+        name, equals, plastics = word.partition("=")
+        if not equals and name not in new_study.elements():
+            choices = ", ".join(new_study.elements())
+            raise InputError(f"--elements: unknown {name!r}; expected one of {choices}, or NAME=PLASTIC+PLASTIC")
+        elements[name] = plastics.split("+") if equals else list(new_study.elements()[name])
+    return elements
 
 
 @app.command()
@@ -113,7 +113,7 @@ def check(
     networks: Annotated[bool, typer.Option("--networks", help="Build every classifier once, without weights.")] = False,
     weights: Annotated[bool, typer.Option(help="Look for the files of weights of all classifiers.")] = True,
 ) -> None:
-    """Check a study file, its images and imported lenses, compile the tracer where it is not yet; print a summary."""
+    """Check a study file, its images and imported lenses; compile the tracer if necessary; print a summary."""
     from tasklens.pipeline.checks import check as check_study
 
     for study in loading.at_points(loading.load(*files)):
@@ -129,29 +129,29 @@ def plan(
     cores: Annotated[int, typer.Option(min=1, help="Cores that it is to run on.")] = 2,
     as_json: Json = False,
 ) -> None:
-    """Say which jobs remain, and the minutes, memory and disk that they take; nothing is run or written."""
-    given = loading.load(*files)
-    studies = {study.name: study for study in [given, *loading.at_points(given)]}
-    found = planning.plan(files, target) or {given.name: {}}
+    """Show the remaining jobs with their time, memory and disk space; nothing is run or written."""
+    config = loading.load(*files)
+    studies = {study.name: study for study in [config, *loading.at_points(config)]}
+    plans = planning.plan(files, target) or {config.name: {}}
     if as_json:
-        planned = [_figures(studies[name], jobs, cores) for name, jobs in found.items()]
-        print(json.dumps({"study": given.name, "points": planned} if given.sweep else planned[0], indent=1))
+        planned = [_figures(studies[name], jobs, cores) for name, jobs in plans.items()]
+        print(json.dumps({"study": config.name, "points": planned} if config.sweep else planned[0], indent=1))
         return
-    for name, jobs in found.items():
-        if given.sweep:
+    for name, jobs in plans.items():
+        if config.sweep:
             print(f"\n{name}")
         _print_plan(studies[name], jobs, target, cores)
 
 
 def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> dict[str, Any]:
-    """Return what remains of a study for programs."""
+    """Return the remaining jobs of a study and their costs, for JSON."""
     durations = durations_of(study)
     seconds, unmeasured = planning.seconds(planned, durations)
     disk_mb, unweighed = planning.disk_mb(study, planned)
     return {
         "study": study.name,
         "changed": [str(change) for change in _changes(study)],
-        "jobs": {rule: {k: v for k, v in asdict(each).items() if k != "files"} for rule, each in planned.items()},
+        "jobs": {rule: {k: v for k, v in asdict(jobs).items() if k != "files"} for rule, jobs in planned.items()},
         "seconds": seconds / cores,
         "memory_mb": planning.memory_mb(planned, durations),
         "disk_mb": disk_mb,
@@ -163,17 +163,17 @@ def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> 
 def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str, cores: int) -> None:
     durations, figures = durations_of(study), _figures(study, planned, cores)
     print(f"{'rule':<18} {'done':>5} {'missing':>8} {'again':>6}  {'each':>10}")
-    for rule, each in planned.items():
-        known = durations.seconds(rule)
-        one = "?" if known is None else duration(known)
-        print(f"{rule:<18} {len(each.done):>5} {len(each.missing):>8} {len(each.again):>6}  {one:>10}")
+    for rule, jobs in planned.items():
+        seconds = durations.seconds(rule)
+        per_job = "?" if seconds is None else duration(seconds)
+        print(f"{rule:<18} {len(jobs.done):>5} {len(jobs.missing):>8} {len(jobs.again):>6}  {per_job:>10}")
     if figures["changed"]:
         print("Changed since the last run:", *figures["changed"], sep="\n  ")
-    total = sum(each.remaining for each in planned.values())
+    total = sum(jobs.remaining for jobs in planned.values())
     if not total:
         print(f"{study.name}: nothing is to be done for {target}.")
         return
-    print(durations.forecast((rule for rule, each in planned.items() for _ in range(each.remaining)), cores))
+    print(durations.forecast((rule for rule, jobs in planned.items() for _ in range(jobs.remaining)), cores))
     memory, disk = f"{figures['memory_mb']} MB for the largest job", f"{figures['disk_mb']:.0f} MB more"
     print(f"memory: {memory}; disk: {disk}{_but(figures['disk_unknown_of'])}")
 
@@ -183,13 +183,13 @@ def _but(unknown: list[str]) -> str:
 
 
 def _changes(study: Study) -> list[changes.Change]:
-    """Return the values that differ from those of the last run of the study; none before the first."""
+    """Return the values changed since the last run of the study; none before the first run."""
     stored = Path("results", study.name, "study.yaml")
     return changes.changes(loading.read(stored), loading.resolved(study)) if stored.exists() else []
 
 
 def _folder(place: Path) -> Path:
-    """Return the folder of results of a study file, or of a folder of results itself."""
+    """Return the results folder of a study; `place` is its study file or the results folder itself."""
     if place.is_dir():
         if not (place / "study.yaml").is_file():
             raise FileError(f"{place}: no study.yaml in it; expected the results of a study, results/<name>")
@@ -199,25 +199,25 @@ def _folder(place: Path) -> Path:
 
 @app.command()
 def status(place: Place, as_json: Json = False) -> None:
-    """Say what runs now, what is done and what has failed, from files alone: also for a study on a cluster."""
+    """Show running, finished and failed jobs, from files alone: also for a study on a cluster."""
     folder = _folder(place)
     places = [folder, *sorted(path.parent for path in folder.glob("*/run.json"))]  # with the points of a sweep
-    found = [run for each in places if (run := runs.read(each)) is not None]
-    if not found:
+    study_runs = [run for item in places if (run := runs.read(item)) is not None]
+    if not study_runs:
         raise FileError(f"{folder}/run.json: no run of this study is known; `tasklens study plan` says what remains")
     if as_json:
-        states = [_state(run) for run in found]
+        states = [_state(run) for run in study_runs]
         print(json.dumps(states[0] | ({"points": states[1:]} if states[1:] else {}), indent=1))
         return
-    known = [(run, Durations(run.study, run.folder)) for run in found]
-    if len(alive := [each for each in known if each[0].is_alive]) > 1:
+    pairs = [(run, Durations(run.study, run.folder)) for run in study_runs]
+    if len(alive := [item for item in pairs if item[0].is_alive]) > 1:
         print(f"all points: {runs.headline(alive)}")
-    for each in known:
-        print("\n".join(runs.status(*each)))
+    for item in pairs:
+        print("\n".join(runs.status(*item)))
 
 
 def _state(run: runs.Run) -> dict[str, Any]:
-    """Return the state of a run for programs."""
+    """Return the state of a run, for JSON."""
     running = {label: run.progress(label) for label in run.labels(runs.RUNNING)}
     left = run.seconds_left(Durations(run.study, run.folder))
     return asdict(run) | {"alive": run.is_alive, "seconds_left": left, "progress": running}
@@ -230,17 +230,17 @@ def diff(
     every: Annotated[bool, typer.Option("--all", help="All columns, not only accuracies.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what differs between two studies in configuration, and what that did to their tables."""
+    """Show the differences between two studies: configuration, and numbers in their tables."""
     folders = [_folder(place) for place in (old, new)]
-    changed = changes.changes(_configuration(old), _configuration(new))
-    found = [each for each in differences(*folders) if every or as_json or each.column.startswith("accuracy")]
+    edits = changes.changes(_configuration(old), _configuration(new))
+    rows = [row for row in differences(*folders) if every or as_json or row.column.startswith("accuracy")]
     if as_json:
-        print(json.dumps({"changes": [asdict(c) for c in changed], "tables": [asdict(d) for d in found]}, indent=1))
+        print(json.dumps({"changes": [asdict(c) for c in edits], "tables": [asdict(d) for d in rows]}, indent=1))
         return
-    print("\n".join(map(str, changed)) or "The configurations are equal.")
-    for table in dict.fromkeys(each.table for each in found):
-        print(f"\n{table}", *(f"  {each}" for each in found if each.table == table), sep="\n")
-    if not found:
+    print("\n".join(map(str, edits)) or "The configurations are equal.")
+    for table in dict.fromkeys(row.table for row in rows):
+        print(f"\n{table}", *(f"  {row}" for row in rows if row.table == table), sep="\n")
+    if not rows:
         missing = [str(folder) for folder in folders if not (folder / "tables").is_dir()]
         print(f"\nNo tables yet in {', '.join(missing)}." if missing else "\nThe tables have the same numbers.")
 
@@ -256,7 +256,7 @@ def export(
     weights: Annotated[bool, typer.Option("--weights", help="With the weights of all networks.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
-    """Write what a colleague needs of a study into one zip file: all but images, checkpoints and weights."""
+    """Export a study to one zip file for a colleague: everything except images, checkpoints and weights."""
     folder = _folder(place)
     path = output or Path(f"{folder.resolve().name}.zip")
     if path.exists() and not force:

@@ -1,4 +1,4 @@
-"""Methods of lens design; called, `tasklens.design(...)` designs one lens without a study.
+"""Methods of lens design; `tasklens.design(...)` designs one lens without a study.
 
     lens, view, notes = tasklens.design("least_squares", ["COC", "OKP4"], f_number=2.8)
     tasklens.save_lens("lens.yaml", lens, view, notes)
@@ -6,27 +6,28 @@
 Arguments:
 
     method       least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end
-    elements     materials from front to back: names of built-in ones, or of those in `materials`; "COC|PMMA" is a
-                 choice, by the sharpest of brief designs by least squares in all combinations
-    seed         of all random numbers
-    settings     of the method, by the keys of a study file: {"evaluations": 2000}, {"descents": {"0": {"steps": 200}}}
-    constraints  limits that differ from a study's: {"max_track": 6.0} [mm]
+    elements     materials from front to back, by name, built-in or from `materials`; "COC|PMMA" lets the design choose:
+                 it tries all combinations in brief least-squares designs, and takes the sharpest
+    seed         seed of all random numbers
+    settings     settings of the method, by the keys of a study file: {"evaluations": 2000},
+                 {"descents": {"0": {"steps": 200}}}
+    constraints  limits that differ from the defaults of a study: {"max_track": 6.0} [mm]
     materials    files of further plastics (.yaml, .agf)
-    images       folder of photographs: <class>/*, or train/<class>/*; or a data set of torch, or pairs (image, label);
+    images       folder of photographs: <class>/*, or train/<class>/*; or a torch dataset, or pairs (image, label);
                  by default rendered textures
     size         side of the photographs [pixels]
     classifier   the network: {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}
-    network      a trained torch.nn.Module in its place, from images (B, 3, H, W) in [0, 1] to logits
-    loss         loss(network(captures), labels) in place of cross-entropy: a number, or one for each image
-    start        file of a lens to improve (.zmx, lens.yaml), in place of `elements`: its glasses stay, and limits that
-                 it breaks are its own values
-    free         of that lens: {"curvature": [0, 1], "thickness": None}, surfaces numbered from 0, None: all; also
-                 alpha_4 .. alpha_10; by default curvatures, distances, and the coefficients of aspheres
+    network      trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits
+    loss         loss(network(captures), labels) instead of cross-entropy: one number, or one per image
+    start        file of a lens to improve (.zmx, lens.yaml), instead of `elements`: its glasses stay, and limits that
+                 it violates are relaxed to its own values
+    free         free variables of `start`: {"curvature": [0, 1], "thickness": None}, surfaces numbered from 0, None:
+                 all; also alpha_4 .. alpha_10; by default curvatures, distances, and the coefficients of aspheres
     f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect
                  specification; by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels
 
 It returns the lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
-Lenses that a method begins with are designed first. A doublet by least squares takes a minute.
+The starting lenses of a method are designed first. A doublet by least squares takes a minute.
 """
 
 import sys
@@ -36,10 +37,10 @@ from typing import Any
 
 
 class _Callable(ModuleType):
-    """The package as a function: a notebook's `tasklens.design` has the name of this package."""
+    """The package as a function, so that `tasklens.design(...)` works although it is the name of this package."""
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
-        # By name, since jobs that import a module of this package do not depend on this one.
+        # Imported by name, so that jobs that import a module of this package do not depend on `single`.
         return import_module("tasklens.design.single").design(*arguments, **keywords)
 
 

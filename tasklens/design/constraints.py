@@ -1,4 +1,4 @@
-"""Limits of designs and their margins, which are negative where a limit is violated."""
+"""Limits of designs and their margins; a negative margin is a violation."""
 
 import math
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from tasklens.study.settings import Constraints
 
 HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
 _INCIDENT = OUTLINE[::8]  # (N, 2) pupil points of the rays whose incidence is penalised; the last is the chief ray
-BUFFER = 0.01  # margin that designs aim at, as soft penalties end short of it [mm; a tenth for fractions and angles]
+BUFFER = 0.01  # margin that designs aim at: soft penalties end short of it [mm; a tenth for fractions and angles]
 
 
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
@@ -44,14 +44,14 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     distance = lens.vertices[behind] - lens.vertices[front]
     gap = distance[:, None] + surface_sag(behind, shared) - surface_sag(front, shared)
     centre, edge = distance[element], gap[element]
-    last = surface_sag(slice(-1, None), semi[-1:, None] * HEIGHTS)
+    last_sag = surface_sag(slice(-1, None), semi[-1:, None] * HEIGHTS)
     slope = radial_slope(semi[:, None] * HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None])
     return {
         "min_centre_thickness": centre - limits.min_centre_thickness,
         "max_centre_thickness": limits.max_centre_thickness - centre,
         "min_edge_thickness": (edge - limits.min_edge_thickness).flatten(),
         "min_air_gap": (gap[~element] - limits.min_air_gap).flatten(),
-        "min_back_focus": (lens.thickness[-1] - last - limits.min_back_focus).flatten(),
+        "min_back_focus": (lens.thickness[-1] - last_sag - limits.min_back_focus).flatten(),
         "max_track": limits.max_track - lens.thickness.sum()[None],
         "max_slope": (limits.max_slope - slope.abs()).flatten(),
     }
@@ -60,8 +60,8 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
 def spaces(lens: Lens) -> tuple[Tensor, Tensor, Tensor]:
     """Return the surfaces (P,) in front of and behind each space between elements, and which spaces (P,) are elements.
 
-    A stop or another plane in air between two elements bounds no space of its own; nor does a stop in the first
-    element. One in front of the lens does.
+    A stop or another plane in air between two elements bounds no space; nor does a stop in the first element. A stop in
+    front of the lens bounds one.
     """
     refracting = lens.refracting_surfaces
     pairs = list(pairwise(refracting))
@@ -97,7 +97,7 @@ def chief_ray_angle(l: Tensor, m: Tensor, n: Tensor) -> Tensor:
 
 
 def violation(margins: Mapping[str, Tensor]) -> Tensor:
-    """Return the violation of all limits, with a buffer, as one vector; zero where a margin exceeds the buffer."""
+    """Return the violation of all limits, with a buffer, as one vector; zero if a margin exceeds the buffer."""
     return torch.cat([(BUFFER * buffer_scale(name) - margin).clamp(min=0) for name, margin in margins.items()])
 
 
@@ -107,7 +107,7 @@ def buffer_scale(name: str) -> float:
 
 
 def corner_view(view: View) -> View:
-    """Return the view of axis and corner at the middle wavelength, which suffices for clear semi-diameters."""
+    """Return the view of axis and corner at the middle wavelength, for clear semi-diameters."""
     extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.radii.argmax()]])
     return replace(view.in_reference(), fields=extreme)
 
@@ -127,22 +127,22 @@ def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:
 
     cos i = |D . (n' D' - n D)| / |n' D' - n D|
 
-    The rays are the marginal and chief rays of the middle wavelength at all fields, the stop is in front.
+    The rays are the marginal and chief rays of the middle wavelength at all fields. The stop is in front of the lens.
     """
     indices = lens.refractive_indices((view.reference,))
     rays = launch_fields(lens, view, _INCIDENT, (view.reference,))
-    total, before = torch.zeros((), dtype=lens.dtype), torch.stack([rays.l, rays.m, rays.n])
+    total, direction = torch.zeros((), dtype=lens.dtype), torch.stack([rays.l, rays.m, rays.n])
     for i in lens.refracting_surfaces:
-        part = {name: getattr(lens, name)[: i + 1] for name in ("curvature", "conic", "alpha", "thickness", "media")}
-        traced = trace(replace(lens, semi_diameter=lens.semi_diameter[: i + 1], **part), rays, indices[: i + 2])
-        behind = torch.stack([traced.l, traced.m, traced.n])
-        turned = indices[i + 1] * behind - indices[i] * before
-        squared = turned.square().sum(0)
-        cosine = (before * turned).sum(0).abs() * torch.rsqrt(squared.clamp(min=1e-18))
-        steep = traced.valid & (cosine < math.cos(math.radians(largest_deg)))
+        shape = {name: getattr(lens, name)[: i + 1] for name in ("curvature", "conic", "alpha", "thickness", "media")}
+        next_rays = trace(replace(lens, semi_diameter=lens.semi_diameter[: i + 1], **shape), rays, indices[: i + 2])
+        next_direction = torch.stack([next_rays.l, next_rays.m, next_rays.n])
+        refraction = indices[i + 1] * next_direction - indices[i] * direction
+        squared = refraction.square().sum(0)
+        cosine = (direction * refraction).sum(0).abs() * torch.rsqrt(squared.clamp(min=1e-18))
+        steep = next_rays.valid & (cosine < math.cos(math.radians(largest_deg)))
         excess = torch.acos(torch.where(steep, cosine, 0.5)) - math.radians(largest_deg)
         total = total + torch.where(steep, excess, 0.0).square().mean()
-        before = behind
+        direction = next_direction
     return total
 
 

@@ -16,15 +16,15 @@ from tasklens.optics.rays import Rays
 from tasklens.recognition.tasks import CLASSIFICATION, Task
 from tasklens.recognition.training import parameter_groups
 
-_WEIGHT_DECAY = 0.05  # of a network that is trained with a lens
-_FREQUENCIES = (0.125, 0.25)  # of the contrast [cycles per pixel]: a quarter and a half of the Nyquist frequency
+_WEIGHT_DECAY = 0.05  # for a network that is trained with a lens
+_FREQUENCIES = (0.125, 0.25)  # a quarter and a half of the Nyquist frequency, for the contrast [cycles per pixel]
 
 
 class Criterion:
     """A loss by which a lens is supervised.
 
     Attributes:
-        trained: whether the criterion changes from step to step, so that losses of different steps do not compare.
+        trained: whether the criterion changes from step to step, so that losses of different steps are not comparable.
         scales_with_stop: whether the loss is proportional to the radius of the stop.
     """
 
@@ -41,7 +41,7 @@ class Criterion:
 
     @contextmanager
     def evaluating(self) -> Iterator[None]:
-        """Give losses as of a finished training."""
+        """Compute losses as after training, within this context."""
         yield
 
 
@@ -60,7 +60,7 @@ class TaskLoss(CaptureCriterion):
         self.network, self.task = network, task
 
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the loss (N,), or that of their mean where the task has no other."""
+        """Compute the loss (N,) of each capture, or of their mean if the task has no other."""
         return self.task.losses(self.network, captures, labels)
 
 
@@ -96,7 +96,7 @@ class JointTaskLoss(TaskLoss):
 
     @contextmanager
     def evaluating(self) -> Iterator[None]:
-        """Put the network into `eval()` for a while."""
+        """Put the network into `eval()` within this context."""
         self.network.eval()
         yield
         self.network.train()
@@ -106,8 +106,7 @@ class JointTaskLoss(TaskLoss):
 class ImageError(CaptureCriterion):
     """Mean squared error between capture and sharp image (paper, Eq. 2), or its natural logarithm.
 
-    The logarithm, PSNR up to a factor, gives images of low contrast and fields that are nearly sharp the same vote as
-    all others.
+    The logarithm is the PSNR up to a factor. It weights images of low contrast and nearly sharp fields like all others.
     """
 
     logarithm: bool
@@ -125,7 +124,7 @@ class Correlation(CaptureCriterion):
     r = <c - mean c, s - mean s> / (|c - mean c| |s - mean s|)
 
     Means are over the pixels of each colour, the product and norms over all values. The loss does not change if the
-    capture is scaled or brightened, as by haze.
+    capture is scaled or brightened, for example by haze.
     """
 
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
@@ -151,9 +150,9 @@ class Contrast(Criterion):
     """Contrast lost at a quarter and a half of the Nyquist frequency: 1 - Re(OTF), without images.
 
     OTF(f) = sum_p PSF(p) exp(-2 pi i f.p), with p from the centre of the window. It is the mean over colours, over both
-    frequencies, and over gratings across the field (tangential) and along it. The real part counts a shifted or
-    reversed contrast against the lens, which the modulus, the MTF, does not: descents on that found lenses of high MTF
-    that classifiers read worse (docs/notes.md).
+    frequencies, and over gratings across the field (tangential) and along it. The real part penalises a shifted or
+    reversed contrast; the modulus, the MTF, does not. Descents on the MTF led to lenses of high MTF whose captures
+    classifiers read worse (docs/notes.md).
 
     Attributes:
         directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
@@ -162,13 +161,13 @@ class Contrast(Criterion):
     directions: Tensor
 
     def losses(self, grid: Tensor) -> Tensor:
-        """Compute the loss (F,) of PSFs (F, W, K, K); light beside the window has no contrast."""
+        """Compute the loss (F,) of PSFs (F, W, K, K); light outside the window has no contrast."""
         pixel = torch.arange(grid.shape[-1], dtype=grid.dtype) - grid.shape[-1] // 2
         ex, ey = self.directions.to(grid).unbind(-1)
-        found = []
+        contrasts = []
         for dx, dy in ((ex, ey), (-ey, ex)):
             position = dx[:, None, None] * pixel + dy[:, None, None] * pixel[:, None]
             for frequency in _FREQUENCIES:
                 wave = torch.cos(2 * math.pi * frequency * position)
-                found.append((grid * wave[:, None]).sum((-2, -1)).mean(-1))
-        return 1 - torch.stack(found).mean(0)
+                contrasts.append((grid * wave[:, None]).sum((-2, -1)).mean(-1))
+        return 1 - torch.stack(contrasts).mean(0)

@@ -1,7 +1,7 @@
 """A descent of a lens: step, validation, and the loop with progress, history, checkpoints and divergence.
 
-Losses of a few images say little about a lens: a descent ends with the lens of the smallest loss on a fixed set of
-images, at the last pixel pitch and the full stop.
+The loss of a few images says little about a lens. So a descent ends with the lens of the smallest loss on a fixed set
+of images, at the last pixel pitch and the full stop.
 """
 
 import math
@@ -26,7 +26,7 @@ from tasklens.study.design_settings import DescentSettings, GradientDesignSettin
 
 VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
 _PATIENCE = 3  # validations without a better lens
-_ROWS = 100  # least number of rows of a history, if there are as many steps
+_ROWS = 100  # smallest number of rows of a history, if there are enough steps
 _SHOWN = ("loss", "validation_loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
 
 
@@ -37,8 +37,7 @@ class Diverged(Exception):
 class Descent:
     """One descent.
 
-    Where the criterion is trained, each validation compares the best lens with the present one by the network of that
-    step.
+    If the criterion is trained, each validation compares the best lens with the present one by the present network.
 
     Args:
         start: starting lens.
@@ -48,8 +47,8 @@ class Descent:
         seed: seed of the rays and of the image order.
 
     Attributes:
-        least: whether the best lens is far outside its limits, and its validation loss. A lens far outside is not the
-            best, unless all are: its repair would make another one of it.
+        least: whether the best lens is far outside its limits, and its validation loss. A lens far outside is the best
+            only if all are: its repair would change it much.
     """
 
     def __init__(
@@ -81,20 +80,20 @@ class Descent:
         """
         settings, supervisor, optimizer = self.settings, self.supervisor, self.optimizer
         indices = None if self.order is None else self.order.next()
-        done = (step - 1) / settings.steps
+        fraction = (step - 1) / settings.steps
         first, last = settings.pixels
-        pixels = last * geometric(first / last, done / settings.duration)
-        stop = geometric(settings.stop_scale, done / settings.stop_duration)
+        pixels = last * geometric(first / last, fraction / settings.duration)
+        stop = geometric(settings.stop_scale, fraction / settings.stop_duration)
         numbers: dict[str, float] = {}
         if pixels == last and stop == 1 and (step - 1) % max(1, settings.steps // VALIDATIONS) == 0:
             numbers["validation_loss"] = self._validate()
         vector = optimizer.vector()
         design = optimizer.lens(vector)
-        (built,) = supervisor.as_built(design, self.seed + step)
-        lens, pupil = built.with_stop_scaled(stop), sobol_disc(self.rays, self.seed + step)
+        (built_lens,) = supervisor.as_built(design, self.seed + step)
+        lens, pupil = built_lens.with_stop_scaled(stop), sobol_disc(self.rays, self.seed + step)
         loss = supervisor.loss(lens, pupil, pixels, indices, self.seed + step, design)
-        scaled = loss.value / stop if supervisor.criterion.scales_with_stop else loss.value
-        change = optimizer.change(vector, design, scaled, done, pixels)
+        scaled_loss = loss.value / stop if supervisor.criterion.scales_with_stop else loss.value
+        change = optimizer.change(vector, design, scaled_loss, fraction, pixels)
         if not (torch.isfinite(loss.fields).all() and torch.isfinite(change).all()):
             raise divergence(lens, supervisor.problem.view, pupil, loss.fields)
         supervisor.criterion.train()
@@ -102,7 +101,7 @@ class Descent:
         if loss.energy is not None:
             numbers["energy_in_window"] = loss.energy
         numbers |= {"pixel_scale": pixels, "stop_scale": stop, **optimizer.numbers()}
-        if math.isinf(self.least[1]):  # before the first validation the last finite lens is the best known
+        if math.isinf(self.least[1]):  # before the first validation the last finite lens is the best
             self.best = vector.detach().clone()
         optimizer.apply(change)
         if step == settings.steps:
@@ -116,9 +115,9 @@ class Descent:
         if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
             self.least = self.least[0], self._validation_loss(self.best)
         violation = self.optimizer.violation()
-        present = violation > LEEWAY_MM, loss
-        if math.isfinite(loss + violation) and present <= self.least:  # a lens of NaN has grey captures
-            self.least, self.best, self.failures = present, vector, 0
+        score = violation > LEEWAY_MM, loss
+        if math.isfinite(loss + violation) and score <= self.least:  # a lens of NaN has grey captures
+            self.least, self.best, self.failures = score, vector, 0
             return loss
         self.failures += 1
         if self.failures == _PATIENCE:
@@ -134,7 +133,7 @@ class Descent:
         return {name: getattr(self, name) for name in ("best", "least", "failures")}
 
     def result(self) -> dict[str, Any]:
-        """Return the state after the last step, with that of a trained network: the test of the optimum needs it."""
+        """Return the state after the last step and that of a trained network, for the test of the optimum."""
         network = self.supervisor.criterion.holders.get("network")
         return self.state() | ({} if network is None else {"network": network.state_dict()})
 
@@ -166,9 +165,9 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
     if descent.order is not None:
         holders["order"] = descent.order
     part = checkpoint.part(label, **holders)
-    saved = part.state if part.result is None else part.result
-    if saved is not None:
-        descent.resume(saved)
+    state = part.state if part.result is None else part.result
+    if state is not None:
+        descent.resume(state)
     if part.result is not None:
         return descent.lens(), part.history
     progress = Progress(label, steps)
@@ -188,18 +187,18 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
 
 
 def divergence(lens: Lens, view: View, pupil: Tensor, losses: Tensor) -> Diverged:
-    """Return an exception that names the first field whose loss, and the first surface whose values are not finite.
+    """Return an exception that names the first field and the first surface with values that are not finite.
 
     Args:
         lens: lens of the step.
         pupil: (N, 2) pupil points of its rays.
         losses: (F,) losses of the fields.
     """
-    wrong = (~torch.isfinite(losses)).nonzero()[:, 0].tolist()
+    bad_fields = (~torch.isfinite(losses)).nonzero()[:, 0].tolist()
     field = "no field"
-    if wrong:
-        x, y = view.fields[wrong[0]].tolist()
-        field = f"field {wrong[0]} at ({x:.3f}, {y:.3f}) mm"
+    if bad_fields:
+        x, y = view.fields[bad_fields[0]].tolist()
+        field = f"field {bad_fields[0]} at ({x:.3f}, {y:.3f}) mm"
     return Diverged(f"{field}; {_first_surface(lens.detached(), view, pupil)}")
 
 

@@ -1,4 +1,4 @@
-"""Design from a lens of the user: what is free changes, its glasses and everything else stay."""
+"""Design from a lens of the user: only the free variables change; glasses and all other values stay."""
 
 import math
 import tempfile
@@ -60,66 +60,66 @@ def design(
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     seed: int,
-    own: Supervisors = OF_STUDY,
+    user: Supervisors = OF_STUDY,
     baselines: Sequence[str] = (),
 ) -> Designs:
     """Improve a lens by a method.
 
     Args:
         file: the lens, with its view.
-        method: one of `single.methods`, by descents.
-        free: variables by name and the surfaces on which they are free, as of `resolved`.
-        settings: settings of the method that differ.
-        constraints: limits that differ from those of a study, and are kept; the others give way to the lens.
+        method: one of `single.methods` that designs by descents.
+        free: free variables by name, with their surfaces, as for `resolved`.
+        settings: settings of the method that differ from its defaults.
+        constraints: limits that differ from those of a study. They are enforced; the others are relaxed to the lens.
         images, classifier: sections of a study file.
         seed: seed of all random numbers.
-        own: images, network and task of a user.
-        baselines: criteria that each improve the lens with the same effort, for a comparison.
+        user: images, network and task of a user.
+        baselines: criteria for comparison; each improves the lens with the same effort.
 
     Returns:
-        The lenses from the start to that of the method.
+        All lenses, from the start to the result of the method.
 
     Raises:
-        InputError: an object at a finite distance, wavelengths that are not three, a variable that the lens does not
-            have, or what `tasklens.design` raises.
+        InputError: the object is at a finite distance, there are not three wavelengths, the lens lacks a variable, or
+            `tasklens.design` raises it.
     """
     spec, view = _spec(file)
     free = resolved(file.lens, free)
-    if method == "spot":  # whose own descent begins with flat plates
+    if method == "spot":  # its default descent begins with flat plates
         settings = laid_over(_SPOT, settings)
     pixels = {"kernel_size": spec.kernel_size, "pixel_pitch_um": spec.pixel_pitch_um}
-    changed = {**settings, "free": {name: list(each) for name, each in free.items()}, "keep_apertures": True}
+    options = {**settings, "free": {name: list(surfaces) for name, surfaces in free.items()}, "keep_apertures": True}
     study = single.study(
         method,
         ("COC",),
         pixels,
-        changed,
+        options,
         {},
         (),
         images,
         classifier,
         alone=True,
         baselines=baselines,
-        network_given=own.network is not None,
+        network_given=user.network is not None,
     )
     limits, remarks = own_limits(file.lens, view, Constraints.model_validate(constraints), set(constraints))
     plastics = tuple(dict.fromkeys(file.lens.media))
-    made, notes = {"start": file.lens}, dict[str, Any]()
+    lenses, notes = {"start": file.lens}, dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
-        by = supervisors(study, Path(folder), own)
+        supervision = supervisors(study, Path(folder), user)
         for name in study.lenses:
-            wanted = lens_design(study, name, seed)
-            entry = wanted.entry.model_copy(update={"plastics": plastics})
-            wanted = wanted.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
-            made[entry.design_name], notes, _ = methods.design(
-                wanted,
-                by.network if entry.classified else None,
-                by.images if entry.supervised else None,
+            plan = lens_design(study, name, seed)
+            entry = plan.entry.model_copy(update={"plastics": plastics})
+            plan = plan.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
+            lenses[entry.design_name], notes, _ = methods.design(
+                plan,
+                supervision.network if entry.classified else None,
+                supervision.images if entry.supervised else None,
                 {"start": (file.lens, 0.0)},
                 {},
-                task=by.task if entry.classified else None,
+                task=supervision.task if entry.classified else None,
             )
-    return Designs(made, view, notes, by, (*file.remarks, *remarks))
+    return Designs(lenses, view, notes, supervision, (*file.remarks, *remarks))
 
 
 def resolved(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
@@ -127,54 +127,61 @@ def resolved(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dic
 
     Args:
         lens: the lens.
-        free: surfaces by variable; None in place of surfaces: all that bend light, of distances all but the thickness
-            of plane plates. None in place of all: curvatures, distances, and the coefficients of aspheres.
+        free: surfaces by variable. None for the surfaces of a variable selects all that bend light; for thicknesses,
+            all but those of plane plates. None for `free` selects curvatures, distances, and the coefficients of
+            aspheres.
 
     Raises:
-        InputError: an unknown variable, or none.
+        InputError: a variable is unknown, or none is free.
     """
     refracting = lens.refracting_surfaces
-    bent = tuple(i for i in refracting if lens.curvature[i] or lens.alpha[i].any())
-    moving = tuple(i for i in refracting if i in bent or i + 1 in bent or lens.media[i] == AIR)
-    usual = {"curvature": bent, "thickness": moving, **{f"alpha_{order}": bent for order in ORDERS}}
+    curved_surfaces = tuple(i for i in refracting if lens.curvature[i] or lens.alpha[i].any())
+    thickness_surfaces = tuple(
+        i for i in refracting if i in curved_surfaces or i + 1 in curved_surfaces or lens.media[i] == AIR
+    )
+    defaults = {
+        "curvature": curved_surfaces,
+        "thickness": thickness_surfaces,
+        **{f"alpha_{order}": curved_surfaces for order in ORDERS},
+    }
     if free is None:
-        aspheres = tuple(i for i in bent if lens.alpha[i].any() or lens.conic[i])
-        return usual | {f"alpha_{order}": aspheres for order in ORDERS}
-    if unknown := [name for name in free if name not in usual]:
-        raise InputError(f"free: unknown variable {unknown[0]!r}; expected some of {', '.join(usual)}")
-    chosen = {name: usual[name] if surfaces is None else tuple(surfaces) for name, surfaces in free.items()}
-    if not any(chosen.values()):
+        aspheres = tuple(i for i in curved_surfaces if lens.alpha[i].any() or lens.conic[i])
+        return defaults | {f"alpha_{order}": aspheres for order in ORDERS}
+    if unknown_names := [name for name in free if name not in defaults]:
+        raise InputError(f"free: unknown variable {unknown_names[0]!r}; expected some of {', '.join(defaults)}")
+    variables = {name: defaults[name] if surfaces is None else tuple(surfaces) for name, surfaces in free.items()}
+    if not any(variables.values()):
         raise InputError("free: expected at least one variable of one surface")
-    return chosen
+    return variables
 
 
-def own_limits(lens: Lens, view: View, limits: Constraints, kept: set[str]) -> tuple[Constraints, list[str]]:
-    """Return limits that suit a lens: scaled to its size, and its own values where it breaks them.
+def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str]) -> tuple[Constraints, list[str]]:
+    """Return limits that suit a lens: scaled to its size, and relaxed to its own values if it violates them.
 
-    Lengths are those of a phone lens times the ratio of the focal lengths, if the lens is larger.
+    Lengths are those of a phone lens. For a larger lens they are multiplied by the ratio of the focal lengths.
 
     Args:
-        kept: limits that stay as they are.
+        fixed_names: limits that do not change.
 
     Returns:
-        The limits, and a remark on those that are the lens' own.
+        The limits, and a remark on the relaxed ones.
     """
     scale = max(1.0, view.efl / Spec().efl_mm)
-    lengths = {name: scale * getattr(limits, name) for name in _LENGTHS if name not in kept}
+    lengths = {name: scale * getattr(limits, name) for name in _LENGTHS if name not in fixed_names}
     limits = limits.model_copy(update=lengths)
     merit = Merit(view, limits, rim=MARGINAL_RAYS)
     margins = manufacturing_margins(lens, limits, merit.clear_semi_diameters(lens))
-    along = first_order_margins(lens, limits, merit.view, chief_rays(lens, merit.view))
-    at_view = first_order_margins(lens, limits, view, chief_rays(lens, view))
-    margins |= {name: torch.cat([margin, along[name]]) for name, margin in at_view.items()}
-    own: dict[str, float] = {}
+    merit_margins = first_order_margins(lens, limits, merit.view, chief_rays(lens, merit.view))
+    view_margins = first_order_margins(lens, limits, view, chief_rays(lens, view))
+    margins |= {name: torch.cat([margin, merit_margins[name]]) for name, margin in view_margins.items()}
+    own_values: dict[str, float] = {}
     for name, margin in margins.items():
-        missing = BUFFER * buffer_scale(name) - float(margin.min()) if margin.numel() else 0.0
-        if missing > 0 and name not in kept and name in Constraints.model_fields:
-            own[name] = getattr(limits, name) + (-missing if name.startswith("min_") else missing)
-    changes = ", ".join(f"{name} {value:.4g}" for name, value in own.items())
-    remarks = [f"the lens breaks usual limits, which become its own: {changes} (--limit)"] if own else []
-    return limits.model_copy(update=own), remarks
+        deficit = BUFFER * buffer_scale(name) - float(margin.min()) if margin.numel() else 0.0
+        if deficit > 0 and name not in fixed_names and name in Constraints.model_fields:
+            own_values[name] = getattr(limits, name) + (-deficit if name.startswith("min_") else deficit)
+    changes = ", ".join(f"{name} {value:.4g}" for name, value in own_values.items())
+    remarks = [f"the lens breaks usual limits, which become its own: {changes} (--limit)"] if own_values else []
+    return limits.model_copy(update=own_values), remarks
 
 
 def _spec(file: LensFile) -> tuple[Spec, View]:

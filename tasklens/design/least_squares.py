@@ -1,8 +1,8 @@
 """Imaging design by damped least squares: ray residuals, random starts, staged variables, basin hopping.
 
-Many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders), and fewer of them are kept
-at each stage. The remaining ones are repeatedly perturbed and improved, as in Hammer optimisation, and again only the
-best are kept. Budgets count evaluations, so that the result does not depend on the speed of the machine.
+Many paraxial starts are improved in stages (curvatures and spaces, low orders, all orders), and each stage keeps fewer
+of them. The survivors are repeatedly perturbed and improved, as in Hammer optimisation, and again only the best are
+kept. Budgets count evaluations, so that the result does not depend on the speed of the machine.
 """
 
 import itertools
@@ -27,18 +27,18 @@ from tasklens.study.design_settings import LeastSquaresSettings
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # fraction of starts, asphere orders, fraction of budget
 _PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts, at least one lens; fraction of budget
 _PERTURBATION_EVALUATIONS = 12
-_VIGNETTINGS = 4  # times that an aperture is set anew, with `_STRICT_EVALUATIONS` after each
+_VIGNETTINGS = 4  # times that an aperture is set again, each followed by `_STRICT_EVALUATIONS`
 _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
 _FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
-_NEARLY_KEPT_UM = 50.0  # residual of limits that a repair changes little by
-_BISECTIONS = 30  # of a step that ends below `spot_um`
-_SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um for a degree; with 1, doublets end 1.3 um worse
+_NEARLY_KEPT_UM = 50.0  # residual of limits at which a repair changes the lens little
+_BISECTIONS = 30  # bisections of a step that ends below `spot_um`
+_SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um/degree; with 1, doublets end 1.3 um worse
 _STRICT_EVALUATIONS = 24
 _STRICT = 20.0  # factor on the weight of limits at the end; from the start it would restrict the search
 
 
 class _Enough(Exception):
-    """A lens is as sharp as it is asked for."""
+    """The lens is as sharp as requested."""
 
 
 def improve(
@@ -51,9 +51,9 @@ def improve(
 ) -> tuple[Lens, float]:
     """Improve the variables `names` by damped least squares; return the lens and its root-sum-square residual [um].
 
-    `watch` is called with the root-sum-square residual at each evaluation. As soon as the RMS spot radius is less than
-    `enough_um` and limits are nearly kept, the lens on the way from the last step to this one is returned that has this
-    spot, or `lens` if it has less.
+    `watch` is called with the root-sum-square residual at each evaluation. The search stops as soon as the RMS spot
+    radius is less than `enough_um` and limits are nearly kept. It then bisects the last step, and returns the lens with
+    this spot radius, or `lens` if that is already sharper.
     """
     variables = Variables.plain(lens)
     start = {name: value for name, value in variables.values().items() if name in names}
@@ -89,8 +89,8 @@ def improve(
         sharp, blurred = latest["enough"], latest.get("vector", latest["enough"])
         for _ in range(_BISECTIONS):
             middle = (sharp + blurred) / 2
-            enough = merit.spot_um(merit.residuals(assembled(middle))) < enough_um
-            sharp, blurred = (middle, blurred) if enough else (sharp, middle)
+            is_sharp = merit.spot_um(merit.residuals(assembled(middle))) < enough_um
+            sharp, blurred = (middle, blurred) if is_sharp else (sharp, middle)
         return assembled(sharp), float(merit.residuals(assembled(sharp)).norm())
     return assembled(result.x), float((2 * result.cost) ** 0.5)
 
@@ -116,16 +116,16 @@ class _Search:
         self.progress = Progress("least squares", settings.evaluations)
         self.evaluations = itertools.count(1)
         self.history: History = []
-        self.enough_um = float(settings.spot_um or 0.0)  # type: ignore[arg-type]  # of the elements of one lens
+        self.enough_um = float(settings.spot_um or 0.0)  # type: ignore[arg-type]  # a number for one lens
 
     def improve(self, lens: Lens, merit: Merit, orders: int, evaluations: int) -> tuple[Lens, float]:
         """Improve curvatures, thicknesses and the first `orders` asphere orders, with progress lines."""
         names = ("curvature", "thickness", *self.orders[:orders])
-        watch, enough = lambda e: self.progress(next(self.evaluations), rms_um=e), self.enough_um
-        return improve(lens, merit, names, evaluations, watch, enough)
+        watch, limit_um = lambda e: self.progress(next(self.evaluations), rms_um=e), self.enough_um
+        return improve(lens, merit, names, evaluations, watch, limit_um)
 
     def stage(self, orders: int, candidate: Candidate, budget: int) -> tuple[Lens, float]:
-        """Improve a candidate over the first `orders` asphere orders."""
+        """Improve a candidate in the first `orders` asphere orders."""
         return self.improve(candidate[2], self.merit, orders, max(2, budget))
 
     def hop(self, candidate: Candidate, budget: int) -> tuple[Lens, float]:
@@ -133,16 +133,16 @@ class _Search:
         best, _, lens = candidate
         for _ in range(max(1, budget // _PERTURBATION_EVALUATIONS)):
             perturbed = _perturbed(lens, self.rng)
-            other, error = self.improve(perturbed, self.merit, _STAGES[-1][1], _PERTURBATION_EVALUATIONS)
+            trial, error = self.improve(perturbed, self.merit, _STAGES[-1][1], _PERTURBATION_EVALUATIONS)
             if error < best:
-                best, lens = error, other
+                best, lens = error, trial
         return lens, best
 
     def vignette(self, lens: Lens) -> tuple[Lens, float]:
         """Improve a lens with a clear aperture on each surface in turn; return the best, with its aperture."""
         merit, loss = self.strict, self.settings.vignetting
         assert loss is not None
-        found = []
+        results = []
         for surface in lens.refracting_surfaces:
             clipped = lens
             for _ in range(_VIGNETTINGS):
@@ -150,22 +150,22 @@ class _Search:
                 inside = heights[..., : len(merit.weight)]
                 merit.keep(inside <= vignetting.smallest_aperture(inside, merit.weight, heights[0], loss))
                 clipped, error = self.improve(clipped, merit, _STAGES[-1][1], _STRICT_EVALUATIONS)
-            found.append((error, surface, clipped))
-        error, surface, clipped = min(found, key=lambda each: each[:2])
+            results.append((error, surface, clipped))
+        error, surface, clipped = min(results, key=lambda result: result[:2])
         return vignetting.clip(clipped, merit.view, surface, loss), error
 
     def best(
         self,
         name: str,
         candidates: list[Candidate],
-        part: float,
+        fraction: float,
         share: float,
         improve: Callable[[Candidate, int], tuple[Lens, float]],
     ) -> list[Candidate]:
-        """Improve the best candidates, a fraction `part` of the starts, at least one, with a share of the budget."""
-        kept = sorted(candidates, key=lambda candidate: candidate[:2])[: max(1, round(part * self.settings.starts))]
-        budget = round(share * self.settings.evaluations / len(kept))
-        return [self._resumable(name, each, partial(improve, each, budget)) for each in kept]
+        """Improve the best candidates with a share of the budget: a `fraction` of the starts, at least one."""
+        survivors = sorted(candidates, key=lambda item: item[:2])[: max(1, round(fraction * self.settings.starts))]
+        budget = round(share * self.settings.evaluations / len(survivors))
+        return [self._resumable(name, candidate, partial(improve, candidate, budget)) for candidate in survivors]
 
     def _resumable(self, stage: str, candidate: Candidate, improve: Callable[[], tuple[Lens, float]]) -> Candidate:
         """Improve a candidate, or load the result from the checkpoint."""
@@ -193,13 +193,13 @@ def design(
     search = _Search(problem, settings, checkpoint)
     starts = random_starts(flat, problem.view, problem.limits, settings.starts, search.rng)
     candidates: list[Candidate] = [(0.0, i, lens) for i, lens in enumerate(starts)]
-    for part, orders, share in _STAGES:
-        candidates = search.best(f"{orders} orders", candidates, part, share, partial(search.stage, orders))
+    for fraction, orders, share in _STAGES:
+        candidates = search.best(f"{orders} orders", candidates, fraction, share, partial(search.stage, orders))
         for _, _, lens in sorted(candidates, key=lambda candidate: candidate[:2]) if search.enough_um else ():
             if search.merit.spot_um(search.merit.residuals(lens)) <= search.enough_um:
                 return lens, [{"step": step, **row} for step, row in enumerate(search.history, 1)]
-    for k, (part, share) in enumerate(_PERTURBATIONS):
-        candidates = search.best(f"perturbations {k + 1}", candidates, part, share, search.hop)
+    for k, (fraction, share) in enumerate(_PERTURBATIONS):
+        candidates = search.best(f"perturbations {k + 1}", candidates, fraction, share, search.hop)
     _, start, lens = min(candidates, key=lambda candidate: candidate[:2])
     if settings.linear_beyond_um is not None:
         lens, error = search.improve(lens, search.finish, _STAGES[-1][1], _FINISH_EVALUATIONS)
@@ -218,8 +218,8 @@ def _perturbed(lens: Lens, rng: numpy.random.Generator) -> Lens:
     """Perturb about 40 % of the variables by 1.5 to 15 % of their mean magnitude (standard deviation)."""
     variables = Variables.plain(lens)
     size = rng.uniform(0.015, 0.15)
-    moved = {}
+    values = {}
     for name, value in variables.values().items():
-        chosen = rng.random(len(value)) < 0.4
-        moved[name] = value + torch.from_numpy(chosen * rng.normal(0, size, len(value))) * value.abs().mean()
-    return variables.assemble(moved)
+        mask = rng.random(len(value)) < 0.4
+        values[name] = value + torch.from_numpy(mask * rng.normal(0, size, len(value))) * value.abs().mean()
+    return variables.assemble(values)

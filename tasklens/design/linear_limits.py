@@ -1,8 +1,8 @@
 """Violations of limits and their derivatives along many changes of a lens at once.
 
-`constraints` states the limits. Here their chain rule is written out, since least squares asks for it at every step:
-only sag and slope of a surface, the power and the chief-ray angle are not linear, and elementwise, so that one backward
-pass gives their derivatives at all heights.
+`constraints` defines the limits. This module writes out their chain rule, because least squares needs it at every step.
+Only the sag and slope of a surface, the power and the chief-ray angle are nonlinear. They are elementwise, so that one
+backward pass gives their derivatives at all heights.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,8 +34,8 @@ class LinearLimits:
         chief: (5, F) image points x, y [mm] and direction cosines l, m, n of the chief rays of `view`.
 
     Attributes:
-        values: (K,) violations [mm; fractions without unit; angles in rad], zero where a limit is kept.
-        angles: number of the values, the last ones, that are angles.
+        values: (K,) violations [mm; fractions without unit; angles in rad], zero if a limit is kept.
+        angles: number of angles; they are the last of the values.
     """
 
     def __init__(self, lens: Lens, limits: Constraints, view: View, semi_diameter: Tensor, chief: Tensor):
@@ -58,22 +58,22 @@ class LinearLimits:
         shared = torch.maximum(semi[front], semi[behind])[:, None] * HEIGHTS
         d_shared = torch.where(semi[front] >= semi[behind], d_semi[:, front], d_semi[:, behind])[..., None] * HEIGHTS
         rim, d_rim = semi[:, None] * HEIGHTS, d_semi[..., None] * HEIGHTS
-        every = torch.arange(len(semi))
-        # In front and behind of each space, and of the last surface; flat beyond the radius that light uses.
-        part = torch.cat([front, behind, every[-1:]])
+        all_surfaces = torch.arange(len(semi))
+        # Surfaces in front of and behind each space, and the last one; flat beyond the radius that light uses.
+        surfaces = torch.cat([front, behind, all_surfaces[-1:]])
         heights, d_heights = torch.cat([shared, shared, rim[-1:]]), torch.cat([d_shared, d_shared, d_rim[:, -1:]], 1)
-        d_heights = torch.where(heights > semi[part, None], d_semi[:, part, None], d_heights)
-        heights = torch.minimum(heights, semi[part, None])
-        _, d_sag = self._change(lambda r, *shape: sag(r**2, *shape)[0], part, heights, d_heights, changes)
-        in_front, in_back, last = d_sag.split([len(front), len(behind), 1], 1)
+        d_heights = torch.where(heights > semi[surfaces, None], d_semi[:, surfaces, None], d_heights)
+        heights = torch.minimum(heights, semi[surfaces, None])
+        _, d_sag = self._change(lambda r, *shape: sag(r**2, *shape)[0], surfaces, heights, d_heights, changes)
+        front_sag, back_sag, last_sag = d_sag.split([len(front), len(behind), 1], 1)
         vertices = dt.cumsum(1) - dt
         distance = vertices[:, behind] - vertices[:, front]
-        gap = distance[..., None] + in_back - in_front
-        steep, slope = self._change(radial_slope, every, rim, d_rim, changes)
+        gap = distance[..., None] + back_sag - front_sag
+        slope, d_slope = self._change(radial_slope, all_surfaces, rim, d_rim, changes)
         off_axis = self.view.radii > 0
         fields, points = self.view.fields[off_axis], self.chief[:2, off_axis].T
         squared = fields.square().sum(-1)
-        stretched = (points * fields).sum(-1) / squared - 1
+        stretch = (points * fields).sum(-1) / squared - 1
         distortion = (changes["chief"][:, :2, off_axis].mT * fields).sum(-1) / squared
         centre = distance[:, element]
         power, d_power = self._power(changes)
@@ -82,46 +82,47 @@ class LinearLimits:
             centre,
             -gap[:, element],
             -gap[:, ~element],
-            last - dt[:, -1:, None],
+            last_sag - dt[:, -1:, None],
             dt.sum(1),
-            steep.sign() * slope,
+            slope.sign() * d_slope,
             d_power * (power - 1).sign(),
-            distortion * stretched.sign(),
+            distortion * stretch.sign(),
         ]
         if self.angles:
             rows.append(self._angle(off_axis, changes["chief"]))
         return torch.cat([row.reshape(len(dt), -1) for row in rows], 1).T * (self.values > 0)[:, None]
 
     def _change(
-        self, function: Callable[..., Tensor], part: Tensor, heights: Tensor, d_heights: Tensor, changes: Mapping
+        self, function: Callable[..., Tensor], surfaces: Tensor, heights: Tensor, d_heights: Tensor, changes: Mapping
     ) -> tuple[Tensor, Tensor]:
         """Compute a function (P, H) of height, curvature, conic and alpha of surfaces `part` (P,), and its change."""
         lens, size = self.lens, heights.shape
-        shape = lens.curvature[part, None], lens.conic[part, None], lens.alpha[part, None]
+        shape = lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None]
         leaves = [heights, shape[0].expand(size), shape[2].expand(*size, -1)]
         leaves = [leaf.detach().clone().requires_grad_() for leaf in leaves]
         with torch.enable_grad():
             value = function(leaves[0], leaves[1], shape[1], leaves[2])
         by_height, by_c, by_alpha = torch.autograd.grad(value.sum(), leaves)
-        d_alpha = torch.einsum("vsj,shj->vsh", changes["alpha"][:, part], by_alpha)
-        return value.detach(), by_height * d_heights + by_c * changes["curvature"][:, part, None] + d_alpha
+        d_alpha = torch.einsum("vsj,shj->vsh", changes["alpha"][:, surfaces], by_alpha)
+        return value.detach(), by_height * d_heights + by_c * changes["curvature"][:, surfaces, None] + d_alpha
 
     def _power(self, changes: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Compute the power times the focal length of the view, and its change (V,).
 
-        With two paraxial rays p and q, from (y, n u) = (1, 0) and (0, 1), a turn d of a ray at height y turns it behind
-        the lens by (p q' - q p') d, p and q there and p', q' angles behind the lens; and so does a shift.
+        Two paraxial rays p and q start from (y, n u) = (1, 0) and (0, 1). A change d of the angle of a ray at a surface
+        changes its angle behind the lens by (p q' - q p') d, with the heights p and q at the surface and the angles
+        p' and q' behind the lens. A shift in height acts likewise.
         """
         lens, efl = self.lens, self.view.efl
         indices = lens.refractive_indices((self.view.reference,))[:, 0]
         unit = torch.eye(2, dtype=lens.dtype)
         height, angle = (v.mT for v in paraxial_ray(*powers_and_spaces(lens, indices), *unit))  # (2, S) and (2, S + 1)
         p, q = angle[:, -1]
-        turned = height[0] * q - height[1] * p  # of a unit turn at each surface
-        shifted = angle[1, 1:] * p - angle[0, 1:] * q  # of a unit shift behind it
+        turn_effect = height[0] * q - height[1] * p  # effect of a unit change of angle at each surface
+        shift_effect = angle[1, 1:] * p - angle[0, 1:] * q  # effect of a unit shift behind each surface
         vertex = changes["curvature"] + (2 * changes["alpha"][..., 0] if lens.alpha.shape[1] else 0)
-        by_vertex = turned * height[0] * (indices[1:] - indices[:-1])
-        by_thickness = -shifted * angle[0, 1:] / indices[1:]
+        by_vertex = turn_effect * height[0] * (indices[1:] - indices[:-1])
+        by_thickness = -shift_effect * angle[0, 1:] / indices[1:]
         by_thickness[-1] = 0.0  # the image distance
         return -efl * p, efl * (vertex @ by_vertex + changes["thickness"] @ by_thickness)
 

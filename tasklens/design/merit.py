@@ -20,7 +20,7 @@ from tasklens.study.settings import Constraints
 # Fields as fractions of the largest, near the nine of a specification.
 FIELD_HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)
 RINGS, ARMS = 8, 6  # with 6 x 4, spots in the corner became twice as large between the rays
-_APERTURE_RESERVE = 1.01  # clear apertures over the radii that the rays of the merit function use
+_APERTURE_RESERVE = 1.01  # clear semi-diameter / radius that the rays of the merit function use
 _LOST_RAY_UM = 300.0  # residual of a lost ray
 VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um of violation weighs as much as an RMS spot of 1 um
 
@@ -28,17 +28,17 @@ VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um of violation 
 class Merit:
     """Residuals of a lens [um]: two per ray, whose sum of squares is the mean squared spot radius, then limits.
 
-    Rays are launched to fill a stop in front of the lens. At a stop inside they are aimed again at every lens; how the
-    aim moves with the lens is left out of the derivatives, whose steps are checked at the lens that they lead to.
+    Rays are launched to fill a stop in front of the lens. If the stop is inside, they are aimed again at every lens.
+    The derivatives neglect the change of the aim; each step is checked at its new lens.
 
     Args:
         reference: reference point of the rays' errors in y.
         corner_weight: weight of the corner field, geometric from 1 on the axis.
         linear_beyond_um: error e0 beyond which the cost of a ray grows linearly [um], r = e / (1 + |e|^2 / e0^2)^(1/4)
-            for its error e: rays far outside matter less, and a sharp core more. None: r = e.
+            for its error e: distant rays matter less, and a sharp core matters more. None: r = e.
         per_mm: residual per mm of violation, or per unit of a violation without a unit [um/mm].
         angle_weight: factor on the residuals of chief ray angles.
-        rim: number of marginal rays, from the top to the bottom of the pupil, for the radii that light uses.
+        rim: number of marginal rays from the top to the bottom of the pupil, which give the radii that light uses.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Merit:
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
-        self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last of each bundle: the chief ray
+        self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last ray is the chief ray
         self.middle = len(view.wavelengths) // 2
         field = corner_weight**heights
         self.of_field = (field / field.sum() / len(view.wavelengths))[:, None, None]
@@ -69,9 +69,9 @@ class Merit:
         self.per_mm, self.angle_weight = per_mm, angle_weight
         self.launched: tuple[float, Rays] | None = None  # radius of the stop, and rays
 
-    def keep(self, kept: Tensor) -> None:
-        """Leave rays (F, W, N) of the quadrature out of the spots where `kept` is false."""
-        weight = kept * self.weight
+    def keep(self, mask: Tensor) -> None:
+        """Omit rays (F, W, N) of the quadrature from the spots if `mask` is false."""
+        weight = mask * self.weight
         self.weights = weight / weight.sum(-1, keepdim=True)
         self.share = torch.sqrt(self.of_field * self.weights)
 
@@ -87,25 +87,25 @@ class Merit:
 
     def clear_semi_diameters(self, lens: Lens) -> Tensor:
         """Compute the semi-diameters (S,) at which limits are evaluated: 1 % more than the rays use [mm]."""
-        _, behind = trace_fields_full(lens.detached(), self.view, self.pupil)
-        return _APERTURE_RESERVE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, behind)])
+        _, surface_rays = trace_fields_full(lens.detached(), self.view, self.pupil)
+        return _APERTURE_RESERVE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, surface_rays)])
 
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """Return residuals (R,) [um], and a function from V changes of the lens (as in `tracing`) to (R, V) columns."""
         view = self.view
-        rays, behind, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
+        rays, traces, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
         valid = rays.valid[..., : len(self.weight)]
         x, y = self._errors(rays.x, rays.y, valid, change=False)
-        weakened = torch.ones(())
+        attenuation = torch.ones(())
         if self.linear_beyond is not None:
-            weakened = (1 + (x**2 + y**2) / self.linear_beyond**2) ** -0.25
+            attenuation = (1 + (x**2 + y**2) / self.linear_beyond**2) ** -0.25
         errors = [
-            torch.where(valid, 1e3 * self.share * error * weakened, _LOST_RAY_UM * self.share) for error in (x, y)
+            torch.where(valid, 1e3 * self.share * error * attenuation, _LOST_RAY_UM * self.share) for error in (x, y)
         ]
-        outermost = [_outermost(each) for each in behind]
+        outermost = [_outermost(surface_rays) for surface_rays in traces]
         chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
-        used = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
-        operands = LinearLimits(lens.detached(), self.limits, view, _APERTURE_RESERVE * used, chief)
+        radii = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
+        operands = LinearLimits(lens.detached(), self.limits, view, _APERTURE_RESERVE * radii, chief)
         weight = torch.full((len(operands.values),), self.per_mm, dtype=lens.dtype)
         weight[len(weight) - operands.angles :] *= self.angle_weight
         values = torch.cat([*(error.flatten() for error in errors), weight * operands.values])
@@ -114,24 +114,24 @@ class Merit:
             (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
             ex, ey = self._errors(dx, dy, valid, change=True)
             if self.linear_beyond is not None:
-                radial = (x * ex + y * ey) / 2 * (weakened**2 / self.linear_beyond) ** 2
-                ex, ey = (ex - x * radial) * weakened, (ey - y * radial) * weakened
+                radial = (x * ex + y * ey) / 2 * (attenuation**2 / self.linear_beyond) ** 2
+                ex, ey = (ex - x * radial) * attenuation, (ey - y * radial) * attenuation
             rows = [torch.where(valid, 1e3 * self.share * change, 0.0).flatten(1) for change in (ex, ey)]
             chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dl, dm, dn)], 1)
             aperture = [
                 (x * dx.flatten(1)[:, i] + y * dy.flatten(1)[:, i]) / height
-                for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, used, strict=True)
+                for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, radii, strict=True)
             ]
             apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
-            along = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
-            rows.append((weight[:, None] * along).T)
+            limit_columns = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
+            rows.append((weight[:, None] * limit_columns).T)
             return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
 
-        # A perturbed lens can have residuals that are not finite, which scipy does not accept.
+        # A perturbed lens can have residuals that are not finite; scipy does not accept them.
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
 
     def _launch(self, lens: Lens) -> Rays:
-        """Launch the rays, which are the same for all lenses with one stop in front."""
+        """Launch the rays; all lenses with the same stop in front share them."""
         if stop_is_inside(lens):
             return launch_fields(lens.detached(), self.view, self.pupil)
         radius = float(lens.semi_diameter[lens.stop])
@@ -144,8 +144,8 @@ class Merit:
         count = len(self.weight)
         match self.reference:
             case "centroid":
-                arrived = valid * self.weights
-                centre = (y[..., :count] * arrived).sum((-2, -1)) / arrived.sum((-2, -1)).clamp(min=1e-12)
+                weights = valid * self.weights
+                centre = (y[..., :count] * weights).sum((-2, -1)) / weights.sum((-2, -1)).clamp(min=1e-12)
             case "chief_ray":
                 centre = y[..., self.middle, -1]
             case "pinhole":
@@ -154,7 +154,7 @@ class Merit:
 
 
 def _outermost(rays: Rays) -> tuple[Tensor, Tensor, int]:
-    """Return the point (x, y) [mm] and the flat index of the ray farthest from the axis that is not lost."""
+    """Return the point (x, y) [mm] and the flat index of the ray farthest from the axis, among those not lost."""
     heights = torch.where(rays.lost_at < 0, torch.hypot(rays.x, rays.y), 0.0).flatten()
     i = int(heights.argmax())
     return rays.x.flatten()[i], rays.y.flatten()[i], i

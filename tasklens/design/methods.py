@@ -1,4 +1,4 @@
-"""Design of a lens from its settings: method, then repair, figures, margins and the test of its optimum."""
+"""Design of a lens from its settings: method, repair, figures, margins and the test for a local optimum."""
 
 import copy
 from collections.abc import Mapping
@@ -30,14 +30,14 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings, LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens, LensDesign
 
-_APERTURE = 1.02  # clear aperture of an imported lens without one, over the radius that light uses
+_APERTURE = 1.02  # clear semi-diameter / radius that light uses, of an imported lens without apertures
 
 Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], mean or worst field, by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
 
 
 def design(
-    wanted: LensDesign,
+    plan: LensDesign,
     classifier: nn.Module | None,
     dataset: ImageDataset | None,
     starts: Starts,
@@ -48,36 +48,36 @@ def design(
     """Design a lens by its method, or import it from its file.
 
     Args:
-        wanted: specification and method of the lens.
+        plan: specification and method of the lens.
         classifier, dataset: trained classifier and training images, for supervised designs.
-        starts: lenses of which the best one by its accuracy is the start, if any.
-        candidates: lenses of which the best one by the criterion of the design is the start, if any.
+        starts: possible starting lenses; the one of the highest accuracy is taken.
+        candidates: possible starting lenses; the best one by the criterion of the design is taken.
         checkpoint: checkpoint of the job.
-        task: task of the network `classifier`, where it is not classification.
+        task: task of the network `classifier`, if it is not classification.
 
     Returns:
         The lens with its clear apertures, the notes for its file, and a row per logged step.
     """
-    settings, view = wanted.entry.design, view_of_spec(wanted.spec)
+    settings, view = plan.entry.design, view_of_spec(plan.spec)
     if isinstance(settings, ImportedLens):
-        lens, origin = imported.fit(settings, view, wanted.spec.f_number, wanted.rays)
-        used = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(wanted.rays, seed=0)]))
-        origin = {"design": wanted.entry.design_name, "method": "file"} | origin
-        return *with_notes(lens, _APERTURE * used, wanted, origin), []
+        lens, origin = imported.fit(settings, view, plan.spec.f_number, plan.rays)
+        radii = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)]))
+        origin = {"design": plan.entry.design_name, "method": "file"} | origin
+        return *with_notes(lens, _APERTURE * radii, plan, origin), []
     free = settings.free if isinstance(settings, GradientDesignSettings) else None
-    problem = Problem(view, wanted.constraints, wanted.seed, wanted.capture, dataset, free)
-    origin = {"design": wanted.entry.design_name, "method": settings.method, "seed": wanted.seed}
+    problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free)
+    origin = {"design": plan.entry.design_name, "method": settings.method, "seed": plan.seed}
     if isinstance(settings, LeastSquaresSettings):
-        plates = flat(wanted.entry.plastics, wanted.spec, wanted.constraints)
+        plates = flat(plan.entry.plastics, plan.spec, plan.constraints)
         lens, history = least_squares.design(plates, problem, settings, checkpoint)
         origin["start"] = "random paraxial lenses"
-        return *with_notes(*repair(lens, view, wanted.constraints), wanted, origin), history
+        return *with_notes(*repair(lens, view, plan.constraints), plan, origin), history
 
     @cache
     def frozen_loss(temperature: float) -> TaskLoss:
-        assert classifier is not None and dataset is not None  # they supervise
-        if wanted.task is not None and task is not None:
-            from tasklens.recognition import task_networks  # torchvision's detectors, which other designs do without
+        assert classifier is not None and dataset is not None  # a supervised design has both
+        if plan.task is not None and task is not None:
+            from tasklens.recognition import task_networks  # imports torchvision's detectors: only these designs do
 
             return TaskLoss(task_networks.frozen(classifier), task)
         network = frozen(classifier, dataset.images, settings.batch_norm)
@@ -86,9 +86,9 @@ def design(
     def criterion(part: DescentSettings) -> Criterion:
         match part.criterion:
             case "task" if part.network_learning_rate is not None:
-                trained, rate = copy.deepcopy(classifier), part.network_learning_rate
-                assert trained is not None
-                return JointTaskLoss(trained, rate, part.steps, part.final, task or Classification(part.temperature))
+                joint, rate = copy.deepcopy(classifier), part.network_learning_rate
+                assert joint is not None
+                return JointTaskLoss(joint, rate, part.steps, part.final, task or Classification(part.temperature))
             case "task":
                 return frozen_loss(part.temperature)
             case "spot":
@@ -103,31 +103,31 @@ def design(
         origin["start"] = max(starts, key=lambda name: starts[name][1])
         start = _begun(starts[origin["start"]][0], settings.keep_apertures)
     else:
-        start, origin["start"] = flat(wanted.entry.plastics, wanted.spec, wanted.constraints), "flat"
-    opened = {name: _begun(lens, settings.keep_apertures) for name, lens in candidates.items()}
-    lens, more, history, judge = descents.design(start, opened, criterion, problem, settings, checkpoint)
-    finished, notes = with_notes(*repair(lens, view, wanted.constraints, free), wanted, origin | more)
-    if wanted.entry.supervised:
-        notes["local_optimum"] = local_optimum(finished, judge, settings.descents[-1])
-    return finished, notes, history
+        start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
+    openings = {name: _begun(lens, settings.keep_apertures) for name, lens in candidates.items()}
+    lens, details, history, supervisor = descents.design(start, openings, criterion, problem, settings, checkpoint)
+    final_lens, notes = with_notes(*repair(lens, view, plan.constraints, free), plan, origin | details)
+    if plan.entry.supervised:
+        notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
+    return final_lens, notes, history
 
 
 def _begun(lens: Lens, keep_apertures: bool) -> Lens:
-    """Return a lens to begin with: all coefficients of a design; without clear apertures, unless they are kept."""
+    """Return a starting lens: with all coefficients of a design, and open apertures unless they are kept."""
     return with_coefficients(lens if keep_apertures else with_open_apertures(lens))
 
 
-def with_notes(lens: Lens, clear: Tensor, wanted: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
-    """Add clear apertures (S,) [mm] to surfaces without one; return the lens and the notes for its file."""
-    view = view_of_spec(wanted.spec)
-    margins = manufacturing_margins(lens, wanted.constraints, torch.minimum(clear, lens.semi_diameter))
-    margins |= first_order_margins(lens, wanted.constraints, view, chief_rays(lens, view))
+def with_notes(lens: Lens, radii: Tensor, plan: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
+    """Add clear apertures of `radii` (S,) [mm] to surfaces without one; return the lens and the notes for its file."""
+    view = view_of_spec(plan.spec)
+    margins = manufacturing_margins(lens, plan.constraints, torch.minimum(radii, lens.semi_diameter))
+    margins |= first_order_margins(lens, plan.constraints, view, chief_rays(lens, view))
     name, value = worst_margin(margins)
-    lens = with_clear_apertures(lens, clear)
+    lens = with_clear_apertures(lens, radii)
     notes = {
-        "spec": wanted.spec.model_dump(mode="json"),
+        "spec": plan.spec.model_dump(mode="json"),
         "origin": origin,
-        "figures": figures(lens, view, wanted.rays),
+        "figures": figures(lens, view, plan.rays),
         "margins": {key: float(margin.min()) for key, margin in margins.items() if margin.numel()},
         "worst_margin": {"limit": name, "value": value},
     }

@@ -1,7 +1,8 @@
-"""Optimizers of a lens: steps of given ray displacement, or AdamW on the parameters.
+"""Optimizers of a lens: steps of prescribed ray displacement, or AdamW on the parameters.
 
-Both move the variables of a lens, concatenated in one vector (V,), and have `state_dict` and `load_state_dict` as
-torch's optimizers have. `change` computes what `apply` takes, so that what is not finite is never applied.
+Both move the variables of a lens, concatenated in one vector (V,), and have `state_dict` and `load_state_dict` like
+torch's optimizers. `change` computes a step and `apply` takes it, so that the caller can reject a step that is not
+finite.
 """
 
 from typing import Any
@@ -22,7 +23,7 @@ _HALVINGS = 5  # maximum number of halvings of a step
 
 
 class RaySpaceOptimizer:
-    """Steps of given ray displacement along the running mean of the gradient (see `ray_space`)."""
+    """Steps of prescribed ray displacement along the running mean of the gradient (see `ray_space`)."""
 
     def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
         self.settings, self.pitch = settings, problem.view.pixel_pitch
@@ -46,13 +47,13 @@ class RaySpaceOptimizer:
         """Return the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
         return self.model.violation_norm
 
-    def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
-        """Compute the change (V,) of the variables; limits are hard as soon as pixels have their last size.
+    def change(self, vector: Tensor, lens: Lens, loss: Tensor, fraction: float, pixels: float) -> Tensor:
+        """Compute the change (V,) of the variables; limits are hard once pixels have their last size.
 
         Args:
             vector, lens: variables from `vector`, and the lens with them.
-            loss: scalar whose gradient is that of the loss.
-            done: fraction of the steps that are done.
+            loss: scalar with the gradient of the loss.
+            fraction: fraction of the steps that are complete.
             pixels: present pixel pitch [sensor pixels].
         """
         settings = self.settings
@@ -60,24 +61,24 @@ class RaySpaceOptimizer:
         self.mean = settings.momentum * self.mean + (1 - settings.momentum) * slope
         self.averaged += 1
         self.step_um = self.factor * settings.step_size * self.pitch * pixels
-        if done > settings.duration:
-            self.step_um *= cosine((done - settings.duration) / (1 - settings.duration), settings.final)
-        # A repair of what is left at the end would cost more than the last steps have won.
+        if fraction > settings.duration:
+            self.step_um *= cosine((fraction - settings.duration) / (1 - settings.duration), settings.final)
+        # With soft limits, the final repair would cost more than the last steps gain.
         weight = HARD if pixels == settings.pixels[1] else SOFT
         mean = self.mean / (1 - settings.momentum**self.averaged)
         return self.model.step(mean, self.step_um, settings.damping, weight)
 
     def apply(self, change: Tensor) -> None:
-        """Move by the change, halved while it adds much violation."""
+        """Move by the change, halved while it increases the violation by more than `LEEWAY_MM`."""
         for halvings in range(_HALVINGS + 1):
-            moved = self.values + change / 2**halvings
-            model = self.space.linearise(moved)
+            trial = self.values + change / 2**halvings
+            model = self.space.linearise(trial)
             if model.violation_norm <= self.model.violation_norm + LEEWAY_MM:
                 break
-        self.values, self.model = moved, model
+        self.values, self.model = trial, model
 
     def go_back(self, best: Tensor) -> None:
-        """Go back to the best lens, with half the step size: how large that may be depends on how sharp the lens is."""
+        """Go back to the best lens, and halve the step size: its largest useful value depends on sharpness."""
         self.values, self.model, self.factor = best, self.space.linearise(best), self.factor / 2
         self.mean, self.averaged = torch.zeros_like(self.mean), 0
 
@@ -126,8 +127,8 @@ class AdamWOptimizer:
     def _limits(self, lens: Lens) -> Tensor:
         return penalty(lens, self.problem.limits, self.problem.view)
 
-    def change(self, vector: Tensor, lens: Lens, loss: Tensor, done: float, pixels: float) -> Tensor:
-        """Compute the gradient (V,) of loss and penalties; arguments as of `RaySpaceOptimizer.change`."""
+    def change(self, vector: Tensor, lens: Lens, loss: Tensor, fraction: float, pixels: float) -> Tensor:
+        """Compute the gradient (V,) of loss and penalties; for arguments see `RaySpaceOptimizer.change`."""
         settings, penalties = self.settings, self._limits(lens)
         if settings.max_incidence_deg is not None:
             penalties = penalties + incidence_penalty(lens, self.problem.view, settings.max_incidence_deg)
@@ -144,7 +145,7 @@ class AdamWOptimizer:
         self.optimizer.zero_grad()
 
     def go_back(self, best: Tensor) -> None:
-        """Go on from the present lens: the paper's protocol never goes back."""
+        """Do nothing: the paper's protocol never goes back."""
 
     def numbers(self) -> dict[str, float]:
         """Return the learning rate of the curvatures [1/mm], and the penalty."""

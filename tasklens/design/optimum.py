@@ -12,25 +12,25 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.study.design_settings import DescentSettings
 
-# RMS ray displacements of steps along the gradient; of random ones the first, which a blurred lens does not feel.
+# RMS ray displacements of steps along the gradient. Random steps use the first; it hardly affects a blurred lens.
 STEPS_UM = (0.5, 2.0, 8.0)
-_DIRECTIONS = 4  # random ones
-_RAYS = 512  # per field and colour, of the gradient
+_DIRECTIONS = 4  # random directions
+_RAYS = 512  # rays per field and colour for the gradient
 _MICRO_STEP = 16  # images per gradient
 
 
 def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings) -> dict[str, Any]:
     """Try feasible steps of small ray displacement from a lens: along its gradient, and in random directions.
 
-    The gradient is that of half of the images by which lenses are chosen, projected on the limits in ray space. Every
-    step is repaired, so that it is feasible, and its loss is compared on the other half, image by image.
+    The gradient is that of half of the selection images, projected on the limits in ray space. Every step is repaired,
+    so that it is feasible, and its loss is compared on the other half, image by image.
 
     Args:
-        supervisor: criterion of its last descent; a trained network is as at its end.
+        supervisor: supervisor of the last descent; a trained network has its final state.
 
     Returns:
-        The largest `gain` of the steps, the mean decrease of the loss, which is negative if all steps raise it; its
-        standard `error`, paired by image; the `step_um` and the direction `along` which it was; the number of images.
+        The largest `gain` of the steps (mean decrease of the loss, negative if all steps increase it); its standard
+        `error`, paired by image; its `step_um` and its direction `along`; the number of `images`.
     """
     problem, pixels = supervisor.problem, settings.pixels[1]
     space = RaySpace(lens, problem.view, problem.limits, problem.free)
@@ -39,21 +39,21 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
     gradient = _gradient(space, supervisor, pixels)
     steps = [("gradient", step_um, gradient) for step_um in STEPS_UM]
     for k in range(_DIRECTIONS):
-        drawn = model.scale * torch.randn(len(model.scale), generator=generator, dtype=model.scale.dtype)
-        steps.append((f"random direction {k + 1}", STEPS_UM[0], model.metric @ drawn))
-    here = _losses(supervisor, lens, pixels)
+        sample = model.scale * torch.randn(len(model.scale), generator=generator, dtype=model.scale.dtype)
+        steps.append((f"random direction {k + 1}", STEPS_UM[0], model.metric @ sample))
+    losses = _losses(supervisor, lens, pixels)
     gains: list[dict[str, Any]] = []
-    for along, step_um, slope in steps:
+    for direction, step_um, slope in steps:
         change = model.step(slope, step_um, settings.damping, HARD)
-        moved, _ = repair(space.lens(space.start + change), problem.view, problem.limits, problem.free)
-        difference = here - _losses(supervisor, moved, pixels)
+        trial, _ = repair(space.lens(space.start + change), problem.view, problem.limits, problem.free)
+        difference = losses - _losses(supervisor, trial, pixels)
         error = float(difference.std() / len(difference) ** 0.5)
-        gains.append({"gain": float(difference.mean()), "error": error, "step_um": step_um, "along": along})
-    return max(gains, key=lambda step: step["gain"]) | {"images": len(here)}
+        gains.append({"gain": float(difference.mean()), "error": error, "step_um": step_um, "along": direction})
+    return max(gains, key=lambda step: step["gain"]) | {"images": len(losses)}
 
 
 def _halves(supervisor: Supervisor) -> tuple[slice, slice]:
-    """Return the parts of the images in fixed order for gradient and comparison; alike where there are few."""
+    """Return two halves of the selection images, all images if there are few, for gradient and comparison."""
     count = len(supervisor.dataset)
     first = max(0, count + SELECTION.start)
     middle = (first + count) // 2
@@ -65,14 +65,14 @@ def _losses(supervisor: Supervisor, lens: Lens, pixels: float) -> Tensor:
 
 
 def _gradient(space: RaySpace, supervisor: Supervisor, pixels: float) -> Tensor:
-    """Compute the gradient (V,) of the mean loss on the fixed images, by micro-steps of some images."""
+    """Compute the gradient (V,) of the mean loss on the fixed images, in batches of a few images."""
     supervisor = replace(supervisor, augment=False)
     indices = supervisor.fixed_images(_halves(supervisor)[0])
     total = torch.zeros_like(space.start)
     with supervisor.criterion.evaluating():
-        for k, some in enumerate(indices.split(_MICRO_STEP)):
+        for k, batch in enumerate(indices.split(_MICRO_STEP)):
             vector = space.start.clone().requires_grad_()
-            loss = supervisor.loss(space.lens(vector), sobol_disc(_RAYS, seed=0), pixels, some, k)
+            loss = supervisor.loss(space.lens(vector), sobol_disc(_RAYS, seed=0), pixels, batch, k)
             (gradient,) = torch.autograd.grad(loss.value, vector)
-            total += gradient * len(some) / len(indices)
+            total += gradient * len(batch) / len(indices)
     return total

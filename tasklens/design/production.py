@@ -1,4 +1,4 @@
-"""Production of a design in simulation: lenses with errors of manufacture, focused, and measured by a classifier."""
+"""Simulated production of a design: lenses with errors of manufacture, focused, and measured by a classifier."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from tasklens.recognition.evaluation import CapturePipeline, classify
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 
-_RAYS = 1024  # per field and colour of a built lens
-_ALLOWED_POINTS = 1.0  # loss of accuracy that tolerances are allotted for
+_RAYS = 1024  # rays per field and colour of a built lens
+_ALLOWED_POINTS = 1.0  # largest loss of accuracy by which tolerances are allotted [points]
 
-Images = tuple[Tensor, Tensor]  # (N, 3, H, W) in [0, 1], and labels (N,)
+Images = tuple[Tensor, Tensor]  # images (N, 3, H, W) in [0, 1], and their labels (N,)
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Production:
     classifier: Callable[[Tensor], Tensor]
 
     def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:
-        """Return a lens with errors (P,) over their tolerances, focused as `focus.focused`, and its shift [mm]."""
+        """Build a lens with errors (P,) [fractions of tolerances]; return it focused, and its focus shift [mm]."""
         return focus.focused(built(self.lens, self.errors, fractions, self.view.reference), self.view, peak)
 
     def accuracy(self, lens: Lens, images: Images) -> tuple[Tensor, float]:
@@ -54,7 +54,7 @@ class Production:
         return 100 * correct.double().mean(-1), float(losses.mean())
 
     def measure(self, lens: Lens, images: Images) -> dict[str, Any]:
-        """Measure a lens; one that lets no light through to some field has `failed`, and is measured all the same."""
+        """Measure a lens; `failed` is 1 if no light reaches some field, but the lens is measured all the same."""
         fields, loss = self.accuracy(lens, images)
         rays = trace_fields(lens, self.view, sobol_disc(_RAYS, seed=0))
         return {
@@ -73,7 +73,7 @@ def built_lenses(
     """Measure the design and `count` built lenses.
 
     Returns:
-        A row for each: its name, what `Production.measure` returns, and the shift of its image plane.
+        A row per lens: its name, the values of `Production.measure`, and the shift of its image plane [um].
     """
     part = checkpoint.part("built lenses")
     if part.result is not None:
@@ -83,9 +83,9 @@ def built_lenses(
     peak = focus.peak(production.lens, production.view)
     if not rows:
         rows = [{"lens": "design"} | production.measure(production.lens, images) | {"focus_um": 0.0}]
-    drawn = draw(production.errors, count, seed)
+    samples = draw(production.errors, count, seed)
     for k in range(len(rows) - 1, count):
-        lens, shift = production.build(drawn[k], peak)
+        lens, shift = production.build(samples[k], peak)
         rows.append({"lens": k} | production.measure(lens, images) | {"focus_um": 1e3 * float(shift)})
         progress(k + 1, accuracy=rows[-1]["accuracy"])
         part.save(k + 1, rows=rows)
@@ -95,33 +95,33 @@ def built_lenses(
 
 def one_at_a_time(
     production: Production,
-    chosen: Sequence[int],
+    indices: Sequence[int],
     nominal: float,
     images: Images,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> dict[int, float]:
-    """Measure the change of the accuracy by single errors of both signs, their mean [points].
+    """Measure the change of accuracy due to single errors, averaged over both signs [points].
 
     Args:
-        chosen: indices of the errors.
+        indices: indices of the errors.
         nominal: accuracy of the design on the same images [%].
     """
     part = checkpoint.part("errors one at a time")
-    known = part.state if part.result is None else part.result
-    found: dict[int, float] = {} if known is None else known["found"]
+    state = part.state if part.result is None else part.result
+    changes: dict[int, float] = {} if state is None else state["found"]
     peak = focus.peak(production.lens, production.view)
-    progress = Progress("errors one at a time", len(chosen))
-    for step, k in enumerate(chosen, 1):
-        if k in found:
+    progress = Progress("errors one at a time", len(indices))
+    for step, k in enumerate(indices, 1):
+        if k in changes:
             continue
-        along = torch.zeros(len(production.errors), dtype=torch.float64)
-        along[k] = 1.0
-        accuracies = [production.accuracy(production.build(s * along, peak)[0], images)[0].mean() for s in (1, -1)]
-        found[k] = float(sum(accuracies)) / 2 - nominal
+        direction = torch.zeros(len(production.errors), dtype=torch.float64)
+        direction[k] = 1.0
+        accuracies = [production.accuracy(production.build(s * direction, peak)[0], images)[0].mean() for s in (1, -1)]
+        changes[k] = float(sum(accuracies)) / 2 - nominal
         progress(step)
-        part.save(step, found=found)
-    part.finish(found=found)
-    return found
+        part.save(step, found=changes)
+    part.finish(found=changes)
+    return changes
 
 
 def allotted(
@@ -132,41 +132,42 @@ def allotted(
     images: Images,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Tensor | None:
-    """Find the widest tolerances (P,), over those of the grade, with which 95 % of lenses lose at most one point.
+    """Find the widest tolerances (P,) with which 95 % of lenses lose at most one point, as factors on the grade.
 
     Args:
-        displacements: (P,) of rays by each error [um].
+        displacements: (P,) ray displacements by the errors [um].
         count: number of lenses that are built with each set of tolerances.
-        images: not those by which lenses are reported.
+        images: images other than those of the reported accuracies.
 
     Returns:
-        None if even the tightest tolerances that are tried do not suffice, or no light comes to some field.
+        None if even the tightest tolerances do not suffice, or no light reaches some field.
     """
     if not displacements.isfinite().all():
         return None
     peak = focus.peak(production.lens, production.view)
-    drawn = draw(production.errors, count, seed + allocation.SEED)
-    least = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS
+    samples = draw(production.errors, count, seed + allocation.SEED)
+    threshold = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS
     progress = Progress("allocation of tolerances", allocation.TRIALS)
     part = checkpoint.part("allocation of tolerances")
-    known = part.state if part.result is None else part.result
-    passed: list[bool] = [] if known is None else known["passed"]  # of the trials in their order, which repeats itself
+    state = part.state if part.result is None else part.result
+    # Outcomes of the trials so far: a resumed job repeats the trials in the same order.
+    outcomes: list[bool] = [] if state is None else state["passed"]
     trial = iter(range(1, allocation.TRIALS + 1))
 
     def passes(tolerances: Tensor) -> bool:
         step, bad = next(trial), 0
-        if step <= len(passed):
-            return passed[step - 1]
-        for fractions in drawn:
+        if step <= len(outcomes):
+            return outcomes[step - 1]
+        for fractions in samples:
             lens, _ = production.build(tolerances * fractions, peak)
-            bad += bool(production.accuracy(lens, images)[0].mean() < least - 1e-9)
+            bad += bool(production.accuracy(lens, images)[0].mean() < threshold - 1e-9)
             if bad > (1 - allocation.YIELD) * count:
                 break
         progress(step, bad=bad)
-        passed.append(bad <= (1 - allocation.YIELD) * count)
-        part.save(step, passed=passed)
-        return passed[-1]
+        outcomes.append(bad <= (1 - allocation.YIELD) * count)
+        part.save(step, passed=outcomes)
+        return outcomes[-1]
 
-    found = allocation.widest(displacements, passes)
-    part.finish(passed=passed)
-    return found
+    widest = allocation.widest(displacements, passes)
+    part.finish(passed=outcomes)
+    return widest

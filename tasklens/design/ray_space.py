@@ -27,10 +27,10 @@ from tasklens.study.settings import Constraints
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}
 _DISPLACEMENT_UM = 3.0  # ray displacement equivalent to a small change, or the step size if that is larger
-SOFT, HARD = 1e3, 1e5  # w [1/mm^2]: on the way, a lens may pass through what is forbidden; at its end, it may not
+SOFT, HARD = 1e3, 1e5  # w [1/mm^2]: limits are soft during the descent and hard at its end
 MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, between the rays
 _REPAIR_STEPS_UM = 1e-3, 0.25, 2.0  # shortest, first and longest step of the repair: a sharp spot has 2 um
-_KEPT = 1e-9  # violation that is rounding, of limits with a buffer [mm]
+_KEPT = 1e-9  # violation that counts as rounding, of limits with a buffer [mm]
 _REPAIR_STEPS = 60  # maximum number of steps of the repair
 _REPAIRS = 4  # maximum number of repairs, each with a tighter limit on distortion
 
@@ -59,7 +59,7 @@ class LinearModel:
     def step(self, gradient: Tensor, step_size: float, damping: float, weight: float = SOFT) -> Tensor:
         """Compute the change (V,) of the variables with an RMS ray displacement of `step_size` [um].
 
-        The repair of violated limits is included in the displacement: the gradient uses what the repair leaves.
+        The displacement includes the repair of violated limits; the gradient uses the rest.
 
         Args:
             weight: weight of the squared violations [1/mm^2].
@@ -73,8 +73,8 @@ class LinearModel:
             return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
 
         def small(log_mu: float) -> bool:
-            moved = change(log_mu)
-            return float(moved @ self.metric @ moved) <= step_size**2
+            delta = change(log_mu)
+            return float(delta @ self.metric @ delta) <= step_size**2
 
         return change(_bisect(small))
 
@@ -111,33 +111,34 @@ class RaySpace:
 
 
 def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None) -> tuple[Lens, Tensor]:
-    """Repair violated limits of a lens by steps of small ray displacement; one that keeps them all stays as it is.
+    """Repair violated limits of a lens by steps of small ray displacement; a lens within its limits is unchanged.
 
-    What is repaired ends inside all limits by the buffer that designs aim at. Distortion is repaired at the heights of
-    the merit function. Where it is too large at a field in between, again with a limit that is tighter by twice as
-    much.
+    A repaired lens keeps all limits with the buffer that designs aim at. Distortion is repaired at the field heights of
+    the merit function. If it is too large at a field in between, the repair is repeated with a limit that is tighter by
+    twice the excess.
 
     Returns:
-        The lens, or that of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
+        The lens, or the one of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
         its limits were evaluated [mm].
     """
-    asked, clear = limits, Merit(view, limits, rim=MARGINAL_RAYS).clear_semi_diameters(lens)
+    targets, radii = limits, Merit(view, limits, rim=MARGINAL_RAYS).clear_semi_diameters(lens)
     for attempt in range(_REPAIRS):
-        margins = manufacturing_margins(lens, limits, torch.minimum(clear, lens.semi_diameter))
+        margins = manufacturing_margins(lens, limits, torch.minimum(radii, lens.semi_diameter))
         margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
         limit, margin = worst_margin(margins)
         if margin >= 0 or (attempt and limit != "distortion"):  # kept, or beyond repair
             break
         if attempt:
-            asked = asked.model_copy(update={"distortion": max(0.0, asked.distortion + 2 * margin)})
-        lens, clear = _repaired(lens, view, asked, free)
-    return lens, clear
+            targets = targets.model_copy(update={"distortion": max(0.0, targets.distortion + 2 * margin)})
+        lens, radii = _repaired(lens, view, targets, free)
+    return lens, radii
 
 
 def _repaired(lens: Lens, view: View, limits: Constraints, free: Free | None) -> tuple[Lens, Tensor]:
-    """Take steps to the least violation, each shorter until it lessens it: how far is linear differs between lenses.
+    """Minimise the violation by steps; each is shortened until it reduces the violation.
 
-    Where none does, as where rays come back that were lost, a long step goes on behind that.
+    The range in which a lens is nearly linear differs between lenses. If no short step reduces the violation, for
+    example because lost rays return, a long step is taken.
     """
     space = RaySpace(lens, view, limits, free)
     shortest, first, longest = _REPAIR_STEPS_UM
@@ -147,16 +148,16 @@ def _repaired(lens: Lens, view: View, limits: Constraints, free: Free | None) ->
     for _ in range(_REPAIR_STEPS):
         if least < _KEPT:
             break
-        moved = vector + model.step(torch.zeros_like(vector), step_um, damping=0.1)
-        found = space.linearise(moved)
-        if found.violation_norm < model.violation_norm:
+        trial = vector + model.step(torch.zeros_like(vector), step_um, damping=0.1)
+        trial_model = space.linearise(trial)
+        if trial_model.violation_norm < model.violation_norm:
             step_um = min(2 * step_um, longest)
         elif step_um > shortest:
             step_um /= 4
             continue
         else:
             step_um = longest
-        vector, model = moved, found
+        vector, model = trial, trial_model
         if model.violation_norm < least:
             least, best = model.violation_norm, vector
     lens = space.lens(best)

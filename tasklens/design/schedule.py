@@ -9,5 +9,5 @@ def cosine(fraction: float, final: float) -> float:
 
 
 def geometric(start: float, fraction: float) -> float:
-    """Compute a scale that changes geometrically from `start` at fraction 0 to 1 at fraction 1, and is 1 after that."""
+    """Compute a scale that changes geometrically from `start` at fraction 0 to 1 at fraction 1, and then stays 1."""
     return start ** max(0.0, 1 - fraction)

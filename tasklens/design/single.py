@@ -21,8 +21,8 @@ from tasklens.runtime.files import FileError
 from tasklens.study import single
 from tasklens.study.tables import candidates, lens_design, starts
 
-_IMAGES = 2000  # of a folder, at most
-_UNUSED, _LEAST = 500, 20  # photographs for a verdict, at most and at least
+_IMAGES = 2000  # largest number of photographs from a folder
+_UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
@@ -59,25 +59,25 @@ def designs(
     baselines: Sequence[str] = (),
     **spec: Any,
 ) -> Designs:
-    """Design one lens, and those that it begins with and is compared with.
+    """Design one lens, its starting lenses, and the baselines that it is compared with.
 
     Args:
-        baselines: criteria of image quality: a lens by each, with the same start and the same effort; photographs are
-            left out for the comparison, `unused_images`.
+        baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort;
+            some photographs are held out for the comparison (see `unused_images`).
     """
     section, dataset = _images(images, size, held_out=bool(baselines))
-    own = Supervisors(dataset, network, None if loss is None else UsersTask(loss))
+    user = Supervisors(dataset, network, None if loss is None else UsersTask(loss))
     files = [str(path) for path in materials]
     if start is not None:
         return _from_lens(
-            Path(start), method, free, settings, constraints, files, section, classifier, seed, own, baselines, spec
+            Path(start), method, free, settings, constraints, files, section, classifier, seed, user, baselines, spec
         )
     spots: dict[str, float] = {}
     if any(substitution.ALTERNATIVE in element for element in elements):
 
-        def spot(chosen: Sequence[str]) -> float:
-            brief = {"constraints": constraints, "materials": materials, "seed": seed, **spec}
-            notes = design("least_squares", chosen, settings={"evaluations": _BRIEF}, **brief)[2]
+        def spot(combination: Sequence[str]) -> float:
+            options = {"constraints": constraints, "materials": materials, "seed": seed, **spec}
+            notes = design("least_squares", combination, settings={"evaluations": _BRIEF}, **options)[2]
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)
@@ -94,33 +94,33 @@ def designs(
         network_given=network is not None,
     )
     for name, entry in study.lenses.items():
-        if len(first := starts(study, name)) > 1:
+        if len(start_names := starts(study, name)) > 1:
             raise InputError(
-                f"{entry.design_name} begins with one lens, got {', '.join(first)}; give it as `start` "
-                f"(on the command line --set start=[{study.lens(first[0]).design_name}])"
+                f"{entry.design_name} begins with one lens, got {', '.join(start_names)}; give it as `start` "
+                f"(on the command line --set start=[{study.lens(start_names[0]).design_name}])"
             )
     view = view_of_spec(study.spec)
     lenses: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        by = supervisors(study, Path(folder), own)
+        supervision = supervisors(study, Path(folder), user)
         for name in study.lenses:
             entry = study.lens(name)
             lenses[name], notes, _ = methods.design(
                 lens_design(study, name, seed),
-                by.network if entry.classified else None,
-                by.images if entry.supervised else None,
+                supervision.network if entry.classified else None,
+                supervision.images if entry.supervised else None,
                 {other: (lenses[other], 0.0) for other in starts(study, name)},
                 {other: lenses[other] for other in candidates(study, name)},
-                task=by.task if entry.classified else None,
+                task=supervision.task if entry.classified else None,
             )
     if spots:
         notes["origin"]["materials_tried_rms_um"] = spots
-    return Designs({study.lens(name).design_name: lens for name, lens in lenses.items()}, view, notes, by)
+    return Designs({study.lens(name).design_name: lens for name, lens in lenses.items()}, view, notes, supervision)
 
 
 def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
-    """Return the section of a study for images, and those of a user in Python."""
+    """Return the `images` section of a study, and the data set of a user in Python; None for the absent one."""
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
@@ -131,14 +131,14 @@ def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | No
 
 
 def _train(folder: Path, held_out: bool) -> int:
-    """Return the number of photographs for a design: of a folder without splits four fifths, if some are held out."""
+    """Return the number of photographs for a design: four fifths of a folder without splits if some are held out."""
     if not held_out or not folder.is_dir() or class_folders.is_split(folder):
         return _IMAGES
     return max(1, 4 * class_folders.count(folder, _IMAGES * 5 // 4) // 5)
 
 
 def unused_images(folder: Path, size: int) -> ImageDataset:
-    """Return photographs that a design with baselines does not use, at most 500; raises FileError for less than 20."""
+    """Return at most 500 photographs that a design with baselines does not use; raises FileError for fewer than 20."""
     if not folder.is_dir():
         raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):
@@ -163,14 +163,14 @@ def _from_lens(
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     seed: int,
-    own: Supervisors,
+    user: Supervisors,
     baselines: Sequence[str],
     spec: Mapping[str, Any],
 ) -> Designs:
     """Improve the lens of a file."""
     file = lens_files.read(start, [*(Path(path) for path in catalogues), *users_files()], **spec)
     result = from_lens.design(
-        file, method, free, settings or {}, constraints or {}, images, classifier, seed, own, baselines
+        file, method, free, settings or {}, constraints or {}, images, classifier, seed, user, baselines
     )
     result.notes["origin"] |= {"start": str(start)}
     return result

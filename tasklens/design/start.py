@@ -7,13 +7,13 @@ from tasklens.materials.material import AIR, Material
 from tasklens.optics.lens import Lens
 from tasklens.study.settings import Constraints, Spec
 
-_BACK = 0.35  # last space [focal lengths], where there is room; small: far from the stop, fields part on the plates
+_BACK = 0.35  # last space [focal lengths], if there is room; small: far from the stop, fields separate on the plates
 _AIR = 0.5  # air spaces [plate thicknesses]
 
 
 def flat(plastics: tuple[Material, ...], spec: Spec, constraints: Constraints) -> Lens:
     """Return plane-parallel plates behind a stop, a lens without power."""
-    plates = len(plastics) + _AIR * (len(plastics) - 1)  # with the air between them, in thicknesses
+    plates = len(plastics) + _AIR * (len(plastics) - 1)  # with the air between them [plate thicknesses]
     room = constraints.flat_track * spec.efl_mm - constraints.stop_distance
     last = min(_BACK * spec.efl_mm, room - plates * constraints.min_centre_thickness)
     back = max(last, constraints.min_back_focus)

@@ -1,4 +1,4 @@
-"""Choice of materials: every combination is designed briefly by least squares, and the sharpest lens tells."""
+"""Choice of materials: a brief least-squares design for each combination; the sharpest lens decides."""
 
 import itertools
 import math
@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
 
-ALTERNATIVE = "|"  # between the materials that an element may be of
-_MOST = 1000  # combinations
+ALTERNATIVE = "|"  # separates the alternative materials of an element
+_MOST = 1000  # largest number of combinations
 
 
 def combinations(elements: Sequence[str]) -> list[tuple[str, ...]]:
@@ -26,15 +26,15 @@ def sharpest(
 
     Args:
         elements: materials of each element, with `ALTERNATIVE` between them.
-        spot: mean RMS spot radius of a brief design in some materials [um].
+        spot: function from materials to the mean RMS spot radius of a brief design [um].
 
     Returns:
-        The combination of the smallest spot, and the spots of all combinations by their names, in rising order.
+        The combination of the smallest spot, and the spots of all combinations by name, in ascending order.
     """
-    tried = combinations(elements)
-    progress = Progress("materials", len(tried))
+    choices = combinations(elements)
+    progress = Progress("materials", len(choices))
     spots: dict[tuple[str, ...], float] = {}
-    for step, materials in enumerate(tried, 1):
+    for step, materials in enumerate(choices, 1):
         spots[materials] = spot(materials)
         progress(step, rms_um=min(spots.values()))
     order = sorted(spots, key=lambda materials: spots[materials])

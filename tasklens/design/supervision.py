@@ -1,9 +1,9 @@
 """Supervision of a lens by the loss of its rays, PSFs or captures, and the gradient of that loss.
 
 For captures the gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of
-captures, each of which gives dL/dcapture; then one backward pass through the convolutions gives dL/dPSF, and one passes
-through the rays: captures are rendered and rays traced once. This is exact for a network in `eval()`, and with batch
-statistics for one micro-batch per step.
+captures, and each gives dL/dcapture. Then one backward pass through the convolutions gives dL/dPSF, and one more passes
+through the rays, so that captures are rendered and rays traced once. This is exact for a network in `eval()`; with
+batch statistics, it is exact for one micro-batch per step.
 """
 
 import math
@@ -32,10 +32,10 @@ from tasklens.study.settings import CaptureSettings
 from tasklens.study.tolerance_settings import Grade
 
 VALIDATION = slice(48)  # images in fixed order; a batch of 8 photographs has losses from 0.1 to 2 for the same lens
-SELECTION = slice(-192, None)  # others, where there are as many: a descent of 1000 steps fits the 48
+SELECTION = slice(-192, None)  # other images, if there are enough: a descent of 1000 steps fits the 48
 _VALIDATION_RAYS = 1024  # rays per field and colour
-_VALIDATION_BUILT = 8  # built lenses, where the design is for these
-_VALIDATION_SEED = 9001  # added to the seed: not the lenses that are reported, nor the images of the first steps
+_VALIDATION_BUILT = 8  # number of built lenses, if the design has a grade of manufacture
+_VALIDATION_SEED = 9001  # added to the seed: other lenses than reported, other images than in the first steps
 
 
 def loss_at_psf(
@@ -57,24 +57,24 @@ def loss_at_psf(
         labels: (B,) labels.
         grid: (F, 3, K, K) PSFs.
         micro_batch: maximum number of the F B captures that the criterion takes at once.
-        illumination: (F,) relative illumination, for a sensor.
+        illumination: (F,) relative illumination, if there is a sensor.
         seed: seed of the noise.
 
     Returns:
-        Loss of each field (F,), whose mean is the loss L, and dL/dPSF like `grid`; on its device and of its dtype.
+        Loss of each field (F,), whose mean is L; and dL/dPSF, of the shape of `grid`. Both have its device and dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
     camera = PsfCamera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
     captures = camera.grid(images, torch.Generator().manual_seed(seed))
     inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
-    parts = math.ceil(len(inputs) / micro_batch)
+    count = math.ceil(len(inputs) / micro_batch)
     losses, gradients = [], []
-    for part, of in zip(inputs.chunk(parts), source.chunk(parts), strict=True):
-        part.requires_grad_()
-        loss = criterion.losses(part, images[of], labels[of])
+    for batch, rows in zip(inputs.chunk(count), source.chunk(count), strict=True):
+        batch.requires_grad_()
+        loss = criterion.losses(batch, images[rows], labels[rows])
         (loss.sum() / len(inputs)).backward()
         losses.append(loss.detach())
-        gradients.append(_gradient(part))
+        gradients.append(_gradient(batch))
     captures.backward(torch.cat(gradients).reshape(captures.shape))
     return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), _gradient(leaf).to(grid)
 
@@ -92,7 +92,7 @@ class Loss:
     Attributes:
         rays: rays of the lens.
         fields: (F,) losses of the fields.
-        value: scalar, differentiable in the lens, whose gradient is that of the mean loss.
+        value: scalar, differentiable in the lens; its gradient is that of the mean loss.
         energy: mean energy of the PSFs inside their window; None for a loss of rays.
     """
 
@@ -108,12 +108,12 @@ class Supervisor:
 
     Attributes:
         criterion: loss of rays, of PSFs, or of captures.
-        problem: design problem, for captures with capture and dataset.
+        problem: design problem; for losses of captures, it has `capture` and `dataset`.
         size: side of the resized images [pixels]; None: not resized.
         augment: whether TrivialAugment is applied to the sharp images.
         micro_batch: maximum number of captures that the criterion takes at once.
-        centre: centre of PSFs; on the pinhole points errors of focal length and distortion increase the loss.
-        grade: grade of manufacture of the lenses that are looked at; None: the design itself is.
+        centre: centre of PSFs; at the pinhole points, errors of focal length and distortion increase the loss.
+        grade: grade of manufacture of the built lenses that are evaluated; None: the design itself is evaluated.
     """
 
     criterion: Criterion
@@ -127,7 +127,7 @@ class Supervisor:
     @property
     def dataset(self) -> ImageDataset:
         """Sharp training images."""
-        assert self.problem.dataset is not None  # a supervised problem has one
+        assert self.problem.dataset is not None  # a supervised problem has a dataset
         return self.problem.dataset
 
     @property
@@ -148,15 +148,15 @@ class Supervisor:
         return images.float() / 255, dataset.labels[indices].to(dataset.device)
 
     def as_built(self, lens: Lens, seed: int, count: int = 1) -> list[Lens]:
-        """Return lenses built from a design, focused, differentiable in it; the design itself without a grade."""
+        """Return focused lenses built from a design, differentiable in it; without a grade, the design itself."""
         if self.grade is None:
             return [lens]
         view, design = self.problem.view, lens.detached()
-        clear = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
-        found = errors(replace(design, semi_diameter=clear), self.grade)
+        radii = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
+        error_list = errors(replace(design, semi_diameter=radii), self.grade)
         peak = focus.peak(lens, view)
-        drawn = draw(found, count, seed)
-        return [focus.focused(built(lens, found, each, view.reference), view, peak)[0] for each in drawn]
+        draws = draw(error_list, count, seed)
+        return [focus.focused(built(lens, error_list, fractions, view.reference), view, peak)[0] for fractions in draws]
 
     def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""
@@ -166,7 +166,7 @@ class Supervisor:
         return rays, psf(rays, centre, view.pixel_pitch * pixels, view.kernel_size)
 
     def illumination(self, lens: Lens) -> Tensor | None:
-        """Compute the relative illumination (F,), which a sensor needs, without gradient."""
+        """Compute the relative illumination (F,) for a sensor, without gradient; None without a sensor."""
         return relative_illumination(lens.detached(), self.problem.view) if self.capture.sensor else None
 
     def loss(
@@ -198,11 +198,11 @@ class Supervisor:
         return Loss(rays, losses, (grid * gradient).sum(), energy)
 
     def validation_loss(self, lens: Lens, pixels: float) -> float:
-        """Compute the mean loss of a lens, or of lenses built from it, on fixed images, by which a descent is led."""
+        """Compute the mean loss of a lens, or of lenses built from it, on the fixed images that guide a descent."""
         return float(self.fixed_losses(lens, pixels, VALIDATION).mean())
 
     def selection_loss(self, lens: Lens, pixels: float) -> float:
-        """Compute the same on more and, where there are as many, other images, by which lenses are chosen."""
+        """Compute the mean loss on the images for selection: more and, if there are enough, other ones."""
         return float(self.fixed_losses(lens, pixels, SELECTION).mean())
 
     def fixed_images(self, part: slice) -> Tensor:
@@ -214,15 +214,15 @@ class Supervisor:
     def fixed_losses(self, lens: Lens, pixels: float, part: slice) -> Tensor:
         """Compute the losses (N,) of a lens, or of lenses built from it, on a part of the images in fixed order.
 
-        A loss is the mean over fields for an image; of rays or PSFs, which need no images, that for a field.
-        Networks that draw random numbers, as detectors do when they sample boxes, draw the same for every lens.
+        For captures, N counts images, and a loss is the mean over fields. For rays and PSFs, N counts fields.
+        Networks that draw random numbers, such as detectors that sample boxes, draw the same for every lens.
         """
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
-        before = random_state()
+        state = random_state()
         torch.manual_seed(self.problem.seed)
         light = self.illumination(lens) if isinstance(self.criterion, CaptureCriterion) else None
-        losses = torch.stack([self._losses_on(part, built, light, pixels) for built in lenses]).mean(0)
-        set_random_state(before)
+        losses = torch.stack([self._losses_on(part, built_lens, light, pixels) for built_lens in lenses]).mean(0)
+        set_random_state(state)
         return losses
 
     def _losses_on(self, part: slice, lens: Lens, light: Tensor | None, pixels: float) -> Tensor:
@@ -238,13 +238,13 @@ class Supervisor:
         capture = self.capture
         camera = PsfCamera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
         losses = []
-        # Micro-batches hold all fields of an image, since batch norms in batch mode need them in every batch.
-        at_once = max(1, self.micro_batch // len(grid))
-        noise = torch.Generator().manual_seed(self.problem.seed)  # of one image after another, in any micro-batches
+        # Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch.
+        batch_size = max(1, self.micro_batch // len(grid))
+        noise = torch.Generator().manual_seed(self.problem.seed)  # drawn by image, so independent of micro-batches
         with criterion.evaluating():
-            for some, classes in zip(images.split(at_once), labels.split(at_once), strict=True):
-                captures = camera.grid(some, noise)
-                sharp, targets = some.repeat(len(grid), 1, 1, 1), classes.repeat(len(grid))
+            for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
+                captures = camera.grid(batch, noise)
+                sharp, targets = batch.repeat(len(grid), 1, 1, 1), batch_labels.repeat(len(grid))
                 loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
                 losses.append(loss.reshape(len(grid), -1).mean(0))
         return torch.cat(losses)

@@ -19,31 +19,31 @@ from tasklens.runtime.errors import InputError
 from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
-_SHARP = 500  # images that show what the network recognises, at most
+_SHARP = 500  # largest number of sharp images on which the network is tried
 
 Loss = Callable[[Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
 class Supervisors:
-    """Images, network, and its task if that is not classification; None for what a design does not need."""
+    """Images, network, and its task if that is not classification; None if a design does not need them."""
 
     images: ImageDataset | None = None
     network: nn.Module | None = None
     task: Task | None = None
 
 
-OF_STUDY = Supervisors()  # all are those of the study
+OF_STUDY = Supervisors()  # images, network and task of the study
 
 
 @dataclass(frozen=True)
 class Designs:
-    """A lens with those that it begins with and is compared with, by name of their designs; it is the last one.
+    """A lens, its starting lenses and its baselines, by name of their designs; the lens is the last one.
 
     Attributes:
         notes: notes for its file.
         supervisors: images and network of the design.
-        remarks: what was assumed about a lens of the user, in words.
+        remarks: assumptions about a lens of the user, as sentences.
     """
 
     lenses: Mapping[str, Lens]
@@ -54,12 +54,12 @@ class Designs:
 
     @property
     def lens(self) -> Lens:
-        """The lens that was asked for."""
+        """The requested lens."""
         return list(self.lenses.values())[-1]
 
 
 class UsersTask(Task):
-    """A task by its loss alone, loss(answer of the network, labels)."""
+    """A task defined by its loss alone: loss(answer of the network, labels)."""
 
     def __init__(self, loss: Loss):
         self.function = loss
@@ -69,7 +69,7 @@ class UsersTask(Task):
         return self.function(network(captures), labels).mean()
 
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
-        """Return what the network answers."""
+        """Return the answers of the network."""
         return list(network(captures).detach().cpu())
 
     def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
@@ -77,12 +77,12 @@ class UsersTask(Task):
         return {"loss": float(self.function(torch.stack(list(answers)), labels.cpu()).mean())}
 
 
-def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supervisors:
-    """Return what supervises the designs of a study; a network is tried on sharp images first.
+def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Supervisors:
+    """Return the supervisors of the designs of a study; a network is first tried on sharp images.
 
     Args:
         folder: folder for a file of converted images.
-        own: images, network and task of a user, in place of those of the study.
+        user: images, network and task of a user, in place of those of the study.
 
     Raises:
         InputError: the network cannot be built, recognises nothing, or has an answer or a loss that cannot be used.
@@ -93,33 +93,33 @@ def supervisors(study: Study, folder: Path, own: Supervisors = OF_STUDY) -> Supe
     classified = any(entry.classified for entry in entries)
     if not any(entry.supervised for entry in entries):
         return Supervisors()
-    device, network = claim(), own.network
-    if classified and network is None:  # before photographs are read
-        settings, classes = study.classifier(study.supervisor), _classes(study, own)
+    device, network = claim(), user.network
+    if classified and network is None:  # checked before photographs are read
+        settings, classes = study.classifier(study.supervisor), _classes(study, user)
         classifiers.check(study.supervisor, settings, study.images.size, len(classes))
         torch.manual_seed(0)
         network = classifiers.build(settings, classes)
-    if own.images is not None:
-        images = replace(own.images, device=device)
+    if user.images is not None:
+        images = replace(user.images, device=device)
     else:
         images = dataset.training_images(study.images, folder / "images.npy", device=device)
     if not classified or network is None:
         return Supervisors(images)
-    if own.network is not None and (own.task is None or hasattr(network, "pretrained_cfg")):
-        network = classifiers.Classifier(network)  # one of timm has its normalisation
+    if user.network is not None and (user.task is None or hasattr(network, "pretrained_cfg")):
+        network = classifiers.Classifier(network)  # adds the normalisation of a timm network
     network = network.to(device)
-    if own.network is not None:
-        _check(network, images, own.task)
-    if own.task is None:
+    if user.network is not None:
+        _check(network, images, user.task)
+    if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
         print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
-    return Supervisors(images, network, own.task)
+    return Supervisors(images, network, user.task)
 
 
-def _classes(study: Study, own: Supervisors) -> Sequence[str]:
-    """Return the names of the classes of the images, which are not read for that."""
-    if own.images is not None:
-        return own.images.classes
+def _classes(study: Study, user: Supervisors) -> Sequence[str]:
+    """Return the names of the classes of the images, without reading the images."""
+    if user.images is not None:
+        return user.images.classes
     if study.images.folder is not None:
         return class_folders.training_classes(study.images.folder)
     return [str(k) for k in range(RENDERED_CLASSES)]
@@ -131,11 +131,11 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
 
     images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
     images.requires_grad_()
-    checked = frozen(network, dataset.images)
+    frozen_network = frozen(network, dataset.images)
     if task is None:
-        check_logits(checked(images), len(images), len(dataset.classes))
+        check_logits(frozen_network(images), len(images), len(dataset.classes))
         return
-    loss = task.loss(checked, images, labels, torch.zeros(len(images), dtype=torch.bool))
+    loss = task.loss(frozen_network, images, labels, torch.zeros(len(images), dtype=torch.bool))
     if not (loss.numel() == 1 and loss.is_floating_point() and bool(loss.isfinite())):
         raise InputError(f"loss: expected a finite number, or one for each image, got {loss}")
     if not loss.requires_grad or not torch.autograd.grad(loss, images)[0].any():

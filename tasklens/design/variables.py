@@ -28,7 +28,7 @@ class Variables:
         lens: lens with the other values.
         radius: (S,) normalisation radius R of each surface [mm]. A variable is alpha_2j R^(2j - 1), the slope at R up
             to a factor, so that one step size suits small and large surfaces.
-        f_number: F-number that a stop inside the lens is set to, at a wavelength [um]; None: its radius stays.
+        f_number: F-number that a stop inside the lens keeps, and its wavelength [um]; None: the stop keeps its radius.
     """
 
     lens: Lens
@@ -98,7 +98,7 @@ class Variables:
         return self.assemble(dict(zip(names, vector.reshape(len(names), -1), strict=True)))
 
     def assemble(self, values: Mapping[str, Tensor]) -> Lens:
-        """Return the lens with these values, differentiable in them; variables not named are unchanged."""
+        """Return the lens with these values, differentiable in them; other variables are unchanged."""
         refracting = torch.tensor(self.lens.refracting_surfaces)
 
         def put(name: str, old: Tensor, scale: Tensor | float = 1.0) -> Tensor:
@@ -122,7 +122,7 @@ class Variables:
 
 
 def with_coefficients(lens: Lens) -> Lens:
-    """Return a lens with places for all coefficients of a design, zero where it has none."""
+    """Return a lens with all coefficients of a design; those that it lacks are zero."""
     missing = max(0, ORDERS[-1] // 2 - lens.alpha.shape[1])
     return replace(lens, alpha=torch.nn.functional.pad(lens.alpha, (0, missing)))
 

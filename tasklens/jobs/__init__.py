@@ -1,1 +1,1 @@
-"""Functions of the jobs of a study, from typed settings and files to files; the rules in `workflow` call them."""
+"""Job functions of a study: typed settings and input files to output files. The rules in `workflow` call them."""

@@ -1,4 +1,4 @@
-"""The same test images through every lens, and what each network answers."""
+"""Captures of the same test images through every lens, and the predictions of each network."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.report_jobs import CapturesJob
 
-FIELDS = {0: "axis", 4: "middle", 8: "corner"}  # of the nine fields
+FIELDS = {0: "axis", 4: "middle", 8: "corner"}  # labels of three of the nine fields
 
 
 def run(
@@ -33,43 +33,43 @@ def run(
     images: Path,
     answers: Path,
 ) -> None:
-    """Write the captures (image, field, 3, H, W) of each lens as uint8, and the answers as CSV.
+    """Write the captures (image, field, 3, H, W) of each lens as uint8, and the predictions as CSV.
 
     Args:
         psfs: PSFs of the lenses in `settings.captures`.
         restorations: restoration networks of the lenses in `settings.restored`.
         weights: networks of `settings.measured`.
-        correct: predictions of `settings.supervised`.
+        correct: prediction files of `settings.supervised`.
     """
     device = claim()
     dataset_of_test = dataset.read(*test, device=device)
     classes = dataset_of_test.classes
-    chosen = choose(dict(zip(settings.supervised, correct, strict=True)))
-    sharp, labels = dataset_of_test.batch(torch.tensor(chosen))
+    indices = choose(dict(zip(settings.supervised, correct, strict=True)))
+    sharp, labels = dataset_of_test.batch(torch.tensor(indices))
     class_names = _class_names()
     captures: dict[tuple[str, bool], Tensor] = {(SHARP, False): sharp[:, None]}  # (image, field, 3, H, W)
     for lens, psf in zip(settings.captures, psfs, strict=True):
-        of_fields = (tensor[list(FIELDS)].to(device) for tensor in psf_files.read(psf))
-        captures[lens, False] = PsfCamera.of(settings.captures[lens], *of_fields).grid(sharp).transpose(0, 1)
+        field_tensors = (tensor[list(FIELDS)].to(device) for tensor in psf_files.read(psf))
+        captures[lens, False] = PsfCamera.of(settings.captures[lens], *field_tensors).grid(sharp).transpose(0, 1)
     for lens, path in zip(settings.restored, restorations, strict=True):
-        assert settings.restoration is not None  # of the networks
+        assert settings.restoration is not None  # settings of the networks
         network = nafnet.load(settings.restoration, path).to(device)
-        captures[lens, True] = network(captures[lens, False].flatten(0, 1)).unflatten(0, (len(chosen), -1))
+        captures[lens, True] = network(captures[lens, False].flatten(0, 1)).unflatten(0, (len(indices), -1))
     rows = []
     for (lens, measured_name), path in zip(settings.measured, weights, strict=True):
         name, restored = names.split(measured_name)
         classifier = classifiers.build(settings.classifiers[name], classes, path).eval().to(device)
         by_image = _answers(classifier, captures[lens, restored], classes, class_names)
         quality = psnr(captures[lens, restored], sharp[:, None]).tolist()
-        for k, image in enumerate(chosen):
-            own = classes[int(labels[k])]
+        for k, image in enumerate(indices):
+            class_id = classes[int(labels[k])]
             for f, (answer, probability) in enumerate(by_image[k]):
                 field = "" if lens == SHARP else list(FIELDS.values())[f]
-                keys = {"image": image, "label": class_names.get(own, own), "lens": lens, "field": field}
+                keys = {"image": image, "label": class_names.get(class_id, class_id), "lens": lens, "field": field}
                 keys |= {"restored": restored, "classifier": name, "answer": answer, "probability": probability}
                 rows.append(keys | {"psnr_db": None if lens == SHARP else quality[k][f]})
     write_rows(answers, rows)
-    tensors = {names.measured(*key): _bytes(found) for key, found in captures.items()}
+    tensors = {names.measured(*key): _bytes(capture) for key, capture in captures.items()}
     with replacing(images) as temporary:
         save_file({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, temporary)
 
@@ -82,19 +82,19 @@ def _bytes(images: Tensor) -> Tensor:
 def _answers(
     classifier: Classifier, captures: Tensor, classes: tuple[str, ...], known: Mapping[str, str]
 ) -> list[list[tuple[str, float]]]:
-    """Return the answer and its probability [%] by image and field, of captures (image, field, 3, H, W)."""
+    """Return the prediction and its probability [%] by image and field, for captures (image, field, 3, H, W)."""
     shares, best = classifier(captures.flatten(0, 1)).softmax(-1).max(-1)
     info = ImageNetInfo()
 
     def name(answer: int) -> str:
         if answer < len(classes):
             return known.get(classes[answer], classes[answer])
-        assert classifier.outputs is not None  # only a network of ImageNet has more outputs than classes
+        assert classifier.outputs is not None  # only an ImageNet network has more outputs than classes
         return str(info.index_to_description(int(classifier.outputs[answer])).split(",")[0])
 
-    found = [(name(answer), 100 * share) for answer, share in zip(best.tolist(), shares.tolist(), strict=True)]
+    answers = [(name(answer), 100 * share) for answer, share in zip(best.tolist(), shares.tolist(), strict=True)]
     width = captures.shape[1]
-    return [found[start : start + width] for start in range(0, len(found), width)]
+    return [answers[start : start + width] for start in range(0, len(answers), width)]
 
 
 def _class_names() -> dict[str, str]:

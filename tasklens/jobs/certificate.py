@@ -1,4 +1,4 @@
-"""The certificate of a lens: figures, aberrations, limits and manufacturability; pictures of it, and its Zemax file."""
+"""Certificate of a lens: figures, aberrations, limits, manufacturability and plots; and its Zemax file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from tasklens.report import certificate, figures, manufacturability
 from tasklens.runtime.files import write_text
 from tasklens.study.report_jobs import CertificateJob
 
-_RAYS = 256  # per field and colour, of sensitivities
+_RAYS = 256  # per field and colour, for sensitivities
 
 
 def run(
@@ -27,18 +27,20 @@ def run(
     psfs: Path,
     curves: Path,
 ) -> None:
-    """Write the page and the Zemax file, and draw the parts of the lens's figure."""
-    prescribed, content = prescription.read(lens)
-    designed = prescribed.lens
-    view = view_of(designed, content, str(lens))
+    """Write the page and the Zemax file, and draw the panels of the lens figure."""
+    lens_prescription, content = prescription.read(lens)
+    design = lens_prescription.lens
+    view = view_of(design, content, str(lens))
     title = f"{settings.lens}, seed {settings.seed}"
-    text = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(designed, view))
-    allowed = errors(designed, settings.grade)
-    moved_um = displacements(designed, view, allowed, _RAYS).tolist()
-    errors_um = {error.name: um for error, um in zip(allowed, moved_um, strict=True)}
+    text = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(design, view))
+    tolerances = errors(design, settings.grade)
+    displacements_um = displacements(design, view, tolerances, _RAYS).tolist()
+    errors_um = {error.name: um for error, um in zip(tolerances, displacements_um, strict=True)}
     limits = manufacturability.markdown(
-        content["margins"], shapes(designed), errors_um, settings.grade.name, view.pixel_pitch
+        content["margins"], shapes(design), errors_um, settings.grade.name, view.pixel_pitch
     )
     write_text(page, f"{text}\n{limits}")
-    zemax_files.write(zemax, replace(prescription.with_use(prescribed, view), title=settings.lens, aperture=None))
+    zemax_files.write(
+        zemax, replace(prescription.with_use(lens_prescription, view), title=settings.lens, aperture=None)
+    )
     figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)

@@ -1,4 +1,4 @@
-"""Fine-tuning and measurement of a classifier on the captures of a lens, and reproduction with its stored weights."""
+"""Fine-tuning and measurement of a classifier on captures of a lens, and reproduction from stored weights."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,11 +31,11 @@ def fine_tune(
     frozen: Path,
     checkpoint: Checkpoint,
 ) -> None:
-    """Write weights, metrics by field, predictions by test image, and losses before the training by minival image.
+    """Write weights, metrics by field, predictions by test image, and pre-training losses by minival image.
 
     Args:
         psf: PSFs of the lens; None for sharp images.
-        restoration: weights of the restoration network; None for captures as they are.
+        restoration: weights of the restoration network; None for unrestored captures.
         reference: weights of the classifier that was trained on the sharp images.
     """
     name = settings.columns["classifier"]
@@ -46,11 +46,11 @@ def fine_tune(
         network = classifiers.build(settings.classifier, training_images.classes, reference).to(group.device)
         pipeline = _capture_pipeline(settings, psf, restoration, group.device)
         if group.is_first:
-            untrained = classifiers.frozen(network, images.images)
-            before = evaluation.evaluate([untrained], selection, pipeline, "minival, before training", checkpoint)
+            initial_network = classifiers.frozen(network, images.images)
+            before = evaluation.evaluate([initial_network], selection, pipeline, "minival, before training", checkpoint)
             zero_shot, on_test = [], None
             if not settings.training.epochs or network.has_more_outputs:
-                on_test = evaluation.evaluate([untrained], images, pipeline, "test, before training", checkpoint)
+                on_test = evaluation.evaluate([initial_network], images, pipeline, "test, before training", checkpoint)
                 zero_shot = evaluation.zero_shot(network, on_test)
         training.fit(
             {name: network},
@@ -64,12 +64,12 @@ def fine_tune(
         )
     if not group.is_first:
         return
-    trained, after = classifiers.frozen(network, images.images), before
+    final_network, after = classifiers.frozen(network, images.images), before
     if settings.training.epochs or on_test is None:
-        on_test = evaluation.evaluate([trained], images, pipeline, "test", checkpoint)
-        after = evaluation.evaluate([trained], selection, pipeline, "minival", checkpoint)
-    measured = evaluation.measure([network], images, on_test, after, pipeline.camera is not None)
-    ((rows, answers),) = measured
+        on_test = evaluation.evaluate([final_network], images, pipeline, "test", checkpoint)
+        after = evaluation.evaluate([final_network], selection, pipeline, "minival", checkpoint)
+    results = evaluation.measure([network], images, on_test, after, pipeline.camera is not None)
+    ((rows, answers),) = results
     write_tensors(weights, network.network.state_dict(), {"model": settings.classifier.model})
     write_rows(frozen, evaluation.by_image(before.losses[0], selection))
     write_rows(metrics, [settings.columns | row for row in zero_shot + rows])
@@ -85,11 +85,11 @@ def reproduce(
     predictions: Path,
     checkpoint: Checkpoint,
 ) -> None:
-    """Write the predictions of the stored weights through the stored PSFs."""
+    """Write the predictions of a classifier with stored weights, on captures with stored PSFs."""
     device = claim()
     images = dataset.read(*test, device=device)
-    trained = classifiers.build(settings.classifier, images.classes, weights).to(device)
-    classifier = classifiers.frozen(trained, images.images)
+    network = classifiers.build(settings.classifier, images.classes, weights).to(device)
+    classifier = classifiers.frozen(network, images.images)
     pipeline = _capture_pipeline(settings, psf, restoration, device)
     correct = evaluation.evaluate([classifier], images, pipeline, "test", checkpoint).correct[0]
     write_rows(predictions, evaluation.by_image(correct.int(), images))
@@ -101,9 +101,9 @@ def _capture_pipeline(
     """Build the capture pipeline from cached PSFs, if any, and the trained restoration, if any."""
     camera = network = None
     if settings.capture is not None:
-        assert psf is not None  # captures are of a lens
+        assert psf is not None  # captures need the PSFs of a lens
         camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
     if settings.restoration is not None:
-        assert restoration is not None  # of the network
+        assert restoration is not None  # weights of the network
         network = nafnet.load(settings.restoration, restoration).to(device)
     return CapturePipeline(camera, network)

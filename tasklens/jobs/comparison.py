@@ -1,4 +1,4 @@
-"""Figure of the task-driven lenses and the best imaging lens of some elements (the paper's figure 3)."""
+"""Figure of the task-driven lenses and the best imaging lens for one set of elements (the paper's figure 3)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,10 +17,10 @@ def run(
     figure_svg: Path,
     figure_pdf: Path,
 ) -> None:
-    """Draw the lens of each claim, and their strongest baseline.
+    """Draw the lens of each claim, and the strongest baseline of the claims.
 
     Args:
-        lenses, psfs: files of `settings.lenses`.
+        lenses, psfs: files of the lenses in `settings.lenses`.
         metrics: measurements of `settings.baseline_keys`.
     """
     lens_of = dict(zip(settings.lenses, lenses, strict=True))
@@ -30,7 +30,7 @@ def run(
 
 
 def compared(settings: ComparisonJob, metrics: Sequence[Path]) -> list[str]:
-    """Return the lens of each claim, and their strongest baseline."""
-    measured = dict(zip(settings.baseline_keys, metrics, strict=True))
-    strongest = Measurements({}, measured).strongest_baseline(settings.claims[0], settings.seed)
+    """Return the lens of each claim, and the strongest baseline of the claims."""
+    metrics_of = dict(zip(settings.baseline_keys, metrics, strict=True))
+    strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], settings.seed)
     return [*(claim.lens for claim in settings.claims), strongest]

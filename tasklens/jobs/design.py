@@ -1,4 +1,4 @@
-"""Design of a lens, or import from its file, and its PSFs."""
+"""Design of a lens, or its import from a file; and its PSFs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,11 +34,11 @@ def run(
     """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields.
 
     Args:
-        train: training images and their labels or objects; none for a design without images.
-        weights: weights of the network, for a design by one.
+        train: training images and their labels or objects; empty for a design without images.
+        weights: weights of the network, if a network supervises the design.
         files: files of an imported lens; `settings` has their paths, and the rule waits for them.
-        candidates: lenses of which the best by the criterion is the start.
-        starts, metrics: lenses of which the most accurate is the start, and their measurements.
+        candidates: candidate starts; the best by the criterion is the start.
+        starts, metrics: candidate starts and their measurements; the most accurate lens is the start.
     """
     classifier = images = task = None
     if settings.network is not None:
@@ -58,18 +58,18 @@ def run(
     if starts:
         from tasklens.recognition.metrics import least_metrics, mean_metrics
 
-        # A joint descent does not find a field again that is lost where it begins: docs/results/regimes.
+        # A joint descent does not recover a field that is lost at the start: docs/results/regimes.
         measure = least_metrics if settings.entry.start != "best_imaging" else mean_metrics
         accuracies = [measure(path)["minival_accuracy"] for path in metrics]
-    begun = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
-    compared = dict(zip(settings.candidates, _lenses(candidates), strict=True))
-    designed, notes, rows = methods.design(settings, classifier, images, begun, compared, checkpoint, task)
+    start_lenses = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
+    candidate_lenses = dict(zip(settings.candidates, _lenses(candidates), strict=True))
+    design, notes, rows = methods.design(settings, classifier, images, start_lenses, candidate_lenses, checkpoint, task)
     view = view_of_spec(settings.spec)
     write_rows(history, rows)
-    prescription.write(lens, prescription.Prescription(designed, object_distance_mm=view.object_distance), notes)
-    designed = prescription.read(lens)[0].lens
-    grid = evaluation_psf(designed, view, settings.rays)
-    psfs = FieldPsfs(grid, relative_illumination(designed, view))
+    prescription.write(lens, prescription.Prescription(design, object_distance_mm=view.object_distance), notes)
+    design = prescription.read(lens)[0].lens
+    grid = evaluation_psf(design, view, settings.rays)
+    psfs = FieldPsfs(grid, relative_illumination(design, view))
     psf_files.write(psf, psfs, psf_notes(view, grid) | {"rays": settings.rays})
 
 

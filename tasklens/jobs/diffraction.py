@@ -12,9 +12,9 @@ from tasklens.study.job_settings import DiffractionJob
 
 
 def run(settings: DiffractionJob, lens: Path, psf: Path) -> None:
-    """Write the PSFs at all fields, as the design does those without diffraction."""
+    """Write the PSFs at all fields, in the format of the PSFs without diffraction."""
     view = view_of_spec(settings.spec)
-    designed = prescription.read(lens)[0].lens
-    grid = evaluation_psf(designed, view, settings.rays, diffraction=True)
-    psfs = FieldPsfs(grid, relative_illumination(designed, view))
+    design = prescription.read(lens)[0].lens
+    grid = evaluation_psf(design, view, settings.rays, diffraction=True)
+    psfs = FieldPsfs(grid, relative_illumination(design, view))
     psf_files.write(psf, psfs, psf_notes(view, grid) | {"diffraction": True})

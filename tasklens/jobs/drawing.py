@@ -1,4 +1,4 @@
-"""Drawing of a lens as one figure."""
+"""Drawing of a lens in one figure."""
 
 from pathlib import Path
 

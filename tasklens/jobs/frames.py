@@ -1,4 +1,4 @@
-"""Figure of whole frames through the task-driven lenses and the best imaging lens (the paper's figure 4)."""
+"""Figure of whole frames captured with task-driven lenses and the best imaging lens (the paper's figure 4)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ from tasklens.study.report_jobs import FramesJob
 from tasklens.study.settings import CaptureSettings
 
 _SHAPE = 1080, 1920  # of the frames [pixels]
-_FIELD = 4  # the middle one of nine
+_FIELD = 4  # middle of the nine fields
 _RULE = (
     "Last rows: the first test image in file order that the network of {one} recognises at the middle field\n"
     "and that of {other} does not, and the first of which the opposite is true; where there are such"
@@ -38,47 +38,48 @@ def run(
 ) -> None:
     """Draw a chart and test images side by side as frames, and single captures on which two networks disagree.
 
-    The frames have neither noise nor levels, the single captures what the study gives them.
+    The frames have no noise and no quantisation; the single captures use the sensor settings of the study.
 
     Args:
-        lenses, psfs, correct: files of the lenses in `settings.captures`, and predictions of the supervisor.
+        lenses, psfs, correct: files of the lenses in `settings.captures`, and predictions of the supervising
+            classifier.
         metrics: measurements of `settings.comparison.baseline_keys`.
     """
     lens_of = dict(zip(settings.captures, lenses, strict=True))
     names = compared(settings.comparison, metrics)
     images = dataset.read(*test)
     sources = {"chart": resolution_chart(*_SHAPE), "test images": _tiled(images)}
-    shown = {name: {"sharp": image} for name, image in sources.items()}
+    rows = {name: {"sharp": image} for name, image in sources.items()}
     for lens in names:
-        prescribed, content = prescription.read(lens_of[lens])
-        view = view_of(prescribed.lens, content, str(lens_of[lens]))
+        lens_prescription, content = prescription.read(lens_of[lens])
+        view = view_of(lens_prescription.lens, content, str(lens_of[lens]))
         pitch = pitch_on_sensor(view, _SHAPE)
-        field_psfs = trace_field_psfs(prescribed.lens, view, _SHAPE, pitch)
+        field_psfs = trace_field_psfs(lens_prescription.lens, view, _SHAPE, pitch)
         for name, image in sources.items():
-            shown[name][lens] = capture(image, field_psfs, settings.captures[lens].colour)
+            rows[name][lens] = capture(image, field_psfs, settings.captures[lens].colour)
     network = settings.comparison.claims[0].classifier
     title = f"{_SHAPE[0]} x {_SHAPE[1]} pixels of {pitch:.2f} um fill the sensor; networks: {network}"
     psf_of, correct_of = (dict(zip(settings.captures, paths, strict=True)) for paths in (psfs, correct))
     by_lens = {lens: (psf_of[lens], correct_of[lens]) for lens in names}
-    answered = _disagreements(settings, by_lens, images)
-    frames.draw(figure, title, shown, answered, _RULE.format(one=names[0], other=names[-1]))
+    disagreements = _disagreements(settings, by_lens, images)
+    frames.draw(figure, title, rows, disagreements, _RULE.format(one=names[0], other=names[-1]))
 
 
 def _tiled(test: ImageDataset) -> Tensor:
-    """Return the first test images row by row as one frame (3, H, W); from the beginning again if they are too few."""
+    """Tile the first test images row by row into one frame (3, H, W); repeat them if there are too few."""
     side = test.images.shape[-1]
     rows, columns = (-(-n // side) for n in _SHAPE)
     images, _ = test.batch(torch.arange(rows * columns) % len(test))
-    whole = images.unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4).flatten(1, 2).flatten(2, 3)
-    return whole[:, : _SHAPE[0], : _SHAPE[1]]
+    frame = images.unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4).flatten(1, 2).flatten(2, 3)
+    return frame[:, : _SHAPE[0], : _SHAPE[1]]
 
 
 def _disagreements(
     settings: FramesJob, files: Mapping[str, tuple[Path, Path]], test: ImageDataset
 ) -> list[frames.Answered]:
-    """Return the first image that the first lens' network recognises and the last one's does not; and the opposite.
+    """Return the first image that only the network of the first lens recognises, and the same for the last lens.
 
-    There are fewer if the networks do not disagree so.
+    The list is shorter if there is no such image.
 
     Args:
         files: PSFs and predictions by lens.
@@ -87,7 +88,7 @@ def _disagreements(
     correct = {lens: predictions.read(path).iloc[:, _FIELD] == 1 for lens, (_, path) in files.items()}
     for lens in lenses[1:]:
         predictions.same_images(correct[lenses[0]], correct[lens], f"{lenses[0]} and {lens}")
-    answered = []
+    disagreements = []
     for one, other in ((lenses[0], lenses[-1]), (lenses[-1], lenses[0])):
         only = correct[one] & ~correct[other]
         if not only.any():
@@ -97,11 +98,11 @@ def _disagreements(
         images, _ = test.batch(torch.tensor([int(image)]))
         captures = {lens: _single(settings.captures[lens], psf, images) for lens, (psf, _) in files.items()}
         answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
-        answered.append(frames.Answered(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
-    return answered
+        disagreements.append(frames.Answered(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
+    return disagreements
 
 
 def _single(settings: CaptureSettings, psf: Path, images: Tensor) -> Tensor:
     """Return the capture (3, H, W) of one image at the middle field."""
-    of_field = (tensor[[_FIELD]] for tensor in psf_files.read(psf))
-    return PsfCamera.of(settings, *of_field).grid(images)[0, 0]
+    field_tensors = (tensor[[_FIELD]] for tensor in psf_files.read(psf))
+    return PsfCamera.of(settings, *field_tensors).grid(images)[0, 0]

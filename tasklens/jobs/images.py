@@ -1,4 +1,4 @@
-"""Rendering or reading of the images, split into train, minival and test."""
+"""Rendering or import of the images, split into train, minival and test."""
 
 import sys
 from pathlib import Path

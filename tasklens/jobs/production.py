@@ -1,4 +1,4 @@
-"""Production of a lens in simulation: the accuracy of built lenses, the errors that matter, and allotted tolerances."""
+"""Simulated production of a lens: accuracy of built lenses, sensitivity to errors, and allotted tolerances."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,8 +21,8 @@ from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_rows, write_text
 from tasklens.study.built_lenses import ProductionJob
 
-_RAYS = 512  # per field and colour, of sensitivities
-_WORST = 10  # errors that are also measured by accuracy, one at a time
+_RAYS = 512  # per field and colour, for sensitivities
+_WORST = 10  # number of errors whose effect on accuracy is also measured, one at a time
 
 
 def run(
@@ -42,46 +42,46 @@ def run(
     tolerances = settings.tolerances
     nominal, view = prescription.read(lens)[0].lens, view_of_spec(settings.spec)
     images, selection = (dataset.read(*split, device=device) for split in (test, minival))
-    trained = classifiers.build(settings.classifier, images.classes, weights).to(device)
-    classifier = classifiers.frozen(trained, images.images)
+    network = classifiers.build(settings.classifier, images.classes, weights).to(device)
+    classifier = classifiers.frozen(network, images.images)
     illumination = psf_files.read(psf).illumination.to(device)
-    studied = Production(
+    model = Production(
         nominal,
         view,
         errors(nominal, tolerances.grade),
         lambda grid: PsfCamera.of(settings.capture, grid.to(device), illumination),
         classifier,
     )
-    shown = _images(images, tolerances.images)
-    moved_um = displacements(nominal, view, studied.errors, _RAYS)
-    rows = production.built_lenses(studied, tolerances.lenses, settings.seed, shown, checkpoint)
-    worst = moved_um.argsort(descending=True)[:_WORST].tolist()
-    changes = production.one_at_a_time(studied, worst, rows[0]["accuracy"], shown, checkpoint)
-    tried = min(tolerances.lenses, allocation.TRIED)
-    by_drawing = allocation.both_axes(studied.errors, moved_um)
-    spared = _images(selection, tolerances.images)
-    allotted = production.allotted(studied, by_drawing, tried, settings.seed, spared, checkpoint)
+    test_images = _images(images, tolerances.images)
+    displacements_um = displacements(nominal, view, model.errors, _RAYS)
+    rows = production.built_lenses(model, tolerances.lenses, settings.seed, test_images, checkpoint)
+    worst = displacements_um.argsort(descending=True)[:_WORST].tolist()
+    changes = production.one_at_a_time(model, worst, rows[0]["accuracy"], test_images, checkpoint)
+    count = min(tolerances.lenses, allocation.TRIED)
+    drawing_displacements = allocation.both_axes(model.errors, displacements_um)
+    minival_images = _images(selection, tolerances.images)
+    factors = production.allotted(model, drawing_displacements, count, settings.seed, minival_images, checkpoint)
     error_rows = [
         {
             "error": error.name,
             "unit": error.unit,
             "tolerance": error.tolerance,
-            "moved_um": float(moved_um[k]),
+            "moved_um": float(displacements_um[k]),
             "traced_um": float(traced),
             "accuracy_change": changes.get(k),
-            "allotted": None if allotted is None else error.tolerance * float(allotted[k]),
+            "allotted": None if factors is None else error.tolerance * float(factors[k]),
         }
         for k, (error, traced) in enumerate(
-            zip(studied.errors, traced_displacements(nominal, view, studied.errors, _RAYS), strict=True)
+            zip(model.errors, traced_displacements(nominal, view, model.errors, _RAYS), strict=True)
         )
     ]
     write_rows(lenses, rows)
     write_rows(error_table, error_rows)
     title = f"{settings.lens}, seed {settings.seed}"
-    write_text(page, tolerance_page.markdown(title, tolerances.grade.name, rows, error_rows, len(shown[1])))
+    write_text(page, tolerance_page.markdown(title, tolerances.grade.name, rows, error_rows, len(test_images[1])))
 
 
 def _images(images: ImageDataset, count: int) -> Images:
-    """Return up to `count` images and their labels, always the same."""
+    """Return up to `count` images and their labels; the selection is always the same."""
     order = torch.randperm(len(images), generator=torch.Generator().manual_seed(0))
     return images.batch(order[:count])

@@ -14,7 +14,7 @@ from tasklens.study.report_jobs import TailsJob
 def run(
     settings: TailsJob, lenses: Sequence[Path], csv: Path, md: Path, fields_csv: Path, encircled_energy: Path
 ) -> None:
-    """Write the table of tails, its rows by field, and the encircled energy; `lenses` are those of `lens_keys`."""
+    """Write the table of tails, its rows by field, and the encircled energy; `lenses` are files of `lens_keys`."""
     by_field, curves = [], []
     for (lens, seed), path in zip(settings.lens_keys, lenses, strict=True):
         fields, curve = tail(prescription.read(path)[0].lens, view_of_spec(settings.specs[lens]), settings.rays)

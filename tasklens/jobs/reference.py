@@ -1,4 +1,4 @@
-"""Training of a classifier on the sharp images, or its published weights."""
+"""Training of a classifier on sharp images, or import of its published weights."""
 
 import sys
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_tensors
 from tasklens.study.settings import ClassifierSettings
 
-_SHARP, _ENOUGH = 500, 30  # images by which published weights are checked, at most and at least
+_SHARP, _ENOUGH = 500, 30  # maximum and minimum number of images to check published weights
 
 
 def run(
@@ -22,7 +22,7 @@ def run(
     weights: Path,
     checkpoint: Checkpoint,
 ) -> None:
-    """Write the weights.
+    """Train the classifier or load its published weights, and write the weights.
 
     Args:
         images: training images and their labels.

@@ -22,7 +22,7 @@ def run(
     history: Path,
     checkpoint: Checkpoint,
 ) -> None:
-    """Write the weights, and the history of the training."""
+    """Write the weights and the training history."""
     device = claim()
     camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
     images, selection = (dataset.read(*split, device=device) for split in (train, minival))

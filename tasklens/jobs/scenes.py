@@ -1,4 +1,4 @@
-"""Rendering or reading of the images with objects."""
+"""Rendering or import of the images with objects."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Training of a task's network on sharp images with objects; its fine-tuning and scores on captures of a lens."""
+"""Training of a task network on sharp images with objects; its fine-tuning and scores on captures of a lens."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from tasklens.study.task_jobs import TaskFineTuningJob, TaskTrainingJob
 
 
 def train(settings: TaskTrainingJob, images: Sequence[Path], weights: Path, checkpoint: Checkpoint) -> None:
-    """Write the weights of a network that was trained on the sharp images."""
+    """Train a network on the sharp images, and write its weights."""
     device = claim()
     dataset = objects.read(*images, device=device)
     torch.manual_seed(0)
@@ -39,14 +39,14 @@ def fine_tune(
     metrics: Path,
     checkpoint: Checkpoint,
 ) -> None:
-    """Write weights and scores by field of a network that was fine-tuned on the captures of a lens (None: sharp)."""
+    """Fine-tune a network on captures of a lens (psf None: sharp images); write weights and scores by field."""
     device = claim()
     training_images, test_images = (objects.read(*split, device=device) for split in (training_scenes, test_scenes))
     size, classes = training_images.images.shape[-1], training_images.classes
     network = task_networks.load(settings.name, settings.network, classes, size, reference).to(device)
     camera = None
     if settings.capture is not None:
-        assert psf is not None  # captures are of a lens
+        assert psf is not None  # captures need the PSFs of a lens
         camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
     pipeline = CapturePipeline(camera)
     training_task, test_task = (

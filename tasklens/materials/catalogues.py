@@ -1,4 +1,4 @@
-"""Material files: our YAML, read, and Zemax's glass catalogues (.AGF), read and written."""
+"""Reading of our YAML material files; reading and writing of Zemax's glass catalogues (.AGF)."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -19,8 +19,8 @@ def read(path: Path) -> dict[str, Material]:
     """Read the materials of a file, by name.
 
     Raises:
-        FileError: an invalid file; the message names it and the error. A glass of a Zemax catalogue whose data cannot
-            be used is left out, unless it is the only one.
+        FileError: an invalid file; the message names it and the error. Glasses of a Zemax catalogue with unusable data
+            are left out, unless no other is left.
     """
     if path.suffix.lower() == ".agf":
         return read_agf(path)[0]
@@ -36,7 +36,7 @@ def plastics() -> dict[str, Material]:
 
 
 def builtin(name: str) -> Material:
-    """Return a built-in plastic by name; raises ValueError with the known names."""
+    """Return a built-in plastic by name; raises ValueError that lists the names if there is none."""
     if name not in plastics():
         raise ValueError(f"unknown plastic {name!r}; expected one of {', '.join(plastics())}")
     return plastics()[name]
@@ -63,18 +63,18 @@ def write_agf(path: Path, materials: Iterable[Material]) -> None:
 
 
 def check_name(name: str) -> None:
-    """Raise FileError where Zemax cannot have a glass of this name."""
+    """Raise FileError if Zemax cannot have a glass of this name."""
     if " " in name or name in ("MIRROR", BLANK):
         raise FileError(f"Zemax cannot have a glass called {name!r}; rename it")
 
 
 def read_agf(path: Path) -> tuple[dict[str, Material], dict[str, FileError]]:
-    """Read a Zemax catalogue; returns its glasses, and the errors of those whose data cannot be used, by name.
+    """Read a Zemax catalogue; returns its glasses, and the errors of glasses with unusable data, by name.
 
     NM begins a glass, CD holds its coefficients, LD its wavelength range. The first glass of a name counts.
 
     Raises:
-        FileError: no glass that can be used, or data in front of the first one.
+        FileError: no usable glass, or data before the first glass.
     """
     entries: list[dict[str, Line]] = []
     for line in read_lines(path):
@@ -110,9 +110,9 @@ def _glass(lines: dict[str, Line], path: Path) -> Material:
         raise head.error(f"expected a dispersion formula 1 .. {len(_BY_NUMBER)}, got {number}")
     formula = _BY_NUMBER[number]
     # Catalogues append or omit zero coefficients.
-    listed = [lines["CD"].number(i) for i in range(len(lines["CD"].words))]
+    values = [lines["CD"].number(i) for i in range(len(lines["CD"].words))]
     count = FORMULAS[formula][0]
-    coefficients = tuple([*listed, *[0.0] * count][:count])
+    coefficients = tuple([*values, *[0.0] * count][:count])
     range_um = (lines["LD"].number(0), lines["LD"].number(1))
     zemax = f"{path.stem} {head.words[0]}" if " " not in path.stem else ""
     try:

@@ -1,4 +1,4 @@
-"""Search for a glass by its name: in a user's catalogues, among the built-in plastics, and in those of the makers."""
+"""Search for a glass by name in the user's catalogues, the built-in plastics, and the makers' catalogues."""
 
 import difflib
 import math
@@ -14,7 +14,7 @@ from tasklens.runtime.files import FileError
 
 FOLDER = "TASKLENS_CATALOGUES"  # environment variable: a folder of catalogues that every command reads
 _CODE = re.compile(r"(\d{3})(\d{3})")
-_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")  # in the order of their search
+_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")  # in search order
 _ALIASES = {"NIKON": "HIKARI", "NIKON-HIKARI": "HIKARI"}  # other names of catalogues in OpticStudio
 
 
@@ -25,19 +25,19 @@ class UnknownGlassError(FileError):
 class Library:
     """Glasses by name.
 
-    A name is searched for in the catalogues that a lens file lists, in its order; then in the other files of the user,
-    among the built-in plastics, and in the built-in catalogues of the makers.
+    The search order is: the catalogues that a lens file lists, in its order; the other files of the user; the built-in
+    plastics; the built-in catalogues of the makers.
 
     Attributes:
-        remarks: choices among several glasses of one name, in words.
+        remarks: choices between glasses of the same name, in words.
     """
 
     def __init__(self, files: Sequence[Path] = (), listed: Sequence[str] = ()) -> None:
         """Prepare a search.
 
         Args:
-            files: material files of the user (.agf or our YAML), which precede built-in ones of the same name.
-            listed: names of catalogues, in capitals, as a lens file has them (GCAT).
+            files: material files of the user (.agf or our YAML); they precede built-in catalogues of the same name.
+            listed: names of catalogues in capitals, as a lens file lists them (GCAT).
         """
         self.files = files
         self.listed = listed
@@ -45,7 +45,7 @@ class Library:
         self._contents: dict[Path, tuple[dict[str, Material], dict[str, FileError]]] = {}
 
     def check(self) -> None:
-        """Read all files of the user; raises FileError for one that cannot be read."""
+        """Read all files of the user; raises FileError if one cannot be read."""
         for path in self.files:
             self._read(path)
 
@@ -59,7 +59,7 @@ class Library:
             FileError: its data cannot be used, or a file cannot be read.
         """
         errors: list[FileError] = []
-        matches = self._matches(name, errors)  # makers' catalogues are read only if it comes to them
+        matches = self._matches(name, errors)  # makers' catalogues are read only if needed
         if (first := next(matches, None)) is not None:
             self._remark(first, matches)
             return first
@@ -77,7 +77,7 @@ class Library:
                 errors.append(unusable[name])
 
     def _sources(self) -> Iterator[tuple[dict[str, Material], dict[str, FileError]]]:
-        """Yield the glasses of all catalogues, and the errors of those that cannot be used, in the order of search."""
+        """Yield the glasses of all catalogues, and the errors of unusable glasses, in search order."""
         for catalogue in self.listed:
             for path in self.files:
                 if path.stem.upper() == catalogue:
@@ -104,14 +104,14 @@ class Library:
         catalogue = first.zemax.partition(" ")[0].upper()
         if catalogue not in _MAKERS or catalogue in self.listed:
             return
-        others = [other.zemax.partition(" ")[0] for other in matches if other.coefficients != first.coefficients]
-        if others:
-            self.remarks.append(f"glass {first.name} of {catalogue}; others: {', '.join(others)} (--catalogue)")
+        makers = [glass.zemax.partition(" ")[0] for glass in matches if glass.coefficients != first.coefficients]
+        if makers:
+            self.remarks.append(f"glass {first.name} of {catalogue}; others: {', '.join(makers)} (--catalogue)")
 
     def _unknown(self, name: str) -> str:
-        names = {each for glasses, _ in self._sources() for each in glasses}
-        nearest = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
-        offer = f"; nearest names: {', '.join(nearest)}" if nearest else ""
+        names = {glass for glasses, _ in self._sources() for glass in glasses}
+        matches = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+        offer = f"; nearest names: {', '.join(matches)}" if matches else ""
         files = "".join(f"{path.name}, " for path in self.files)
         return (
             f"unknown glass {name!r} in {files}the built-in plastics and the catalogues {', '.join(_MAKERS)}{offer}. "
@@ -131,10 +131,10 @@ def of_maker(maker: str) -> dict[str, Material]:
 
 
 def in_zemax(catalogue: str) -> dict[str, Material]:
-    """Return the built-in plastics that one of OpticStudio's catalogues has, by the name that it gives them."""
+    """Return the built-in plastics of one of OpticStudio's catalogues, by their names in it."""
     plastics = [material for material in catalogues.plastics().values() if material.zemax]
-    named = {tuple(material.zemax.split()): material for material in plastics}
-    return {name: material for (folder, name), material in named.items() if folder.upper() == catalogue}
+    by_name = {tuple(material.zemax.split()): material for material in plastics}
+    return {name: material for (folder, name), material in by_name.items() if folder.upper() == catalogue}
 
 
 def users_files() -> list[Path]:

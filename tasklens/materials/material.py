@@ -1,7 +1,7 @@
 """Optical materials: dispersion formulas, their coefficients, and the wavelength range of the fit.
 
 The formulas are those of Zemax's glass catalogues (OpticStudio user's guide, "The Glass Dispersion Formulas"), in the
-order of their numbers there, and `model` for a glass with only nd, Vd and dPgF.
+order of their numbers, and `model` for a glass with only nd, Vd and dPgF.
 """
 
 import math
@@ -19,7 +19,7 @@ Index = Callable[[tuple[float, ...], float], float]
 
 
 def _powers(*powers: int) -> Index:
-    """Return the formula n^2 = sum_i c_i w^p_i of some powers p_i."""
+    """Return the formula n^2 = sum_i c_i w^p_i with the powers p_i."""
     return lambda c, w: math.sqrt(sum(a * w**p for a, p in zip(c, powers, strict=True)))
 
 
@@ -136,7 +136,7 @@ class Material:
         return index
 
     def abbe(self) -> tuple[float, float]:
-        """Compute nd and Vd = (nd - 1) / (nF - nC); zeros where the fit does not cover F, d and C."""
+        """Compute nd and Vd = (nd - 1) / (nF - nC); zeros if the fit does not cover F, d and C."""
         lines = F_LINE, D_LINE, C_LINE
         if not all(map(self.covers, lines)):
             return 0.0, 0.0
@@ -168,7 +168,7 @@ def model_glass(nd: float, vd: float, dpgf: float, label: str = "") -> Material:
 
 
 def short_name(material: Material) -> str:
-    """Return the name of a material for a person: that of a model glass with nd and Vd as data sheets round them."""
+    """Return the name of a material for display; a model glass has nd and Vd rounded as in data sheets."""
     if material.formula != "model":
         return material.name
     nd, vd, _ = material.coefficients
@@ -191,9 +191,9 @@ def _defined(name: object, entry: object, where: str) -> Material:
     if not isinstance(name, str) or not name or name == AIR.name:
         raise FileError(f"{where}: {name!r} cannot be the name of a material")
     where = f"{where}: {name}"
-    known = ("formula", "coefficients", "range_um", "source", "zemax")
-    if not isinstance(entry, Mapping) or not set(known[:3]) <= set(entry) <= set(known):
-        raise FileError(f"{where}: expected the keys {', '.join(known)}, found {entry!r}")
+    keys = ("formula", "coefficients", "range_um", "source", "zemax")
+    if not isinstance(entry, Mapping) or not set(keys[:3]) <= set(entry) <= set(keys):
+        raise FileError(f"{where}: expected the keys {', '.join(keys)}, found {entry!r}")
     for key in ("coefficients", "range_um"):
         if not isinstance(entry[key], list | tuple):
             raise FileError(f"{where}: {key}: expected a list of numbers, found {entry[key]!r}")

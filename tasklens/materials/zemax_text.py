@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tasklens.runtime.files import FileError, number, read_bytes
 
-BLANK = "___BLANK"  # name of a glass without one
+BLANK = "___BLANK"  # Zemax's name for a glass without a name
 _MARKS = {  # byte order marks; that of UTF-32 begins with that of UTF-16
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF32_LE: "utf-32",
@@ -65,11 +65,11 @@ class Line:
 def read_lines(path: Path) -> list[Line]:
     """Read the lines of a file that are not empty.
 
-    Zemax writes UTF-16 with a byte order mark or ASCII, other programs UTF-8 or UTF-16 without a mark, old files have
-    an 8-bit code page.
+    Zemax writes UTF-16 with a byte order mark or ASCII; other programs write UTF-8 or UTF-16 without a mark; old files
+    have an 8-bit code page.
 
     Raises:
-        FileError: the file is no text, or text with damaged characters; the message names the line.
+        FileError: the file is not text, or has damaged characters; the message names the line.
     """
     text = _decode(read_bytes(path), path)
     if control := _CONTROL.search(text):
@@ -78,12 +78,12 @@ def read_lines(path: Path) -> list[Line]:
             f"{path}, line {row}: found the control character {control[0]!r}; expected a text file in ASCII, UTF-8 or "
             "UTF-16"
         )
-    found = []
+    lines = []
     for row, line in enumerate(_NEWLINE.split(text), 1):
         words = line.split(maxsplit=1)
         if words:
-            found.append(Line(f"{path}, line {row}", words[0], "".join(words[1:]).strip(), line[0].isspace()))
-    return found
+            lines.append(Line(f"{path}, line {row}", words[0], "".join(words[1:]).strip(), line[0].isspace()))
+    return lines
 
 
 def _decode(content: bytes, path: Path) -> str:
@@ -105,7 +105,7 @@ def _decode(content: bytes, path: Path) -> str:
 
 
 def _row(before: str) -> int:
-    """Number of the line that follows the text `before`."""
+    """Return the number of the line that follows the text `before`."""
     return len(_NEWLINE.split(before))
 
 

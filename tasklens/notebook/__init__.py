@@ -1,7 +1,7 @@
-"""Functions for notebooks, which `import tasklens` offers.
+"""Functions for notebooks, available through `import tasklens`.
 
-A lens is a `Lens` (surfaces, distances, media: tensors that gradients flow through) and is looked at with a `View`
-(fields, wavelengths, pixels). Lengths are in mm, wavelengths, pixels and spots in um.
+A `Lens` has surfaces, distances and media (differentiable tensors). A `View` has the fields, wavelengths and pixels at
+which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in um.
 
     import tasklens
 

@@ -1,4 +1,4 @@
-"""A lens and a sensor in front of a network, in the training loop of a user."""
+"""A lens and a sensor in front of a network, for a user's own training loop."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 class Camera(nn.Module):
     """A camera for any network: captures of images through a lens, differentiable in the lens.
 
-    Its parameters are what is free of the lens, without units, so that one learning rate suits all of them, and lenses
-    of any size: curvatures times the radius R that light uses on the surface, distances over the focal length, and
-    coefficients alpha_k R^(k - 1). A step of Adam of 1e-3 moves a surface of a phone lens by about a micrometre. Of a
-    stop inside the lens, gradients leave out how the aim of the rays through it moves.
+    Its parameters are the free lens variables in dimensionless form, so that one learning rate suits all variables and
+    lenses of any size: curvatures times the illuminated radius R of the surface, distances divided by the focal length,
+    and coefficients alpha_k R^(k - 1). An Adam step of 1e-3 moves a surface of a phone lens by about a micrometre. If
+    the stop is inside the lens, gradients neglect the change of ray aiming.
 
     Args:
-        lens: the lens at the beginning.
-        view: its fields, wavelengths and pixels.
-        free: variables, and the surfaces on which they are free: {"curvature": [0, 1], "thickness": None}, None: on all
-            of them; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres; none
-            by {}.
-        rays: number of rays of each field and colour.
+        lens: the initial lens.
+        view: fields, wavelengths and pixels of the lens.
+        free: free variables with their surfaces: {"curvature": [0, 1], "thickness": None}, where None means all
+            surfaces; also alpha_4 .. alpha_10. By default, curvatures, distances and the coefficients of aspheres are
+            free; {} frees nothing.
+        rays: number of rays for each field and colour.
         colour, outside_window, sensor: as in `tasklens.simulate`.
 
     Raises:
-        InputError: an unknown variable or value, or a lens without light at some field.
+        InputError: a variable or value is unknown, or no light arrives at some field.
 
     Example:
         >>> camera = tasklens.Camera(lens, view)
@@ -66,7 +66,7 @@ class Camera(nn.Module):
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
         start = with_coefficients(lens.detached())
         self._variables = Variables.normalised(start, self.view)
-        chosen = {} if free is not None and not free else from_lens.resolved(start, free)
+        free_surfaces = {} if free is not None and not free else from_lens.resolved(start, free)
         refracting = list(start.refracting_surfaces)
         radius = self._variables.radius[refracting]
         scales = {"curvature": radius, "thickness": torch.full_like(radius, 1 / view.efl)}
@@ -74,39 +74,40 @@ class Camera(nn.Module):
         self._scales, self._free = {}, {}
         self.variables = nn.ParameterDict()
         for name, values in self._variables.values().items():
-            if surfaces := chosen.get(name):
+            if surfaces := free_surfaces.get(name):
                 self._scales[name] = scales.get(name, torch.ones_like(values))
                 self._free[name] = torch.tensor([surface in surfaces for surface in refracting])
                 self.variables[name] = nn.Parameter(values * self._scales[name])
 
     @property
     def lens(self) -> Lens:
-        """The present lens, differentiable in the parameters."""
-        held, values = self._variables.values(), {}
+        """The current lens, differentiable in the parameters."""
+        initial, values = self._variables.values(), {}
         for name, parameter in self.variables.items():
             value = parameter.to("cpu", torch.float64) / self._scales[name]
-            values[name] = torch.where(self._free[name], value, held[name])
+            values[name] = torch.where(self._free[name], value, initial[name])
         return self._variables.assemble(values)
 
     def forward(self, images: Tensor, fields: Tensor | None = None) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W).
 
         Args:
-            fields: (B,) index of the field of each image; None: at random, by torch's generator.
+            fields: (B,) index of the field of each image; None: random, from torch's default generator.
         """
         if fields is None:
             fields = torch.randint(len(self.view.fields), (len(images),))
-        drawn = None if self.sensor is None else noise(images.shape, torch.default_generator)
-        return self._camera(images).single(images, fields, drawn)
+        pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
+        return self._camera(images).single(images, fields, pixel_noise)
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
         return self._camera(images).grid(images, torch.default_generator)
 
     def penalty(self) -> Tensor:
-        """Compute how far the lens violates its limits, to be added to a loss: zero for the lens at the beginning.
+        """Compute the violation of the lens's limits, as a penalty on a loss: zero for the initial lens.
 
-        Focal length, distortion, and distances and slopes that can be made, as in `tasklens design --start`.
+        The limits are focal length, distortion, and manufacturable distances and slopes, as in
+        `tasklens design --start`.
         """
         return penalty(self.lens, self.limits, self.view)
 

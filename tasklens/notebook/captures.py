@@ -1,4 +1,4 @@
-"""Captures in a notebook: what a sensor sees of an image through a lens."""
+"""Captures of an image through a lens, for notebooks."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,19 +31,19 @@ def simulate(
     rays: int = 4096,
     diffraction: bool = False,
 ) -> Tensor:
-    """Render what the sensor sees of an image through the lens, once for each field, as if all of it lay there.
+    """Render captures of an image through the lens, one for each field, as if the whole image were at that field.
 
     Args:
         image: a file; a Pillow image; an array (H, W, 3) of uint8, uint16, or floats in [0, 1]; or a tensor (3, H, W)
             of uint8, or floats in [0, 1].
         fields: points (x, y) on the sensor [mm]; None: the F fields of the view.
-        colour: "srgb" convolves the values of the image, "linear" its light.
-        outside_window: light beside the PSF window returns as a "veil", or is removed: "renormalise".
-        sensor: noise and levels, a `tasklens.study.settings.SensorSettings`; None: none.
+        colour: "srgb" convolves the sRGB values of the image, "linear" its linear light.
+        outside_window: light outside the PSF window returns as a uniform "veil", or is removed ("renormalise").
+        sensor: noise and quantisation, a `tasklens.study.settings.SensorSettings`; None: none.
         rays, diffraction: as in `psf`.
 
     Returns:
-        (F, 3, H, W) captures, differentiable in the image and in the lens, whose relative illumination is held.
+        (F, 3, H, W) captures, differentiable in the image and the lens; relative illumination has no gradient.
 
     Raises:
         InputError: the image cannot be read, or is smaller than half a PSF; a field is not on the sensor, or no light
@@ -82,21 +82,21 @@ def simulate_sensor(
     illumination: bool = False,
     rays: int = 4096,
 ) -> Tensor:
-    """Render what the whole sensor sees of an image through the lens: the PSF changes from axis to corner.
+    """Render the capture of an image by the whole sensor: the PSF varies from axis to corner.
 
     Args:
         image: as in `simulate`, of any size; its centre is on the axis.
-        pixel_pitch_um: width of a pixel of the image; None: the one at which the image fills the sensor.
-        colour: "srgb" convolves the values of the image, "linear" its light.
-        distortion: distort the image; otherwise it has the geometry of a pinhole camera.
-        illumination: darken the image towards its corners; otherwise exposure makes up for it.
-        rays: number of rays of each PSF and colour.
+        pixel_pitch_um: width of a pixel of the image; None: the width at which the image fills the sensor.
+        colour: "srgb" convolves the sRGB values of the image, "linear" its linear light.
+        distortion: distort the image; if False, it has the geometry of a pinhole camera.
+        illumination: darken the image towards its corners; if False, exposure compensates for it.
+        rays: number of rays for each PSF and colour.
 
     Returns:
-        (3, H, W) capture, differentiable in the image and in the lens, whose relative illumination is held.
+        (3, H, W) capture, differentiable in the image and the lens; relative illumination has no gradient.
 
     Raises:
-        InputError: the image cannot be read or is too small, or the lens has no image at its corners.
+        InputError: the image cannot be read or is too small, or the lens forms no image at its corners.
 
     Example:
         >>> capture = tasklens.simulate_sensor("cat.jpg", lens, view)  # 1080 x 1920: a quarter of a minute
@@ -110,21 +110,21 @@ def simulate_sensor(
 
 
 def check_light(lens: Lens, view: View) -> None:
-    """Raise InputError for a lens that lets no light through to some field."""
+    """Raise InputError if no light arrives at some field."""
     if not (light := lit(lens.detached(), view)).all():
         x, y = view.fields[int((~light).nonzero()[0])].tolist()
         raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
 
 
 def check_choices(colour: str, outside_window: str = "veil") -> None:
-    """Raise InputError for an unknown kind of colours, or of light outside the window."""
+    """Raise InputError for an unknown `colour` or `outside_window`."""
     for value, choices in ((colour, ("srgb", "linear")), (outside_window, ("veil", "renormalise"))):
         if value not in choices:
             raise InputError(f"expected {' or '.join(choices)}, got {value!r}")
 
 
 def _on_sensor(fields: Sequence[tuple[float, float]], view: View) -> Tensor:
-    """Return fields (F, 2) [mm]; raises InputError for one beyond the largest field of the view."""
+    """Return fields (F, 2) [mm]; raises InputError if one is beyond the largest field of the view."""
     points = torch.tensor(fields, dtype=view.fields.dtype).reshape(-1, 2)
     largest = float(view.radii.max())
     for x, y in points[points.norm(dim=-1) > largest * (1 + 1e-3)].tolist():

@@ -1,4 +1,4 @@
-"""Lenses in a notebook: read, typed, written, traced, drawn."""
+"""Lenses in notebooks: read, define, write, trace, draw."""
 
 import math
 import warnings
@@ -32,13 +32,14 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
     Args:
         path: the file.
         catalogues: glass catalogues of a Zemax file (.agf, or plastics in YAML).
-        specification: what differs from the file: field_of_view_deg (full angle), f_number, pixel_pitch_um, kernel_size
-            (width of PSFs in pixels, odd), wavelengths_um (the middle one is the reference), object_distance_mm (from
-            the object to the first vertex, or infinity); configuration (of a Zemax file with several).
+        specification: values that override the file: field_of_view_deg (full angle), f_number, pixel_pitch_um,
+            kernel_size (width of PSFs in pixels, odd), wavelengths_um (the middle one is the reference),
+            object_distance_mm (from the object to the first vertex, or infinity); configuration (of a Zemax file with
+            several).
 
     Returns:
-        The lens, and the view: nine fields from the axis to the corner, wavelengths, pixels, object distance. What was
-        assumed about them, since the file does not say it, is a warning.
+        The lens, and the view: nine fields from the axis to the corner, wavelengths, pixels, object distance. If the
+        file lacks a value, a warning states the assumption.
 
     Raises:
         InputError: the message names the file, what is wrong, and what to do.
@@ -62,17 +63,18 @@ def lens(
     catalogues: Sequence[str | Path] = (),
     **pixels: Any,
 ) -> tuple[Lens, View]:
-    """Return a lens that is typed surface by surface, from the object to the image, and its view.
+    """Return a lens defined surface by surface, from the object to the image, and its view.
 
     Args:
-        surfaces: of each surface `radius` [mm] (inf for a plane) or `curvature`, `thickness` to the next one [mm],
+        surfaces: for each surface, `radius` [mm] (inf for a plane) or `curvature`, `thickness` to the next one [mm],
             `material` behind it (air if absent), `conic`, `coefficients` of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter`
-            of its clear aperture [mm], and `stop: True` at one. Without the last `thickness`, the image is in focus.
+            of its clear aperture [mm], and `stop: True` for one surface. If the last `thickness` is absent, the image
+            plane is placed at best focus.
         field_of_view_deg: full angle.
-        f_number: focal length over diameter of the entrance pupil; None: the stop has its `semi_diameter`.
+        f_number: focal length / entrance pupil diameter; None: the stop must have a `semi_diameter`.
         wavelengths_um: wavelengths; the middle one is the reference.
         object_distance_mm: from the object to the first vertex.
-        catalogues: glass catalogues (.agf, .yaml) besides the built-in ones.
+        catalogues: glass catalogues (.agf, .yaml) in addition to the built-in catalogues.
         pixels: pixel_pitch_um and kernel_size (width of PSFs in pixels, odd).
 
     Raises:
@@ -91,9 +93,9 @@ def lens(
     """
     colours = tuple(wavelengths_um)
     library = Library([*(Path(catalogue) for catalogue in catalogues), *users_files()])
-    shown = typed(surfaces, f_number, library, colours[len(colours) // 2])
+    prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     changes = {"field_of_view_deg": field_of_view_deg, **pixels}
-    file = lens_files.derived(shown, changes, colours, 1 / object_distance_mm)
+    file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" in surfaces[-1]:
         return file.lens, file.view
     return refocused(file.lens, file.view, _RAYS), file.view
@@ -107,7 +109,7 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":
         rays: number of rays of each field and wavelength.
 
     Returns:
-        A matplotlib figure, which a notebook shows; `savefig` writes it.
+        A matplotlib figure: a notebook displays it, `savefig` writes it.
 
     Example:
         >>> tasklens.draw(lens, view).savefig("lens.pdf")
@@ -118,21 +120,21 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":
 
 
 def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
-    """Write a lens as a lens.yaml, or by the suffix .zmx for Zemax; a file of that name is replaced.
+    """Write a lens as a lens.yaml, or as a Zemax file if the suffix is .zmx; an existing file is replaced.
 
     Args:
         path: the file.
-        notes: what `design` says of the lens; by default its specification and figures.
+        notes: notes on the lens from `design`; by default, its specification and figures.
 
     Example:
         >>> tasklens.save_lens("lens.zmx", lens, view)
     """
-    found = with_use(Prescription(lens.detached()), view)
-    lens_files.write(Path(path), found, notes or described(lens, view))
+    prescription = with_use(Prescription(lens.detached()), view)
+    lens_files.write(Path(path), prescription, notes or described(lens, view))
 
 
 def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
-    """Return the specification and the figures of a lens, as a lens.yaml has them."""
+    """Return the specification and the figures of a lens, in the format of a lens.yaml."""
     spec = {
         "fields_mm": view.fields.tolist(),
         "efl_mm": view.efl,
@@ -144,11 +146,11 @@ def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
 
 
 def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) -> Rays:
-    """Trace rays of all F fields and W wavelengths through the lens to the image plane, differentiably in the lens.
+    """Trace rays of all F fields and W wavelengths to the image plane; differentiable in the lens.
 
     Args:
-        rays: N, the number of rays of each field and wavelength, spread evenly over the stop.
-        pupil: (N, 2) points of the unit disc in place of these, where the rays pass the stop.
+        rays: number N of rays for each field and wavelength, evenly distributed over the stop.
+        pupil: (N, 2) points in the unit disc at which rays pass the stop; None: `rays` evenly distributed points.
 
     Returns:
         Rays on the image plane: positions `x`, `y` [mm] and direction cosines `l`, `m`, `n`, each (F, W, N); `valid`
@@ -162,15 +164,15 @@ def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) 
 
 
 def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> Tensor:
-    """Compute the point spread functions of all F fields and W wavelengths, differentiably in the lens.
+    """Compute the point spread functions of all F fields and W wavelengths; differentiable in the lens.
 
     Args:
         rays: number of rays of each field and wavelength.
-        diffraction: sums of plane waves in place of counted rays; takes half a minute.
+        diffraction: sum plane waves instead of counting rays; takes half a minute.
 
     Returns:
-        (F, W, K, K) energies on the sensor's pixels around the chief ray; rows run along y, columns along x. Each sums
-        to the fraction of the light that is inside the window.
+        (F, W, K, K) energies on the sensor's pixels around the chief ray; rows run along y, columns along x. Each PSF
+        sums to the fraction of the light inside the window.
 
     Example:
         >>> tasklens.psf(lens, view).sum((-2, -1))  # energy inside the window
@@ -179,9 +181,9 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
 
 
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
-    """Compute the optical figures of a lens; each name ends in its unit, a list has one entry per field.
+    """Compute the optical figures of a lens; names end in their unit, lists have one entry per field.
 
-    Among them: efl_mm, f_number, track_mm, rms_centroid_um, radius_80_um, mtf_tangential_half_nyquist,
+    The figures include efl_mm, f_number, track_mm, rms_centroid_um, radius_80_um, mtf_tangential_half_nyquist,
     distortion_percent, relative_illumination, seidel_um.
 
     Args:

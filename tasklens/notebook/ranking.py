@@ -1,4 +1,4 @@
-"""Rankings of lenses for a network in a notebook: accuracies on the same photographs, with intervals and groups."""
+"""Ranking of lenses for a network, in notebooks: accuracies on the same photographs, with intervals and groups."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,12 +29,12 @@ from tasklens.runtime.files import write_text
 
 @dataclass(frozen=True)
 class Ranking:
-    """Lenses in the order of what a network recognises through them; a notebook shows its page.
+    """Lenses in order of a network's accuracy through them; a notebook displays the ranking.
 
     Attributes:
         table: a row for each lens.
         ranks: accuracies, intervals and groups.
-        correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
+        correct: by lens, 1 if an image is classified correctly, else 0; a row per image, a column per field.
         drawings: cross-sections by lens, as SVG.
         sharp: accuracy on the sharp images [%].
     """
@@ -47,15 +47,15 @@ class Ranking:
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences that name the lenses that are equal, and how far the others are behind."""
+        """Sentences that name the lenses with equal accuracy, and the deficit of the others."""
         return report.sentences(self.ranks, {})
 
     def save(self, path: str | Path, title: str = "Which lens for this network?", answer: Sequence[str] = ()) -> None:
-        """Write the page, one HTML file; sentences in `answer` come before those of the ranking."""
+        """Write the ranking as one HTML file; the sentences in `answer` come first."""
         rows = [{str(key): value for key, value in row.items()} for row in self.table.to_dict("records")]
-        words: dict[str, Any] = {"title": title, "images": len(next(iter(self.correct.values()))), "sharp": self.sharp}
-        words |= {"tuned": ", as it is", "left_out": {}, "grade": ""}
-        page = report.render(self.ranks, rows, self.drawings, [*answer, *self.sentences], **words)
+        texts: dict[str, Any] = {"title": title, "images": len(next(iter(self.correct.values()))), "sharp": self.sharp}
+        texts |= {"tuned": ", as it is", "left_out": {}, "grade": ""}
+        page = report.render(self.ranks, rows, self.drawings, [*answer, *self.sentences], **texts)
         write_text(Path(path), page)
 
     def _repr_html_(self) -> str:
@@ -73,18 +73,18 @@ def rank(
     limit: int = 500,
     rays: int = 4096,
 ) -> Ranking:
-    """Rank lenses by what a network recognises through them, at the nine fields of each.
+    """Rank lenses by the accuracy of a network through each, at the fields of its view.
 
     Args:
         lenses: lenses with their views, by name: {"mine": tasklens.load_lens("mine.zmx")}.
-        images: folder of photographs, test/<class>/* or <class>/*; or a data set of torch, or pairs (image, label).
-        network: a module from images (B, 3, H, W) in [0, 1] to logits; one of timm has its own normalisation.
-        size: side of the photographs of a folder [pixels].
-        limit: number of the photographs of a folder, at most.
+        images: folder of photographs, test/<class>/* or <class>/*; or a torch data set, or pairs (image, label).
+        network: a module from images (B, 3, H, W) in [0, 1] to logits; a timm network is normalised automatically.
+        size: side to which photographs of a folder are resized [pixels].
+        limit: maximum number of photographs read from a folder.
         rays: number of rays of each field and colour.
 
     Raises:
-        InputError: images that cannot be read, a network that does not answer with logits, or a lens without light.
+        InputError: an image cannot be read, the network does not return logits, or a field gets no light.
 
     Example:
         >>> tasklens.rank({name: tasklens.load_lens(f"{name}.zmx") for name in ("a", "b")}, "photographs", network)

@@ -1,4 +1,4 @@
-"""Verdicts on a lens for a task, compared with the best lens for image quality of the same start and effort."""
+"""Verdict on a lens for a task: comparison with the best image-quality lens of the same start and effort."""
 
 import torch
 
@@ -8,27 +8,29 @@ from tasklens.notebook.ranking import Ranking, rank
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report.bootstrap import interval, resampled_means
 
-_CHOICE = 200  # images of the design by which the best lens for image quality is chosen, at most
+_CHOICE = 200  # maximum number of design images used to select the best lens for image quality
 
 
 def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
-    """Compare a lens with those that it begins with and those for image quality, on images that no design has used.
+    """Compare a lens with its start and with image-quality lenses, on images that no design has used.
 
     Args:
         designs: lenses, images and network of a design with baselines.
-        unused: images that were not used.
+        unused: images that no design has used.
 
     Returns:
-        The verdict in words, and the ranking of all lenses.
+        The verdict as text, and the ranking of all lenses.
     """
-    by = designs.supervisors
-    assert by.network is not None and by.images is not None  # of a design by a network
+    supervisors = designs.supervisors
+    assert supervisors.network is not None and supervisors.images is not None  # the design has a network
     *_, name = designs.lenses
     lenses = {design: (lens, designs.view) for design, lens in designs.lenses.items()}
-    order = torch.randperm(len(by.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
-    choice = rank({criterion: lenses[criterion] for criterion in BASELINES}, by.images.take(order), by.network)
+    order = torch.randperm(len(supervisors.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
+    choice = rank(
+        {criterion: lenses[criterion] for criterion in BASELINES}, supervisors.images.take(order), supervisors.network
+    )
     best = choice.ranks[0].lens
-    ranking = rank(lenses, unused, by.network)
+    ranking = rank(lenses, unused, supervisors.network)
     task, baseline = (100 * ranking.correct[design].mean(axis=1).to_numpy() for design in (name, best))
     low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
     gain = float((task - baseline).mean())

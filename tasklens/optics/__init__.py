@@ -11,7 +11,7 @@ Conventions:
   x, rows along y.
 - A pupil point is a point of the unit disc. Its rays meet the stop surface at (x, y) = pupil point times radius of the
   stop, at every field and wavelength; the chief ray meets its centre. A stop in front of the lens is its own entrance
-  pupil. Rays are aimed at one behind a refracting surface; a ray that nothing brings there is lost.
+  pupil. Rays are aimed at a stop behind a refracting surface; a ray that cannot reach its stop point is lost.
 - Every launched ray has the same weight, that of a small area of the stop. Where the entrance pupil is a distorted
   image of the stop, the energies of equal areas of the stop differ by the determinant of
   d(launch x, y) / d(pupil x, y). Spots, PSFs and MTFs leave it out; relative illumination is exact.
@@ -19,5 +19,5 @@ Conventions:
 - A wavefront is ahead of its reference where W > 0: the ray's optical path is shorter than that of the chief ray.
   Zernike coefficients are in Noll's order, in waves RMS.
 - Energies, PSFs and MTF are fractions of the light that passes the clear apertures, since exposure compensates
-  vignetting; rays lost otherwise lower them. RMS radii are of the valid rays only.
+  vignetting; other lost rays lower them. RMS radii use the valid rays only.
 """

@@ -16,7 +16,7 @@ def with_open_apertures(lens: Lens) -> Lens:
 
 
 def with_clear_apertures(lens: Lens, clear: Tensor) -> Lens:
-    """Give surfaces without a clear aperture those of semi-diameters (S,) [mm].
+    """Set clear apertures of semi-diameters `clear` (S,) [mm] on surfaces that have none.
 
     They vignette stray rays: task-driven lenses have strongly curved rims, where a few marginal rays have large errors.
     """

@@ -7,7 +7,7 @@ EDGE = 1e-6  # smallest argument of the square root that still counts as inside 
 
 
 def sag(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the sag of an even asphere, its derivative, and where it is defined.
+    """Compute the sag of an even asphere, its derivative, and whether the point is inside the conic.
 
     s(u) = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum_j alpha_2j u^j,  u = r^2
 
@@ -41,7 +41,7 @@ def sag(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tens
 
 
 def bounds(u: Tensor, curvature: Tensor | float, conic: Tensor | float, alpha: Tensor) -> tuple[Tensor, Tensor]:
-    """Compute bounds of |ds/du| [1/mm] and |d^2 s/du^2| [1/mm^3] up to u = r^2; arguments as of `sag`.
+    """Compute bounds of |ds/du| [1/mm] and |d^2 s/du^2| [1/mm^3] up to u = r^2; arguments as in `sag`.
 
     |c| w / 2 + sum_j j |alpha_2j| u^(j - 1),  |(1 + k) c^3| w^3 / 4 + sum_j j (j - 1) |alpha_2j| u^(j - 2)
 

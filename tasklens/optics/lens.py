@@ -18,7 +18,7 @@ class Melt:
     """Difference of the media of a built lens from their catalogues: n + shift + spread (n - n(reference)).
 
     Attributes:
-        shift: (S,) of the index of the medium behind each surface.
+        shift: (S,) change of the index of the medium behind each surface, at `reference`.
         spread: (S,) relative change of its dispersion.
         reference: wavelength of `shift` [um].
     """
@@ -37,12 +37,12 @@ class Lens:
         conic: (S,) conic constants.
         alpha: (S, M) asphere coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)].
         thickness: (S,) axial distance to the next surface, the last to the image plane [mm].
-        semi_diameter: (S,) radius of the clear aperture [mm]; infinite where nothing clips.
+        semi_diameter: (S,) radius of the clear aperture [mm]; infinite if nothing clips.
         media: S materials, the medium behind each surface.
         stop: index of the stop; its semi-diameter is the radius of the stop.
-        pose: poses of the surfaces; None: all are nominal. Rays are traced with it; first-order data, the entrance
-            pupil and analyses that turn a field into the meridian are of the nominal lens.
-        melt: difference of its media from their catalogues; None: there is none.
+        pose: poses of the surfaces; None: all are nominal. Ray tracing uses it; first-order data, the entrance pupil
+            and analyses that turn a field into the meridian use the nominal lens.
+        melt: difference of the media from their catalogues; None: no difference.
     """
 
     curvature: Tensor
@@ -72,7 +72,7 @@ class Lens:
 
     @property
     def refracting_surfaces(self) -> tuple[int, ...]:
-        """Indices of the surfaces that bound an element: those where the medium changes."""
+        """Indices of the surfaces where the medium changes: the surfaces that bound elements."""
         before = (AIR, *self.media[:-1])
         return tuple(i for i, (a, b) in enumerate(zip(before, self.media, strict=True)) if a != b)
 
@@ -93,12 +93,12 @@ class Lens:
         Raises:
             InputError: a medium has no index at a wavelength, or one that is not finite or below 1.
         """
-        found = torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
+        indices = torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
         if self.melt is None:
-            return found
+            return indices
         at_reference = torch.tensor(_indices(self.media, (self.melt.reference,)), dtype=self.dtype)
         shift, spread = (torch.cat([v.new_zeros(1), v])[:, None] for v in (self.melt.shift, self.melt.spread))
-        return found + shift + spread * (found - at_reference)
+        return indices + shift + spread * (indices - at_reference)
 
     def with_stop_scaled(self, scale: float) -> "Lens":
         """Return the lens with the radius of its stop multiplied by `scale`."""
@@ -107,7 +107,7 @@ class Lens:
         return replace(self, semi_diameter=self.semi_diameter * factor)
 
     def scaled(self, factor: float) -> "Lens":
-        """Return the lens scaled by s: lengths times s, curvatures over s, alpha_2j over s^(2j - 1)."""
+        """Return the lens scaled by s: lengths times s, curvatures / s, alpha_2j / s^(2j - 1)."""
         power = 2 * torch.arange(self.alpha.shape[1], dtype=self.dtype) + 1
         return replace(
             self,

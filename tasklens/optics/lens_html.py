@@ -10,9 +10,9 @@ from tasklens.materials.material import AIR, Material, short_name
 from tasklens.optics.aspheres import sag
 from tasklens.optics.surface import Surface
 
-_WIDTH, _MARGIN = 420, 8  # of the drawing [pixels]
-_UNLIMITED = 1.5  # height of a surface without clear aperture, over the largest finite one
-_STEEPEST = 0.98  # height on a sphere, over its radius
+_WIDTH, _MARGIN = 420, 8  # width and margin of the drawing [pixels]
+_UNLIMITED = 1.5  # height of a surface without clear aperture, relative to the largest clear aperture
+_STEEPEST = 0.98  # largest height on a sphere, relative to its radius
 
 
 def html(surfaces: Sequence[Surface], thickness: Tensor, media: Sequence[Material], stop: int) -> str:
@@ -72,7 +72,7 @@ def _drawing(surfaces: Sequence[Surface], thickness: Tensor, media: Sequence[Mat
 
 
 def _outline(surface: Surface, vertex: float, unlimited: float) -> tuple[Tensor, Tensor]:
-    """Return z and height of a surface, up to its clear aperture, or beyond those of the others where it has none."""
+    """Return z and height of a surface up to its clear aperture, or up to `unlimited` if it has none."""
     half = min(float(surface.semi_diameter), unlimited)
     bend = (1 + float(surface.conic)) * float(surface.curvature) ** 2
     if bend > 0:

@@ -10,7 +10,7 @@ from tasklens.optics.rays import Rays
 
 @dataclass(frozen=True)
 class Pose:
-    """Poses of S surfaces: a point P' in the axes of a surface is at P = R P' + p from its nominal vertex.
+    """Poses of S surfaces: a point P' in the axes of a surface is at P = R P' + p relative to its nominal vertex.
 
     Attributes:
         rotation: (S, 3, 3) R, whose columns are the axes of the surface.
@@ -43,12 +43,12 @@ class Pose:
         return Pose(self.rotation.index_copy(0, index, rotation), self.position.index_copy(0, index, position))
 
     def to_surface(self, i: int, rays: Rays) -> Rays:
-        """Transform rays from the axes of the lens, at the nominal vertex i, to those of the surface."""
+        """Transform rays from the axes of the lens, at the nominal vertex i, to the axes of the surface."""
         point = torch.stack([rays.x, rays.y, rays.z], -1) - self.position[i]
         return _with(rays, point @ self.rotation[i], torch.stack([rays.l, rays.m, rays.n], -1) @ self.rotation[i])
 
     def to_lens(self, i: int, rays: Rays) -> Rays:
-        """Transform rays from the axes of surface i to those of the lens, at the nominal vertex."""
+        """Transform rays from the axes of surface i to the axes of the lens, at the nominal vertex."""
         turn = self.rotation[i].T
         point = torch.stack([rays.x, rays.y, rays.z], -1) @ turn + self.position[i]
         return _with(rays, point, torch.stack([rays.l, rays.m, rays.n], -1) @ turn)

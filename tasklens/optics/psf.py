@@ -48,7 +48,7 @@ def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Ten
 
 
 def psf_notes(view: View, grid: Tensor) -> dict[str, Any]:
-    """Return what a file of PSFs (F, W, K, K) says about them: fields, wavelengths, pixel pitch, energies inside."""
+    """Return the notes for a file of PSFs (F, W, K, K): fields, wavelengths, pixel pitch, energies in the window."""
     near = {"object_distance_mm": view.object_distance} if view.object_vergence else {}
     return near | {
         "fields_mm": view.fields.tolist(),

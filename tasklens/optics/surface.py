@@ -9,7 +9,7 @@ from tasklens.optics import aspheres
 from tasklens.optics.rays import GRAZING, RIM, Rays, RayStatus
 
 _STEPS = 400
-_CLOSE = 1e-9  # [mm] last step towards a surface; the error behind it is of the order of its square
+_CLOSE = 1e-9  # [mm] last step towards a surface; the error after it is of the order of its square
 _FAR = 1e7  # [mm] largest r at which a ray meets a surface
 
 
@@ -22,7 +22,7 @@ class Surface:
         conic: k, number or 0-dim. k < -1 is a hyperboloid, -1 a paraboloid, -1 < k < 0 a prolate ellipsoid, 0 a sphere,
             k > 0 an oblate ellipsoid.
         alpha: (M,) asphere coefficients alpha_2 .. alpha_2M [mm^(1 - 2j)].
-        semi_diameter: radius of the clear aperture [mm], number or 0-dim; infinite where nothing clips.
+        semi_diameter: radius of the clear aperture [mm], number or 0-dim; infinite if nothing clips.
     """
 
     curvature: Tensor | float
@@ -49,7 +49,7 @@ class Surface:
     def intersect(self, rays: Rays, index: Tensor | float = 1.0) -> Rays:
         """Move rays along P + t D to their intersection with the surface, z = s(x^2 + y^2).
 
-        t is found by Newton's iteration without a graph; one more step with a graph makes the derivatives of t exact by
+        Newton's iteration computes t without a graph; one more step with a graph makes the derivatives of t exact by
         the implicit function theorem: F(t, p) = 0 has dt/dp = -(dF/dp) / (dF/dt). Second derivatives are not exact.
 
         Args:
@@ -57,18 +57,18 @@ class Surface:
             index: refractive index in front of the surface, for the optical path; broadcasts with the rays.
 
         Returns:
-            Rays on the surface. A ray that does not meet it from the front has the status MISSED and stays in place;
-            one beyond the clear aperture is VIGNETTED and stays on the surface. Rays lost before are not changed. The
-            caller sets `lost_at`.
+            Rays on the surface. A ray that does not meet it from the front gets the status MISSED and stays in place; a
+            ray outside the clear aperture gets VIGNETTED and stays on the surface. The status of rays that are already
+            lost does not change. The caller sets `lost_at`.
         """
         with torch.no_grad():
-            t, met = self._distance(rays)
+            t, hits = self._distance(rays)
         t = t.detach()  # forward mode looks past no_grad
-        t = torch.where(met, t + self._newton_step(rays, t)[0], 0.0)
+        t = torch.where(hits, t + self._newton_step(rays, t)[0], 0.0)
         x, y, z = rays.x + t * rays.l, rays.y + t * rays.m, rays.z + t * rays.n
         outside = x * x + y * y > self.semi_diameter**2 * (1 + RIM)
         rays = replace(rays, x=x, y=y, z=z, path=rays.path + index * t)
-        return _lose(_lose(rays, ~met, RayStatus.MISSED), outside, RayStatus.VIGNETTED)
+        return _lose(_lose(rays, ~hits, RayStatus.MISSED), outside, RayStatus.VIGNETTED)
 
     def refract(self, rays: Rays, index_before: Tensor | float, index_behind: Tensor | float) -> Rays:
         """Refract rays on the surface by Snell's law, n sin i = n' sin i'.
@@ -80,7 +80,7 @@ class Surface:
             index_before, index_behind: refractive indices n and n'; they broadcast with the rays.
 
         Returns:
-            The rays behind the surface. Where cos^2 i' or the z component of D' is not positive, the status is
+            The rays behind the surface. If cos^2 i' or the z component of D' is not positive, the status is
             TOTAL_INTERNAL_REFLECTION and the direction is not changed.
         """
         nx, ny, nz = self.normal(rays.x, rays.y)
@@ -136,7 +136,7 @@ class Surface:
         t = torch.where(inside | (root == 0), 0.0, -(u - end) / (h + torch.copysign(root, h)))  # to the edge
         side = torch.where(z + t * n <= self._profile(along(t)[0])[0], 1.0, -1.0)
         pending = able & (inside | (root > 0)) & (t * side >= 0)
-        window, found = torch.ones_like(n), torch.zeros_like(pending)
+        window, hits = torch.ones_like(n), torch.zeros_like(pending)
         for _ in range(_STEPS):
             u, h = along(t)
             sag, slope, _ = self._profile(u)
@@ -151,12 +151,12 @@ class Surface:
             step = 2 * gap / (derivative + torch.sqrt(derivative * derivative + 2 * bound * gap))
             close = (step <= window) & (step <= _CLOSE)
             t = torch.where(pending, t + side * torch.where(close, gap / derivative, torch.minimum(step, window)), t)
-            found = found | (pending & close & (derivative > GRAZING))
+            hits = hits | (pending & close & (derivative > GRAZING))
             pending = pending & ~close & (way_out > _CLOSE) & (step >= 0)
             window = 2 * torch.minimum(step, window)
             if not bool(pending.any()):
                 break
-        return torch.where(found, t, 0.0).to(rays.n.dtype), found
+        return torch.where(hits, t, 0.0).to(rays.n.dtype), hits
 
 
 def _lose(rays: Rays, lost: Tensor, status: RayStatus) -> Rays:

@@ -20,7 +20,7 @@ class View:
         wavelengths: W wavelengths [um]; the middle one is the reference.
         pixel_pitch: pixel pitch [um].
         kernel_size: width of the PSF window [pixels], odd.
-        object_vergence: 1 / distance of the object in front of the first vertex [1/mm]; 0: it is at infinity.
+        object_vergence: 1 / distance of the object in front of the first vertex [1/mm]; 0 for an object at infinity.
 
     Raises:
         InputError: the object is not in front of the lens.
@@ -83,7 +83,7 @@ class View:
         return replace(self, fields=torch.stack([torch.zeros_like(self.radii), self.radii], -1))
 
     def in_all_quadrants(self) -> "View":
-        """Return the view with every field mirrored about both axes, each once; a built lens is not symmetric."""
+        """Return the view with all fields mirrored about both axes, without duplicates, for lenses without symmetry."""
         signs = torch.tensor([[1, 1], [-1, 1], [1, -1], [-1, -1]], dtype=self.fields.dtype)
         mirrored = (self.fields[:, None] * signs).reshape(-1, 2) + 0.0  # no negative zeros
         return replace(

@@ -1,4 +1,4 @@
-"""What differs between two configurations of a study, and which finished results the new one would overwrite."""
+"""Differences between two configurations of a study, and the finished results that the new one would overwrite."""
 
 import json
 from collections import Counter
@@ -13,7 +13,7 @@ from tasklens.pipeline.forecast import Durations, duration
 from tasklens.study.loading import resolved
 from tasklens.study.study import Study
 
-COUNTED = {  # results that took long, by rule; what is made of them is overwritten without asking
+COUNTED = {  # expensive results, by rule; results derived from them are overwritten without asking
     "design": "lenses",
     "reference": "classifiers",
     "fine_tune": "classifiers",
@@ -27,7 +27,7 @@ _SHOWN = 10  # changed values in a message
 
 @dataclass(frozen=True)
 class Change:
-    """A changed value of a study: its dotted key, the values before and after; None where it is new or gone."""
+    """A changed value of a study: its dotted key, and the values before and after (None if it was added or removed)."""
 
     key: str
     old: Any
@@ -53,20 +53,20 @@ def _shown(value: Any) -> str:
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[Change]:
     """Return the changed values between two resolved studies, in the order of their keys."""
-    found: list[Change] = []
+    diffs: list[Change] = []
     for key in dict.fromkeys([*old, *new]):
         before, after, name = _by_number(old.get(key)), _by_number(new.get(key)), f"{prefix}{key}"
         if isinstance(before, Mapping) and isinstance(after, Mapping):
-            found += changes(before, after, f"{name}.")
+            diffs += changes(before, after, f"{name}.")
         elif before != after:
-            found.append(Change(name, before, after))
-    return found
+            diffs.append(Change(name, before, after))
+    return diffs
 
 
 def _by_number(value: Any) -> Any:
-    """Return a list of mappings, such as descents, by their numbers; any other value as it is."""
-    listed = isinstance(value, list | tuple) and value and all(isinstance(entry, Mapping) for entry in value)
-    return dict(enumerate(value)) if listed else value
+    """Return a list of mappings, such as descents, as a dictionary by index; any other value unchanged."""
+    is_list = isinstance(value, list | tuple) and value and all(isinstance(entry, Mapping) for entry in value)
+    return dict(enumerate(value)) if is_list else value
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ class PlannedJob:
     Attributes:
         study: name of its study.
         label: its rule and wildcards, such as `design/doublet-tasklens-seed0`.
-        remains: whether it is to run.
-        outputs: those of its outputs that are there.
+        remains: whether it still has to run.
+        outputs: its outputs that exist.
         needs: labels of the jobs that it waits for.
         settings: its settings as JSON.
-        made_with: settings with which its outputs were made; None if that is not known.
+        made_with: settings that its outputs were made with; None if unknown.
     """
 
     study: str
@@ -99,12 +99,12 @@ class PlannedJob:
 
 @dataclass(frozen=True)
 class Overwritten:
-    """Finished results that a run would make again.
+    """Finished results that a run would overwrite.
 
     Attributes:
         changes: changed values of the study; empty if only code or input files differ.
-        by_values: rules of the jobs that a changed value makes again, directly or by what they read.
-        otherwise: rules of the jobs that are made again for another reason: code, input files, or by request.
+        by_values: rules of the jobs that a changed value repeats, directly or through their inputs.
+        otherwise: rules of the jobs that run again for another reason: code, input files, or a request.
     """
 
     changes: tuple[Change, ...]
@@ -115,58 +115,58 @@ class Overwritten:
 def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     """Find the finished results that the jobs of a run overwrite.
 
-    A job is made again by a changed value if its settings differ from those with which its outputs were made, or if it
-    reads what such a job makes. Further seeds, lenses or classifiers change no settings of other jobs.
+    A changed value repeats a job if its settings differ from the settings that its outputs were made with, or if it
+    reads outputs of such a job. Additional seeds, lenses or classifiers do not change the settings of other jobs.
 
     Args:
         jobs: the jobs of the run by label.
     """
-    finished = {label for label, job in jobs.items() if job.outputs and job.rule in COUNTED}
+    finished_labels = {label for label, job in jobs.items() if job.outputs and job.rule in COUNTED}
     pairs = {k: (json.loads(job.made_with), json.loads(job.settings)) for k, job in jobs.items() if job.made_with}
-    different = {label: pair for label, pair in pairs.items() if pair[0] != pair[1]}
-    affected = finished & _with_dependents(different, jobs)
+    changed_settings = {label: pair for label, pair in pairs.items() if pair[0] != pair[1]}
+    affected_labels = finished_labels & _with_dependents(changed_settings, jobs)
     stored = Path("results", study.name, "study.yaml")
-    found = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study)) if stored.exists() else []
-    if not found:  # made before another study of the same name, which was changed back
-        found = [change for label in sorted(different) for change in changes(*different[label])]
+    diffs = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study)) if stored.exists() else []
+    if not diffs:  # the results come from an earlier study of the same name
+        diffs = [change for label in sorted(changed_settings) for change in changes(*changed_settings[label])]
     return Overwritten(
-        tuple({str(change): change for change in found}.values()),
-        tuple(jobs[label].rule for label in sorted(affected)),
-        tuple(jobs[label].rule for label in sorted(finished - affected)),
+        tuple({str(change): change for change in diffs}.values()),
+        tuple(jobs[label].rule for label in sorted(affected_labels)),
+        tuple(jobs[label].rule for label in sorted(finished_labels - affected_labels)),
     )
 
 
 def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) -> set[str]:
-    """Return jobs, and all that wait for them, directly or not."""
-    found = set(labels)
-    grown = True
-    while grown:
-        more = {label for label, job in jobs.items() if label not in found and not found.isdisjoint(job.needs)}
-        found |= more
-        grown = bool(more)
-    return found
+    """Return the labels of jobs, and of all jobs that depend on them directly or indirectly."""
+    closure = set(labels)
+    is_growing = True
+    while is_growing:
+        more = {label for label, job in jobs.items() if label not in closure and not closure.isdisjoint(job.needs)}
+        closure |= more
+        is_growing = bool(more)
+    return closure
 
 
 def amount(rules: Sequence[str], durations: Durations, cores: int) -> str:
-    """Say how many results the jobs of some rules make, and how long they take on some cores."""
+    """Describe how many results the jobs of these rules make, and how long they take on this number of cores."""
     counts = Counter(COUNTED[rule] for rule in rules)
     words = [f"{count} {kind if count > 1 else _one(kind)}" for kind, count in counts.items()]
-    known = [seconds for rule in rules if (seconds := durations.seconds(rule)) is not None]
-    return f"{', '.join(words)} again" + (f", {duration(sum(known) / cores)}" if known else "")
+    times = [seconds for rule in rules if (seconds := durations.seconds(rule)) is not None]
+    return f"{', '.join(words)} again" + (f", {duration(sum(times) / cores)}" if times else "")
 
 
 def _one(kind: str) -> str:
     return kind[:-2] if kind.endswith("lenses") else kind[:-1]
 
 
-def refusal(found: Overwritten, study: str, durations: Durations, cores: int) -> str | None:
-    """Return what to say instead of running if changed values would overwrite finished results; else None."""
-    if not found.by_values:
+def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: int) -> str | None:
+    """Return the error message if changed values would overwrite finished results; otherwise None."""
+    if not overwrites.by_values:
         return None
-    total = amount(found.by_values, durations, cores)
-    lines = [str(change) for change in found.changes[:_SHOWN]]
-    if len(found.changes) > _SHOWN:
-        lines.append(f"and {len(found.changes) - _SHOWN} more changed values")
+    total = amount(overwrites.by_values, durations, cores)
+    lines = [str(change) for change in overwrites.changes[:_SHOWN]]
+    if len(overwrites.changes) > _SHOWN:
+        lines.append(f"and {len(overwrites.changes) - _SHOWN} more changed values")
     lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
     return "\n".join(
         [

@@ -10,15 +10,15 @@ from tasklens.study.study import Study
 
 
 def check(study: Study, networks: bool, weights: bool) -> None:
-    """Check what a study reads, and compile the tracer where it is not yet.
+    """Check the inputs of a study, and compile the tracer if necessary.
 
     Args:
-        networks: build every network once; and check that the folders of classes are named by WordNet ids if a network
-            has ImageNet's outputs.
-        weights: look for the files of weights of all classifiers, and with `networks` read them.
+        networks: build every network once; if a network has ImageNet's outputs, check that the class folders have
+            WordNet ids as names.
+        weights: check that the weight files of all classifiers exist; with `networks`, read them.
 
     Raises:
-        InputError: names what cannot be used.
+        InputError: an input cannot be used; the message names it.
     """
     class_folders.check(study.images)
     object_splits.check(study.tasks.scenes)
@@ -57,10 +57,10 @@ def _check_networks(study: Study, weights: bool) -> None:
         for name, network in study.tasks.networks.items():
             task_networks.build(name, network.model_copy(update={"pretrained": False}), 2, study.tasks.scenes.size)
     sizes = {
-        f"{where}.descents.{k}.size": part.size
-        for where, lens in consistency.places(study)
+        f"{place}.descents.{k}.size": part.size
+        for place, lens in consistency.places(study)
         for k, part in enumerate(lens.descents)
         if part.criterion == "task" and part.size is not None
     }
-    for where, size in sizes.items():
-        classifiers.check(f"{study.supervisor} for {where}", study.classifiers[study.supervisor], size, len(classes))
+    for place, size in sizes.items():
+        classifiers.check(f"{study.supervisor} for {place}", study.classifiers[study.supervisor], size, len(classes))

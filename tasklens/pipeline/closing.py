@@ -1,4 +1,4 @@
-"""The last words of a run: the answer of the study, where its results are, and what to type next."""
+"""The summary printed at the end of a run: the study's answer, the paths of its results, and the next commands."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,34 +15,34 @@ from tasklens.study.report_jobs import ReportJob
 from tasklens.study.study import Study
 
 _SHOWN = (".md", ".html")  # results that a person reads
-_MOST = 8  # of them in the last words
+_MOST = 8  # of them in the summary printed at the end of a run
 
 
-def success(study: Study, found: Mapping[str, runs.Run]) -> str:
-    """Return the last words of a run that did all its jobs.
+def success(study: Study, by_study: Mapping[str, runs.Run]) -> str:
+    """Return the summary printed at the end of a run that finished all its jobs.
 
     Args:
         study: the study of the configuration.
-        found: the run of each study, such as the points of a sweep; empty if nothing was to be done.
+        by_study: the run of each study, such as the points of a sweep; empty if no job had to run.
     """
-    found = {name: run for name, run in found.items() if name == owner(name)}  # a part ends long before its study
+    by_study = {name: run for name, run in by_study.items() if name == owner(name)}  # a part ends before its study
     lines = [
         f"\nStudy {name}: {len(run.jobs)} job{'s' * (len(run.jobs) > 1)} in {duration(run.ended - run.started)}."
-        for name, run in found.items()
+        for name, run in by_study.items()
         if run.ended is not None
     ]
     if study.sweep:
-        return "\n".join(lines + _sweep(study, found))
-    run = found.get(study.name)
+        return "\n".join(lines + _sweep(study, by_study))
+    run = by_study.get(study.name)
     verdicts = _folder(study) / "tables" / "verdicts.csv"
-    if verdicts.exists() and (not found or (run is not None and "verdicts_table" in run.jobs)):
+    if verdicts.exists() and (not by_study or (run is not None and "verdicts_table" in run.jobs)):
         lines += _answer(study, verdicts)
-    lines.append(f"Results: {', '.join(f'results/{name}/' for name in found or [study.name])}")
+    lines.append(f"Results: {', '.join(f'results/{name}/' for name in by_study or [study.name])}")
     page = str(_folder(study) / "report.html")
-    made = [job.result for each in found.values() for job in each.jobs.values() if job.result.endswith(_SHOWN)]
-    shown = [path for path in made if path.endswith(".html")] or made[:_MOST]
-    lines += [f"  {path}" for path in (shown if found else [page] if Path(page).exists() else [])]
-    if found and study.name not in found:
+    paths = [job.result for state in by_study.values() for job in state.jobs.values() if job.result.endswith(_SHOWN)]
+    listing = [path for path in paths if path.endswith(".html")] or paths[:_MOST]
+    lines += [f"  {path}" for path in (listing if by_study else [page] if Path(page).exists() else [])]
+    if by_study and study.name not in by_study:
         return "\n".join(lines)
     lines.append("Next:")
     lines += [f"  {command:<72} {meaning}" for command, meaning in _next(study, verdicts)]
@@ -53,20 +53,20 @@ def _folder(study: Study) -> Path:
     return Path("results", study.name)
 
 
-def _sweep(study: Study, found: Mapping[str, runs.Run]) -> list[str]:
+def _sweep(study: Study, by_study: Mapping[str, runs.Run]) -> list[str]:
     table = _folder(study) / "sweep.md"
-    lines = [table.read_text(encoding="utf-8")] if table.exists() and (not found or study.name in found) else []
+    lines = [table.read_text(encoding="utf-8")] if table.exists() and (not by_study or study.name in by_study) else []
     lines.append(f"Results: {_folder(study)}/")
-    return lines + [f"  {page}" for each in at_points(study) if (page := _folder(each) / "report.html").exists()]
+    return lines + [f"  {page}" for point in at_points(study) if (page := _folder(point) / "report.html").exists()]
 
 
 def _answer(study: Study, verdicts: Path) -> list[str]:
-    """Return how many claims hold, and below it, by elements, the answers to the main questions."""
+    """Return the number of claims that hold, then the answers to the main questions for each set of elements."""
     frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
     settings = ReportJob.of(study)
     lines = [words.summary(frame, settings.margins, len(study.seeds))[0].text]
-    for name, found in words.answers(frame, study.elements, settings.questions, settings.margins).items():
-        lines += [f"{name}:", *(f"  {sentence.text}" for sentence in found)]
+    for name, sentences in words.answers(frame, study.elements, settings.questions, settings.margins).items():
+        lines += [f"{name}:", *(f"  {sentence.text}" for sentence in sentences)]
     return lines
 
 
@@ -74,25 +74,25 @@ def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
     file = f"--configfile {_folder(study)}/study.yaml"
     if not verdicts.exists():
         return [(f"snakemake -j2 tables {file}", "all tables and their verdicts")]
-    found = [
+    commands = [
         (f"snakemake -j2 figures certificates {file}", "a drawing and a page of every lens"),
         (f"snakemake -j2 verify {file}", "limits checked, accuracies reproduced"),
     ]
     if len(study.seeds) < LEAST_SEEDS:
         more = ", ".join(map(str, range(LEAST_SEEDS)))
-        found.append((f"snakemake -j2 tables {file} --config 'seeds=[{more}]'", "verdicts in place of suggestions"))
-    return found
+        commands.append((f"snakemake -j2 tables {file} --config 'seeds=[{more}]'", "verdicts in place of suggestions"))
+    return commands
 
 
-def failure(found: Mapping[str, runs.Run]) -> str:
-    """Return the last words of a run in which jobs failed, or which was ended; `found` is that of `success`."""
+def failure(by_study: Mapping[str, runs.Run]) -> str:
+    """Return the summary printed at the end of a run that had failed jobs or was stopped; arguments as `success`."""
     lines = [""]
-    for name, run in found.items():
+    for name, run in by_study.items():
         lines.append(f"Study {name}: {len(run.labels(runs.DONE))} of {len(run.jobs)} jobs done.")
         for label in run.labels(runs.FAILED):
             lines.append(f"FAILED  {runs.title(label)}: {run.jobs[label].result or 'no word in its log'}")
             lines.append(f"        {run.folder}/logs/{label}.log")
-    failed = any(run.labels(runs.FAILED) for run in found.values())
-    others = "; with --keep-going it does all that needs no failed job" if failed else ""
-    lines.append(f"The same command goes on from here{others}.")
+    failed = any(run.labels(runs.FAILED) for run in by_study.values())
+    hint = "; with --keep-going it does all that needs no failed job" if failed else ""
+    lines.append(f"The same command goes on from here{hint}.")
     return "\n".join(lines)

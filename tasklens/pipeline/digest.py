@@ -1,8 +1,8 @@
 """Digest of the code of a job: Snakemake reruns the jobs whose digest changed.
 
 It covers the module of the job's function and all our modules that it imports, directly or indirectly, as syntax trees
-without docstrings, so that editing comments or docstrings does not change it. The package `tasklens.study` is left out:
-what a job reads of a study is in its settings.
+without docstrings, so that editing comments or docstrings does not change it. It leaves out the package
+`tasklens.study`, because a job's settings contain everything that the job reads of a study.
 """
 
 import ast
@@ -57,15 +57,15 @@ def code_and_imports(module: str) -> tuple[str, set[str]]:
 
 
 def reached_modules(module: str) -> set[str]:
-    """Return a module and all modules it imports, directly or indirectly, but for those of the settings."""
-    reached: set[str] = set()
+    """Return a module and all modules it imports, directly or indirectly, except modules of `tasklens.study`."""
+    modules: set[str] = set()
     waiting = {module}
     while waiting:
-        found = waiting.pop()
-        if found not in reached and not f"{found}.".startswith(f"{SETTINGS}."):
-            reached.add(found)
-            waiting |= code_and_imports(found)[1]
-    return reached
+        current = waiting.pop()
+        if current not in modules and not f"{current}.".startswith(f"{SETTINGS}."):
+            modules.add(current)
+            waiting |= code_and_imports(current)[1]
+    return modules
 
 
 @cache

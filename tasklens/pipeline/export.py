@@ -1,4 +1,4 @@
-"""A study in one file for a colleague: configuration, tables, lenses, measurements, and how to go on with it."""
+"""Export of a study to one file for a colleague: configuration, tables, lenses, measurements, and instructions."""
 
 import zipfile
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tasklens.runtime.files import FileError, replacing
 
-_LEFT_OUT = {"checkpoints", "images", "locks", "progress"}  # what is made anew, or is for the running jobs alone
+_LEFT_OUT = {"checkpoints", "images", "locks", "progress"}  # reproducible files, and files that only running jobs need
 _WEIGHTS = {"classifiers", "restoration"}
 
 
@@ -15,7 +15,7 @@ def files_of(folder: Path, weights: bool) -> Iterator[Path]:
     left_out = _LEFT_OUT if weights else _LEFT_OUT | _WEIGHTS
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts[:-1]
-        if path.is_file() and left_out.isdisjoint(parts[:2]) and not path.name.startswith("."):  # of a point too
+        if path.is_file() and left_out.isdisjoint(parts[:2]) and not path.name.startswith("."):  # also of a point
             yield path
 
 
@@ -23,7 +23,7 @@ def export(folder: Path, output: Path, weights: bool) -> int:
     """Write a zip file of a study's results; return the number of files.
 
     Args:
-        weights: with the weights of all networks.
+        weights: include the weights of all networks.
 
     Raises:
         FileError: the folder has no study.

@@ -1,7 +1,7 @@
 """Forecasts of duration and memory of jobs, from Snakemake's benchmarks of finished jobs.
 
 Benchmarks of this study on this machine take precedence. For the studies in `config/`, `config/durations.csv` has
-values from another machine; these durations are scaled by the ratio of durations so far.
+values from another machine; these durations are scaled by the ratio of the durations measured so far.
 """
 
 import csv
@@ -20,13 +20,13 @@ from tasklens.study.settings import ImageSettings
 from tasklens.study.study import Study
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"
-LARGE = 96  # side of images [pixels] from which on those of photographs are more similar than the default ones
-COMPARABLE = 20_000  # training images; with more, nothing measured here says how long jobs take
-_LIMIT = 4.0  # time limit of a job over the longest job of its rule
+LARGE = 96  # image side [pixels] from which jobs resemble the studies of photographs more than the default study
+COMPARABLE = 20_000  # training images; above this number, no measured duration applies
+_LIMIT = 4.0  # ratio of a job's time limit to the longest job of its rule
 _LEAST_LIMIT_MIN = 10.0
 _UNKNOWN_MIN, _UNKNOWN_MB = 1440.0, 4000.0  # for a rule without benchmarks
-_LEAST_MB = 1000.0  # short jobs are measured while they still import
-_MARGIN = 1.5  # memory of a job over the largest job of its rule
+_LEAST_MB = 1000.0  # benchmarks of short jobs see only their imports
+_MARGIN = 1.5  # ratio of the memory for a job to the largest job of its rule
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class Measured:
 
 def by_rule(folder: Path) -> dict[str, Measured]:
     """Read Snakemake's benchmark files below a folder, by rule."""
-    found: dict[str, list[Benchmark]] = {}
+    groups: dict[str, list[Benchmark]] = {}
     for rule, job in benchmarks(folder):
-        found.setdefault(rule, []).append(job)
+        groups.setdefault(rule, []).append(job)
     return {
         rule: Measured(
             mean(job.seconds for job in jobs), max(job.seconds for job in jobs), max(job.memory_mb for job in jobs)
         )
-        for rule, jobs in found.items()
+        for rule, jobs in groups.items()
     }
 
 
 def elsewhere(study: str) -> dict[str, Measured]:
-    """Read what was measured of a study in `config/`, by rule; empty for other studies. Gaps of the file are 0."""
+    """Read the measurements of a study in `config/`, by rule; empty for other studies. Gaps in the file become 0."""
     with open(MEASURED, newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["study"] == study]
     return {row["rule"]: Measured(*(number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
@@ -64,7 +64,7 @@ class Durations:
     Args:
         study: name of the study.
         results: folder of its results.
-        similar: name of a study in `config/` whose durations are taken where nothing else is known.
+        similar: name of a study in `config/` whose durations are used if no others are known.
     """
 
     def __init__(self, study: str, results: str, similar: str = ""):
@@ -78,16 +78,16 @@ class Durations:
     @cached_property
     def elsewhere(self) -> dict[str, Measured]:
         """Benchmarks of this study on another machine, by rule."""
-        return elsewhere(self.study.partition("/")[0])  # of a point of a sweep, its study
+        return elsewhere(self.study.partition("/")[0])  # a point of a sweep has the name study/point
 
     @cached_property
     def guesses(self) -> dict[str, Measured]:
-        """Benchmarks of the similar study, by rule; limits of time and memory are not taken from them."""
+        """Benchmarks of the similar study, by rule; they set no limits of time and memory."""
         return elsewhere(self.similar)
 
     @property
     def scale(self) -> float:
-        """Ratio of durations on this machine to those on the other one; 1 until a job has finished here."""
+        """Ratio of durations on this machine to durations on the other one; 1 until a job finishes here."""
         both = [rule for rule in self.here if rule in self.elsewhere]
         there = sum(self.elsewhere[rule].seconds for rule in both)
         return sum(self.here[rule].seconds for rule in both) / there if there else 1.0
@@ -102,14 +102,14 @@ class Durations:
 
     def limit_minutes(self, rule: str) -> int:
         """Return the time limit of a job of a rule [min]."""
-        found = [(1.0, self.here), (max(1.0, self.scale), self.elsewhere)]
-        known = [scale * max(each[rule].seconds, each[rule].longest_s) for scale, each in found if rule in each]
-        return round(max(_LEAST_LIMIT_MIN, _LIMIT * max(known) / 60) if known else _UNKNOWN_MIN)
+        sources = [(1.0, self.here), (max(1.0, self.scale), self.elsewhere)]
+        longest = [scale * max(table[rule].seconds, table[rule].longest_s) for scale, table in sources if rule in table]
+        return round(max(_LEAST_LIMIT_MIN, _LIMIT * max(longest) / 60) if longest else _UNKNOWN_MIN)
 
     def memory_mb(self, rule: str) -> int:
         """Return the memory requested for a job of a rule [MB]."""
-        known = [measured[rule].memory_mb for measured in (self.here, self.elsewhere) if rule in measured]
-        return round(max(_LEAST_MB, _MARGIN * max(known)) if any(known) else _UNKNOWN_MB)
+        largest = [table[rule].memory_mb for table in (self.here, self.elsewhere) if rule in table]
+        return round(max(_LEAST_MB, _MARGIN * max(largest)) if any(largest) else _UNKNOWN_MB)
 
     def forecast(self, rules: Iterable[str], cores: int) -> str:
         """Describe in one line the number of jobs of these rules and their total duration on `cores` cores."""
@@ -126,7 +126,7 @@ class Durations:
 
 
 def durations_of(study: Study) -> Durations:
-    """Return the durations of a study; where nothing is known of a rule, of a study with images like its own."""
+    """Return the durations of a study; rules without benchmarks use those of a study with similar images."""
     similar = "small"
     if study.images.size >= LARGE:
         similar = (
@@ -138,7 +138,7 @@ def durations_of(study: Study) -> Durations:
 
 
 def _training_images(images: ImageSettings) -> float:
-    """Return the number of training images, counted up to `COMPARABLE`; infinity where their folder is missing."""
+    """Return the number of training images, counted up to `COMPARABLE`; infinity if their folder is missing."""
     if images.train is not None:
         return images.train
     assert images.folder is not None  # rendered images need counts
@@ -149,7 +149,7 @@ def _training_images(images: ImageSettings) -> float:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in words of two units at most, such as `1 h 20 min`."""
+    """Format a duration with at most two units, such as `1 h 20 min`."""
     if seconds < 60:
         return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
     minutes = round(seconds / 60)

@@ -1,4 +1,4 @@
-"""A new study that fits a time: the default study, cut until the measured durations of its jobs say so."""
+"""A new study that fits a time budget: the default study, reduced until its forecast duration fits."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -30,20 +30,20 @@ _WIDTH = 120  # of a line
 
 @cache
 def default_study() -> dict[str, Any]:
-    """Return the keys of the default study; raises InputError where the studies are not installed."""
+    """Return the keys of the default study; raises InputError if the studies are not installed."""
     if not DEFAULT.is_file():
         raise InputError(f"{DEFAULT}: {NOT_INSTALLED}")
     return yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
 
 
 def elements() -> dict[str, list[str]]:
-    """Return the plastics of a singlet, and of the elements of the default study."""
+    """Return the plastics of each named set of elements: a singlet, and the sets of the default study."""
     return {"singlet": ["COC"]} | default_study()["elements"]
 
 
 @dataclass(frozen=True)
 class Cut:
-    """How much of the default study is kept: tables, designs (None: all), and a fraction of steps and images."""
+    """A part of the default study: tables, designs (None: all), and a fraction of steps and images."""
 
     words: str
     tables: tuple[str, ...]
@@ -62,15 +62,15 @@ CUTS = (
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What a study is to be about.
+class StudyRequest:
+    """Options of `tasklens study new`.
 
     Attributes:
         folder: folder of photographs; None for the rendered images.
         networks: names of networks of the default study, or of timm, which start from published weights; the first one
             supervises the designs.
         elements: plastics from front to back by name.
-        weights: weights of the first network, if it is one of timm, in place of published ones; it is not trained.
+        weights: weights of the first network, if it is from timm, instead of published ones; it is not trained.
         outputs, arguments: of this network, as in `ClassifierSettings`.
     """
 
@@ -87,58 +87,58 @@ class Wish:
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
 
-def content(wish: Wish, cut: Cut) -> dict[str, Any]:
-    """Return the keys of the study file: the default study with what is wished, and cut."""
-    base = _base(wish.size)
-    networks = [re.sub("[^a-z0-9_]", "_", network.lower()) for network in wish.networks]  # resnet18.a1_in1k
+def content(request: StudyRequest, cut: Cut) -> dict[str, Any]:
+    """Return the keys of the study file: the default study with the requested options, reduced by a cut."""
+    base = _base(request.size)
+    networks = [re.sub("[^a-z0-9_]", "_", network.lower()) for network in request.networks]  # resnet18.a1_in1k
     designs = {name: _design(base["designs"], name, cut) for name in cut.designs or base["designs"]}
-    images: dict[str, Any] = {"size": wish.size, "minival": base["images"]["minival"], "seed": 0}
-    if wish.folder is None:
+    images: dict[str, Any] = {"size": request.size, "minival": base["images"]["minival"], "seed": 0}
+    if request.folder is None:
         images |= {key: max(500, round(base["images"][key] * cut.fraction)) for key in ("train", "test")}
     else:
-        images["folder"] = str(wish.folder)
-        split = class_folders.split_folder(wish.folder, class_folders.TRAIN)
-        images["minival"] = max(2, class_folders.count(split, 5 * images["minival"]) // 5)  # of a small folder, a fifth
+        images["folder"] = str(request.folder)
+        split = class_folders.split_folder(request.folder, class_folders.TRAIN)
+        images["minival"] = max(2, class_folders.count(split, 5 * images["minival"]) // 5)  # a fifth of a small folder
         if cut.fraction < 1:
             train = class_folders.count(split, COMPARABLE) - images["minival"]
-            test = class_folders.count(class_folders.split_folder(wish.folder, class_folders.TEST), COMPARABLE)
+            test = class_folders.count(class_folders.split_folder(request.folder, class_folders.TEST), COMPARABLE)
             images |= {"train": max(1, round(train * cut.fraction)), "test": max(1, round(test * cut.fraction))}
-    found = {
+    keys = {
         "format": base["format"],
-        "name": wish.name,
-        "seeds": list(range(wish.seeds)),
+        "name": request.name,
+        "seeds": list(range(request.seeds)),
         "tables": list(cut.tables),
         "images": images,
-        "spec": base["spec"] | {"f_number": wish.f_number, "field_of_view_deg": wish.field_of_view_deg},
-        "elements": {name: list(plastics) for name, plastics in wish.elements.items()},
+        "spec": base["spec"] | {"f_number": request.f_number, "field_of_view_deg": request.field_of_view_deg},
+        "elements": {name: list(plastics) for name, plastics in request.elements.items()},
         "supervisor": networks[0],
         "classifiers": {
-            name: _network(base["classifiers"], wish, network)
-            for name, network in zip(networks, wish.networks, strict=True)
+            name: _network(base["classifiers"], request, network)
+            for name, network in zip(networks, request.networks, strict=True)
         },
         "designs": designs,
         "fine_tuning": base["fine_tuning"],
         "restoration": base["restoration"],
     }
-    parse(found)  # raises StudyError
-    return found
+    parse(keys)  # raises StudyError
+    return keys
 
 
 def _base(size: int) -> dict[str, Any]:
-    """Return the default study; for large images with steps of designs and networks as in those of photographs."""
+    """Return the default study; for large images, with the steps of the studies of photographs."""
     base = dict(default_study())
     for path in _OF_LARGE_IMAGES if size >= LARGE else ():
-        above = yaml.safe_load(path.read_text(encoding="utf-8"))
-        base |= {key: laid_over(base[key], above.get(key, {})) for key in ("designs", "fine_tuning", "restoration")}
+        layer = yaml.safe_load(path.read_text(encoding="utf-8"))
+        base |= {key: laid_over(base[key], layer.get(key, {})) for key in ("designs", "fine_tuning", "restoration")}
     return base
 
 
 def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
-    """Return a design of the default study, which begins with designs that are kept, with a fraction of the steps."""
-    kept = cut.designs or tuple(designs)
+    """Return a design of the default study: it starts only from designs of the cut, with a fraction of the steps."""
+    designs_in_cut = cut.designs or tuple(designs)
     design = dict(designs[name])
     if isinstance(design.get("start"), list):
-        design["start"] = [other for other in design["start"] if other in kept]
+        design["start"] = [other for other in design["start"] if other in designs_in_cut]
     if "descents" in design and cut.fraction < 1:
         parts = design["descents"]
         design["descents"] = [part | {"steps": max(1, round(part["steps"] * cut.fraction))} for part in parts]
@@ -147,91 +147,91 @@ def _design(designs: Mapping[str, Any], name: str, cut: Cut) -> dict[str, Any]:
     return design
 
 
-def _network(networks: Mapping[str, Any], wish: Wish, name: str) -> dict[str, Any]:
-    """Return a network of the default study for images of a size, or one of timm with weights and a new head."""
+def _network(networks: Mapping[str, Any], request: StudyRequest, name: str) -> dict[str, Any]:
+    """Return the section of a network: from the default study, or from timm with weights and a new head."""
     if name not in networks:
-        if wish.weights is None or name != wish.networks[0]:
+        if request.weights is None or name != request.networks[0]:
             return {"model": name, "pretrained": True, "training": {"epochs": 1, "learning_rate": 3e-4}}
-        used = {"outputs": wish.outputs, "arguments": dict(wish.arguments)}
-        return {"model": name, "weights": str(wish.weights), **used}  # as it is, without further training
+        options = {"outputs": request.outputs, "arguments": dict(request.arguments)}
+        return {"model": name, "weights": str(request.weights), **options}  # as it is, without further training
     network = dict(networks[name])
     if "img_size" in network.get("arguments", {}):
-        network["arguments"] = network["arguments"] | {"img_size": wish.size}
+        network["arguments"] = network["arguments"] | {"img_size": request.size}
     return network
 
 
 def seconds(study: Study, cores: int) -> float:
     """Estimate the duration of the target `tables` on some cores of the machine of `config/durations.csv` [s].
 
-    A job takes what a job of its rule takes in the default study, or with large images in those of photographs. The
-    jobs that wait for each other take their sum, on however many cores: images, reference, designs, a fine-tuning.
+    A job takes as long as a job of its rule in the default study, or for large images in the studies of photographs.
+    Jobs that depend on each other (images, reference, designs, fine-tuning) run in sequence on any number of cores.
     """
     guesses, default = durations_of(study), elsewhere("small")
     counts = {name: count * len(study.seeds) for name, count in _jobs_of_a_seed(study).items()}
     counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts_table": 1}
-    each = {rule: guesses.seconds(rule) or 0.0 for rule in counts}
-    each |= {rule: default[rule].seconds for rule, seconds in each.items() if not seconds and rule in default}
+    per_job = {rule: guesses.seconds(rule) or 0.0 for rule in counts}
+    per_job |= {rule: default[rule].seconds for rule, seconds in per_job.items() if not seconds and rule in default}
     longest = max(_depth(study, lens) for lens in study.lenses)
-    chain = each["images"] + each["reference"] + longest * each["design"] + each["fine_tune"]
-    return max(chain, sum(count * each[rule] for rule, count in counts.items()) / cores)
+    chain = per_job["images"] + per_job["reference"] + longest * per_job["design"] + per_job["fine_tune"]
+    return max(chain, sum(count * per_job[rule] for rule, count in counts.items()) / cores)
 
 
 def _depth(study: Study, lens: str) -> int:
-    """Return the number of designs that wait for each other up to that of a lens."""
-    before = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)}
-    return 1 + max((_depth(study, other) for other in before), default=0)
+    """Return the length of the longest chain of dependent designs that ends with a lens."""
+    sources = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)}
+    return 1 + max((_depth(study, other) for other in sources), default=0)
 
 
 def _jobs_of_a_seed(study: Study) -> dict[str, int]:
     contents = paper_tables.tables(study)
-    lenses = dict.fromkeys(lens for each in contents for lens in each.lenses)
+    lenses = dict.fromkeys(lens for table in contents for lens in table.lenses)
     waiting = list(lenses)
     while waiting:
         lens = waiting.pop()
-        needed = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)} - lenses.keys()
-        lenses |= dict.fromkeys(needed)
-        waiting += needed
-    measured = {pair for each in contents for pair in each.measured} | {(names.SHARP, study.supervisor)}
+        sources = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)} - lenses.keys()
+        lenses |= dict.fromkeys(sources)
+        waiting += sources
+    pairs = {pair for table in contents for pair in table.measured} | {(names.SHARP, study.supervisor)}
     return {
         "design": len(lenses),
-        "fine_tune": len(measured),
-        "restore": len({lens for each in contents if each.restored for lens in each.lenses}),
+        "fine_tune": len(pairs),
+        "restore": len({lens for table in contents if table.restored for lens in table.lenses}),
     }
 
 
-def fit(wish: Wish, minutes: float, cores: int) -> tuple[Cut, float]:
-    """Return the richest cut of the default study that takes at most `minutes` on some cores, and its duration [s].
+def fit(request: StudyRequest, minutes: float, cores: int) -> tuple[Cut, float]:
+    """Return the largest cut of the default study that takes at most `minutes` on some cores, and its duration [s].
 
     Raises:
-        InputError: not even the least one fits.
+        InputError: not even the smallest cut fits.
     """
     for cut in CUTS:
-        found = seconds(parse(content(wish, cut)), cores) * cut.fraction
-        if found <= 60 * minutes:
-            return cut, found
+        forecast_s = seconds(parse(content(request, cut)), cores) * cut.fraction
+        if forecast_s <= 60 * minutes:
+            return cut, forecast_s
     raise InputError(
-        f"--minutes {minutes:g}: the least study of this kind takes about {duration(found)} on {cores} cores; "
+        f"--minutes {minutes:g}: the least study of this kind takes about {duration(forecast_s)} on {cores} cores; "
         "give it more time, or fewer elements, networks or seeds"
     )
 
 
-def check(wish: Wish, cut: Cut) -> None:
-    """Check the folder of images, and that timm has the networks that the default study has not.
+def check(request: StudyRequest, cut: Cut) -> None:
+    """Check the folder of images, and that timm has all networks that are not in the default study.
 
     Raises:
-        InputError: names what cannot be used.
+        InputError: an input cannot be used; the message names it.
     """
-    study = parse(content(wish, cut))
+    study = parse(content(request, cut))
     class_folders.check(study.images)
-    known = default_study()["classifiers"]
-    if wish.weights is not None and wish.networks[0] in known:
-        raise InputError(f"--weights: for a network of timm; {wish.networks[0]} is trained on the images")
-    if others := [name for name in wish.networks if name not in known]:
+    defaults = default_study()["classifiers"]
+    if request.weights is not None and request.networks[0] in defaults:
+        raise InputError(f"--weights: for a network of timm; {request.networks[0]} is trained on the images")
+    if others := [name for name in request.networks if name not in defaults]:
         from tasklens.recognition import classifiers
 
         for name, settings in study.classifiers.items():
             if settings.model in others:
-                classifiers.check(name, settings, wish.size)
+                classifiers.check(name, settings, request.size)
 
 
 _COMMENTS = {
@@ -249,15 +249,15 @@ _COMMENTS = {
 }
 
 
-def text(wish: Wish, cut: Cut, forecast_s: float, cores: int, path: Path) -> str:
-    """Return the study file: what it is, its command and duration, and its keys with comments."""
+def text(request: StudyRequest, cut: Cut, forecast_s: float, cores: int, path: Path) -> str:
+    """Return the text of the study file: description, command, duration, and keys with comments."""
     lines = [
         f"# {cut.words[0].upper()}{cut.words[1:]}: about {duration(forecast_s)} on {cores} cores of the machine on",
         "# which config/durations.csv was measured. All keys: `tasklens study schema`, and the page of keys in docs.",
         "#",
         f"#   snakemake -j{cores} tables --configfile {path}",
     ]
-    for key, value in content(wish, cut).items():
+    for key, value in content(request, cut).items():
         if key in _COMMENTS:
             lines.append(f"\n# {_COMMENTS[key]}")
         lines += _yaml(key, value)
@@ -265,9 +265,9 @@ def text(wish: Wish, cut: Cut, forecast_s: float, cores: int, path: Path) -> str
 
 
 def _yaml(key: str, value: Any, indent: str = "") -> list[str]:
-    """Return the lines of a key in YAML: a mapping in one line if that is short and it holds no other."""
+    """Return a key as lines of YAML; a short mapping that contains no other mapping takes one line."""
     line = f"{indent}{key}: {in_one_line(value)}"
-    deep = isinstance(value, Mapping) and any(isinstance(each, Mapping) for each in value.values())
-    if not isinstance(value, Mapping) or (len(line) <= _WIDTH and not deep):
+    is_nested = isinstance(value, Mapping) and any(isinstance(item, Mapping) for item in value.values())
+    if not isinstance(value, Mapping) or (len(line) <= _WIDTH and not is_nested):
         return [line]
     return [f"{indent}{key}:", *(line for k, v in value.items() for line in _yaml(k, v, f"{indent}  "))]

@@ -1,4 +1,4 @@
-"""What came out of a finished job, in a few words, from its files."""
+"""Short description of the result of a finished job, read from its files."""
 
 import csv
 import re
@@ -12,8 +12,8 @@ from tasklens.study.names import SHARP
 
 
 def outcome(rule: str, outputs: Sequence[str], log: Path) -> str:
-    """Say what a job has made: the spot of a lens, an accuracy, where a table is; else the last line of its log."""
-    paths = {Path(path).suffix: Path(path) for path in reversed(outputs)}  # the first of each kind
+    """Describe the result of a job: spot of a lens, accuracy, or path of a table; else the last line of its log."""
+    paths = {Path(path).suffix: Path(path) for path in reversed(outputs)}  # the first file of each suffix
     if rule == "design":
         return _lens(paths[".yaml"])
     if rule == "production":
@@ -23,8 +23,8 @@ def outcome(rule: str, outputs: Sequence[str], log: Path) -> str:
     if rule == "fine_tune":
         sharp = f"/{SHARP}/" in str(paths[".csv"])
         return f"accuracy {_accuracy(paths['.csv']):.1f} %" + (" on the sharp images" if sharp else "")
-    shown = paths.get(".md") or paths.get(".html") or paths.get(".png")
-    return str(shown) if shown else _last_line(log)
+    document = paths.get(".md") or paths.get(".html") or paths.get(".png")
+    return str(document) if document else _last_line(log)
 
 
 def _lens(path: Path) -> str:
@@ -39,8 +39,8 @@ def _lens(path: Path) -> str:
 
 def _built(path: Path) -> str:
     with open(path, newline="") as file:
-        design, *built = (float(row["accuracy"]) for row in csv.DictReader(file))
-    return f"accuracy {design:.1f} %, of built lenses {mean(built):.1f} %"
+        design, *accuracies = (float(row["accuracy"]) for row in csv.DictReader(file))
+    return f"accuracy {design:.1f} %, of built lenses {mean(accuracies):.1f} %"
 
 
 def _scores(path: Path) -> str:
@@ -62,7 +62,7 @@ def _last_line(log: Path) -> str:
 
 
 def last_lines(log: Path, count: int) -> list[str]:
-    """Return the last lines of a log that are not blank; none where it does not exist."""
+    """Return the last non-blank lines of a log; none if it does not exist."""
     try:
         return [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()][
             -count:

@@ -1,4 +1,4 @@
-"""Which jobs of a study remain, and what they take: Snakemake's own plan, with durations and memory."""
+"""Remaining jobs of a study: Snakemake's own plan, with durations, memory and disk space."""
 
 import json
 import subprocess
@@ -17,7 +17,7 @@ from tasklens.study.study import Study
 
 @dataclass
 class Planned:
-    """Jobs of one rule: labels of those that are done, that were never done, and that are done again."""
+    """Jobs of one rule: labels of finished jobs, of missing jobs, and of jobs that run again."""
 
     done: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
@@ -26,7 +26,7 @@ class Planned:
 
     @property
     def remaining(self) -> int:
-        """Number of jobs that are to run."""
+        """Number of jobs that still have to run."""
         return len(self.missing) + len(self.again)
 
 
@@ -36,49 +36,49 @@ def dump(jobs: Iterable[PlannedJob]) -> str:
 
 
 def plan(files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
-    """Ask Snakemake which jobs a target needs, by name of the study and by rule; it takes seconds.
+    """Return the jobs of a target, by study and by rule, from a dry run of Snakemake; it takes seconds.
 
     Args:
-        files: the files of the study, laid over each other.
+        files: the files of the study; later ones override earlier ones.
 
     Raises:
-        InputError: Snakemake cannot plan; with its words.
+        InputError: Snakemake cannot plan; the message contains its output.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "jobs.json")
-        words = ["--snakefile", str(ROOT / "Snakefile"), "--cores", "1", "--dry-run", target]
-        command = [sys.executable, "-m", "snakemake", *words, "--configfile", *map(str, files)]
-        done = subprocess.run([*command, "--config", f"plan={path}"], capture_output=True, text=True)
-        if done.returncode:
-            said = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("Using ")]
-            raise InputError(f"Snakemake cannot plan {target} of {', '.join(map(str, files))}: {' '.join(said)}")
+        options = ["--snakefile", str(ROOT / "Snakefile"), "--cores", "1", "--dry-run", target]
+        command = [sys.executable, "-m", "snakemake", *options, "--configfile", *map(str, files)]
+        process = subprocess.run([*command, "--config", f"plan={path}"], capture_output=True, text=True)
+        if process.returncode:
+            lines = [line for line in process.stderr.splitlines() if line.strip() and not line.startswith("Using ")]
+            raise InputError(f"Snakemake cannot plan {target} of {', '.join(map(str, files))}: {' '.join(lines)}")
         rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
-    found: dict[str, dict[str, Planned]] = {}
+    plans: dict[str, dict[str, Planned]] = {}
     for job in (PlannedJob(**row) for row in rows):
-        planned = found.setdefault(job.study, {}).setdefault(job.rule, Planned())
+        planned = plans.setdefault(job.study, {}).setdefault(job.rule, Planned())
         state = "done" if not job.remains else "again" if job.outputs else "missing"
         getattr(planned, state).append(job.label)
         planned.files += map(Path, job.outputs)
-    return dict(sorted(found.items()))  # a sweep, then its points
+    return dict(sorted(plans.items()))  # a sweep, then its points
 
 
 def seconds(planned: dict[str, Planned], durations: Durations) -> tuple[float, list[str]]:
-    """Return the duration of the remaining jobs on one core [s], and the rules of which it is not known."""
+    """Return the duration of the remaining jobs on one core [s], and the rules of unknown duration."""
     remaining = {rule: jobs.remaining for rule, jobs in planned.items() if jobs.remaining}
-    known = {rule: durations.seconds(rule) for rule in remaining}
-    total = sum(count * (known[rule] or 0.0) for rule, count in remaining.items())
-    return total, [rule for rule, each in known.items() if each is None]
+    job_seconds = {rule: durations.seconds(rule) for rule in remaining}
+    total = sum(count * (job_seconds[rule] or 0.0) for rule, count in remaining.items())
+    return total, [rule for rule, value in job_seconds.items() if value is None]
 
 
 def memory_mb(planned: dict[str, Planned], durations: Durations) -> int:
-    """Return the memory that the largest remaining job asks for [MB]; 0 if none remains."""
+    """Return the memory that the largest remaining job requests [MB]; 0 if none remains."""
     return max((durations.memory_mb(rule) for rule, jobs in planned.items() if jobs.remaining), default=0)
 
 
 def disk_mb(study: Study, planned: dict[str, Planned]) -> tuple[float, list[str]]:
-    """Return what the outputs of the missing jobs take on the disk [MB], and the rules of which it is not known.
+    """Return the disk space for the outputs of the missing jobs [MB], and the rules of unknown size.
 
-    Images are 3 size^2 bytes each; a job of another rule takes what those that are done take on average.
+    An image takes 3 size^2 bytes. A job of another rule takes the mean of the finished jobs of its rule.
     """
     total, unknown = 0.0, []
     for rule, jobs in planned.items():
@@ -87,8 +87,8 @@ def disk_mb(study: Study, planned: dict[str, Planned]) -> tuple[float, list[str]
         if rule == "images" and study.images.train is not None and study.images.test is not None:
             count = study.images.train + study.images.minival + study.images.test
             total += count * 3 * study.images.size**2 / 1e6
-        elif finished := len(jobs.done) + len(jobs.again):
-            total += len(jobs.missing) * sum(path.stat().st_size for path in jobs.files) / finished / 1e6
+        elif done_count := len(jobs.done) + len(jobs.again):
+            total += len(jobs.missing) * sum(path.stat().st_size for path in jobs.files) / done_count / 1e6
         else:
             unknown.append(rule)
     return total, unknown

@@ -27,24 +27,24 @@ from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.messages import problems
 from tasklens.study.settings import ClassifierSettings, ImageSettings, Spec
 
-ELEMENTS = "lens"  # their name in the study
+ELEMENTS = "lens"  # name of the elements of all lenses in the study
 _SUFFIXES = (".zmx", ".yaml", ".yml")
 _RAYS = 4096  # per field and colour
-_COVERAGE = 0.99  # of the field that a lens has in its file, to which the corner of the sensor may come
+_COVERAGE = 0.99  # least part of the sensor's half diagonal that the field in a lens file covers
 _LONGEST = 30  # characters of a name
-_SHOWN = 200  # sharp photographs that a network is tried on
-_MINIVAL, _TRAIN = 2, 1  # photographs that a study needs beside those of the ranking
+_SHOWN = 200  # sharp photographs for the check of a network
+_MINIVAL, _TRAIN = 2, 1  # photographs that a study needs in addition to the ranking's
 
 
 @dataclass
 class Screened:
-    """Lenses that can be measured, by name, and what is known of all.
+    """Results of screening lens files: usable lenses by name, and the reasons against the others.
 
     Attributes:
         entries: the lenses as a study imports them.
         titles: names of their files, by name.
         mtf: mean MTF, by name.
-        left_out: files that cannot be measured, and why.
+        left_out: reasons why a file cannot be measured, by its name.
     """
 
     entries: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Screened:
 
 
 def lens_paths(places: Sequence[Path]) -> list[Path]:
-    """Return lens files, and those in folders; raises FileError for one that is not there."""
+    """Return lens files, also from inside folders; raises FileError if a path does not exist."""
     files: list[Path] = []
     for path in places:
         if path.is_dir():
@@ -70,15 +70,15 @@ def lens_paths(places: Sequence[Path]) -> list[Path]:
 
 
 def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool) -> Screened:
-    """Read lenses, and see which of them can be used at a sensor.
+    """Read lenses, and check which of them can be used with a sensor.
 
     Args:
         spec: keys of `Spec`: the sensor and the distance of the object.
-        catalogues: further glass catalogues.
+        catalogues: additional glass catalogues.
         scaled: scale lenses so that their field fills the sensor; otherwise they keep their size.
 
     Raises:
-        InputError: a wrong value of the sensor.
+        InputError: a value of the sensor is invalid.
     """
     try:
         sensor = Spec.model_validate(dict(spec))
@@ -110,13 +110,13 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
     if not tangent:
         raise InputError("has no field but the axis in its file")
     if not scaled:
-        covered = efl * tangent
-        if covered < _COVERAGE * half:
+        radius = efl * tangent
+        if radius < _COVERAGE * half:
             raise InputError(
-                f"covers {2 * covered:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale: it fits)"
+                f"covers {2 * radius:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale: it fits)"
             )
         tangent = half / efl
-    own = {
+    lens_spec = {
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
         "f_number": efl / float(2 * first_order.entrance_pupil_radius),
     }
@@ -124,9 +124,9 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
         "elements": ELEMENTS,
         "file": str(path),
         "catalogues": [*map(str, catalogues)],
-        "spec": own,
+        "spec": lens_spec,
     }
-    spec = Spec.model_validate(sensor.model_dump(exclude=set(Spec.model_computed_fields)) | own)
+    spec = Spec.model_validate(sensor.model_dump(exclude=set(Spec.model_computed_fields)) | lens_spec)
     view = view_of_spec(spec)
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
     if not (light := lit(lens, view)).all():
@@ -135,16 +135,16 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
 
 
 def _title(path: Path, paths: Sequence[Path]) -> str:
-    """Return the name of a file, with its folder if another one has the same."""
-    alike = [other for other in paths if other.stem == path.stem]
-    return path.stem if len(alike) == 1 else str(path)
+    """Return the name of a file, with its folder if another file has the same name."""
+    namesakes = [other for other in paths if other.stem == path.stem]
+    return path.stem if len(namesakes) == 1 else str(path)
 
 
-def _name(path: Path, taken: Iterable[str]) -> str:
-    """Return a name for a study that is not taken yet."""
+def _name(path: Path, existing: Iterable[str]) -> str:
+    """Return a name for a lens that the study does not use yet."""
     base = re.sub("[^a-z0-9]+", "_", path.stem.lower()).strip("_")[:_LONGEST] or "lens"
     names = [base, *(f"{base}_{k}" for k in range(2, 10_000))]
-    return next(name for name in names if name not in set(taken))
+    return next(name for name in names if name not in set(existing))
 
 
 def study(
@@ -159,14 +159,14 @@ def study(
     tolerances: Mapping[str, Any],
     built: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the study that measures lenses, of which the sieve keeps those of the most MTF.
+    """Return the study that measures lenses; `keep` limits it to the lenses with the highest MTF.
 
     Raises:
         InputError: no lens can be measured.
     """
     order = sorted(screened.entries, key=lambda lens: -screened.mtf[lens])
-    kept = order if keep is None else order[:keep]
-    if not kept:
+    lenses = order if keep is None else order[:keep]
+    if not lenses:
         reasons = "; ".join(f"{title}: {why}" for title, why in screened.left_out.items())
         raise InputError(f"none of the lenses can be measured: {reasons}")
     content = {
@@ -178,14 +178,14 @@ def study(
         "capture": dict(capture),
         "elements": {},
         "designs": {},
-        "imported": {lens: screened.entries[lens] for lens in kept},
+        "imported": {lens: screened.entries[lens] for lens in lenses},
         "supervisor": "network",
         "classifiers": {"network": dict(classifier)},
         "fine_tuning": {"epochs": epochs, "learning_rate": 1e-4, "batch_size": 16},
         "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
         "tolerances": dict(tolerances),
         "ranking": {
-            "titles": {f"{ELEMENTS}-{lens}": screened.titles[lens] for lens in kept},
+            "titles": {f"{ELEMENTS}-{lens}": screened.titles[lens] for lens in lenses},
             "left_out": screened.left_out,
             "mtf": {f"{ELEMENTS}-{lens}": screened.mtf[lens] for lens in order},
             "built": list(built),
@@ -195,7 +195,7 @@ def study(
 
 
 def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> dict[str, Any]:
-    """Return the images of a ranking: up to so many photographs; all others for training, if there is one.
+    """Return the images of a ranking: at most `photographs` to test with; if `trained`, all others for training.
 
     Raises:
         FileError: the folder has no photographs by class, or too few.
@@ -213,10 +213,10 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> 
 
 
 def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
-    """Return in words what a network recognises of some of the sharp photographs.
+    """Describe how well a network recognises some of the sharp photographs.
 
     Raises:
-        InputError: it cannot be built or read, or recognises nothing.
+        InputError: the network cannot be built or read, or recognises nothing.
     """
     from tasklens.recognition import classifiers, dataset, folders, sharp
 
@@ -234,7 +234,7 @@ def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrit
     """Run the study by Snakemake; return the folder of its results.
 
     Raises:
-        SystemExit: Snakemake fails, which has said why.
+        SystemExit: Snakemake fails; it has printed the reason.
         InputError: the workflow is not installed.
     """
     snakefile = ROOT / "Snakefile"
@@ -251,7 +251,7 @@ def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrit
 
 
 def first_lenses(folder: Path, titles: Mapping[str, str], count: int) -> list[str]:
-    """Return the names in the study of the first lenses of a finished ranking."""
+    """Return the first lenses of a finished ranking by their names in the study."""
     names = {title: lens for lens, title in titles.items()}
     table = pandas.read_csv(folder / "tables" / "ranking.csv")
     return [names[str(title)] for title in table["lens"][:count]]

@@ -1,7 +1,7 @@
-"""State of a run of a study, in results/<study>/run.json: which jobs wait, run, are done or have failed.
+"""State of a run of a study, in results/<study>/run.json: which jobs are waiting, running, done or failed.
 
-Snakemake's process writes it whenever a job begins or ends. How far a running job is, is in its progress file, which
-the job writes itself, on whichever machine; so that both can be read from another terminal, also of a cluster.
+Snakemake's process writes it whenever a job begins or ends. Each running job writes its own progress file, on whichever
+machine it runs. So another terminal can read both, also on a cluster.
 """
 
 import json
@@ -20,12 +20,12 @@ from tasklens.runtime import progress_file
 from tasklens.runtime.files import FileError, write_text
 
 WAITING, RUNNING, DONE, FAILED = "waiting", "running", "done", "failed"
-_SILENT_S = 120.0  # a running job that has not written for longer is said to be silent
+_SILENT_S = 120.0  # a running job without news for longer is called silent
 
 
 @dataclass
 class Job:
-    """One job: its rule and state, when it began [s since 1970], how long it took [s], and its result in words."""
+    """One job: its rule and state, its start [s since 1970], its duration [s], and its result in words."""
 
     rule: str
     state: str = WAITING
@@ -39,7 +39,7 @@ class Run:
     """A run: its study and results folder, the process, and all its jobs by label, such as `design/doublet-spot-seed0`.
 
     Attributes:
-        ended: when the run ended [s since 1970]; None before, and where its process was killed.
+        ended: end of the run [s since 1970]; None before the end, or if its process was killed.
     """
 
     study: str
@@ -52,20 +52,20 @@ class Run:
     ended: float | None = None
 
     def begin(self, label: str) -> None:
-        """Note that a job begins."""
+        """Record that a job begins."""
         if label in self.jobs:
             self.jobs[label].state, self.jobs[label].began = RUNNING, time.time()
             self.save()
 
     def end(self, label: str, state: str, seconds: float | None = None, result: str = "") -> None:
-        """Note that a job has ended, by default after the time since it began."""
+        """Record that a job has ended; by default its duration is the time since it began."""
         job = self.jobs[label]
         job.state, job.result = state, result
         job.seconds = time.time() - (job.began or time.time()) if seconds is None else seconds
         self.save()
 
     def finish(self) -> None:
-        """Note that the run has ended."""
+        """Record that the run has ended."""
         self.ended = time.time()
         self.save()
 
@@ -79,82 +79,82 @@ class Run:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the run goes on, as far as this machine can know."""
+        """Whether the run is still going, as far as this machine can tell."""
         return self.ended is None and (self.host != socket.gethostname() or psutil.pid_exists(self.pid))
 
     def seconds_left(self, durations: Durations) -> float | None:
-        """Return how long the remaining jobs take on the run's cores [s]; None where nothing is known of any."""
+        """Return the duration of the remaining jobs on the run's cores [s]; None if no duration is known."""
         return seconds_left([(self, durations)])
 
     def known_seconds(self, durations: Durations) -> tuple[list[float], list[float]]:
-        """Return how long each waiting and each running job still takes [s], of those of which it is known."""
+        """Return the remaining times of waiting and of running jobs [s]; leave out jobs of unknown duration."""
         waiting = [durations.seconds(self.jobs[label].rule) for label in self.labels(WAITING)]
         running = [self._left(label, durations) for label in self.labels(RUNNING)]
-        return [each for each in waiting if each is not None], [each for each in running if each is not None]
+        return [value for value in waiting if value is not None], [value for value in running if value is not None]
 
     def _left(self, label: str, durations: Durations) -> float | None:
-        """Return how long a running job still takes [s]: the longer of what its phase and its rule's jobs say."""
-        job, found = self.jobs[label], self.progress(label)
+        """Return the remaining time of a running job [s]: the longer of the estimates by its phase and by its rule."""
+        job, progress = self.jobs[label], self.progress(label)
         expected = durations.seconds(job.rule)
         by_benchmark = None if expected is None or job.began is None else max(0.0, expected - (time.time() - job.began))
-        own = None
-        if found and "remaining_s" in found:
-            own = max(0.0, found["remaining_s"] - (time.time() - found["updated"]))
-        known = [seconds for seconds in (by_benchmark, own) if seconds is not None]
-        return max(known) if known else None
+        by_phase = None
+        if progress and "remaining_s" in progress:
+            by_phase = max(0.0, progress["remaining_s"] - (time.time() - progress["updated"]))
+        estimates = [seconds for seconds in (by_benchmark, by_phase) if seconds is not None]
+        return max(estimates) if estimates else None
 
     def progress(self, label: str) -> Mapping[str, Any] | None:
-        """Read how far a job is; None where it has not begun to say."""
+        """Read the progress of a job; None if it has not written any yet."""
         return progress_file.read(self.folder, label)
 
     def describe(self, label: str, durations: Durations) -> str:
-        """Say in one line what a running job does: phase, step, values and time left."""
-        found = self.progress(label)
+        """Describe a running job in one line: phase, step, values and time left."""
+        progress = self.progress(label)
         words = [title(label)]
-        if found is None:
+        if progress is None:
             return f"{words[0]}  starting"
-        if "phase" in found:
-            words.append(f"{found['phase']} {found['step']}/{found['total']}")
-            words += [f"{name} {value:.4g}" for name, value in found["values"].items()]
+        if "phase" in progress:
+            words.append(f"{progress['phase']} {progress['step']}/{progress['total']}")
+            words += [f"{name} {value:.4g}" for name, value in progress["values"].items()]
         left = self._left(label, durations)
         if left:
             words.append(f"{duration(left)} left")
-        silent = time.time() - found["updated"]
-        if silent > _SILENT_S and "phase" in found:
+        silent = time.time() - progress["updated"]
+        if silent > _SILENT_S and "phase" in progress:
             words.append(f"silent for {duration(silent)}")
         return "  ".join(words)
 
     def is_underestimated(self, durations: Durations) -> bool:
-        """Return whether nothing is known of how long some waiting jobs take."""
+        """Return whether some waiting jobs have an unknown duration."""
         return any(durations.seconds(self.jobs[label].rule) is None for label in self.labels(WAITING))
 
 
-def seconds_left(found: Sequence[tuple[Run, Durations]]) -> float | None:
-    """Return how long the remaining jobs of runs side by side take on their cores [s]; None where nothing is known."""
-    known = [run.known_seconds(durations) for run, durations in found]
-    running = [seconds for _, each in known for seconds in each]
-    every = running + [seconds for each, _ in known for seconds in each]
-    return max([*running, sum(every) / found[0][0].cores]) if every else None
+def seconds_left(pairs: Sequence[tuple[Run, Durations]]) -> float | None:
+    """Return the duration of the remaining jobs of concurrent runs on their cores [s]; None if no duration is known."""
+    estimates = [run.known_seconds(durations) for run, durations in pairs]
+    running = [seconds for _, times in estimates for seconds in times]
+    all_times = running + [seconds for times, _ in estimates for seconds in times]
+    return max([*running, sum(all_times) / pairs[0][0].cores]) if all_times else None
 
 
-def headline(found: Sequence[tuple[Run, Durations]]) -> str:
-    """Say in one line how many jobs of runs side by side are done, and how long the others take."""
-    done, failed = (sum(len(run.labels(state)) for run, _ in found) for state in (DONE, FAILED))
-    total = sum(len(run.jobs) for run, _ in found)
+def headline(pairs: Sequence[tuple[Run, Durations]]) -> str:
+    """Describe concurrent runs in one line: number of finished jobs, and time left."""
+    done, failed = (sum(len(run.labels(state)) for run, _ in pairs) for state in (DONE, FAILED))
+    total = sum(len(run.jobs) for run, _ in pairs)
     line = f"{done} of {total} jobs" + (f", {failed} failed" if failed else "")
-    left = seconds_left(found)
+    left = seconds_left(pairs)
     if left is None:
         return line
-    more = any(run.is_underestimated(durations) for run, durations in found)
+    more = any(run.is_underestimated(durations) for run, durations in pairs)
     return f"{line}, {'more than ' if more else 'about '}{duration(left)} left"
 
 
 def status(run: Run, durations: Durations) -> list[str]:
-    """Describe a run in lines: how far it is, what runs, what has failed."""
+    """Describe a run in lines: its progress, its running jobs, its failed jobs."""
     lines = [f"{run.study}: {headline([(run, durations)])}"]
     if run.ended is not None:
-        took = duration(run.ended - run.started)
-        lines[0] = f"{run.study}: the last run ended after {took}, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
+        span = duration(run.ended - run.started)
+        lines[0] = f"{run.study}: the last run ended after {span}, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
     elif not run.is_alive:
         lines[0] = f"{run.study}: the last run was killed, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
         lines.append("  the same `snakemake` command goes on, after `snakemake --unlock`")
@@ -166,7 +166,7 @@ def status(run: Run, durations: Durations) -> list[str]:
 
 
 def read(folder: Path) -> Run | None:
-    """Read the state of the last run of a study from its results folder; None where there is none.
+    """Read the state of the last run of a study from its results folder; None if there is none.
 
     Raises:
         FileError: the file was not written by this version.

@@ -19,6 +19,7 @@ from tasklens.pipeline.changes import PlannedJob
 from tasklens.runtime.job import place
 
 _DEFAULT_HANDLER = "DefaultStreamHandler"  # of the terminal
+_DEFAULT_RATE = (100, 1)  # jobs, seconds
 
 
 def configfiles(workflow: Any) -> list[Path]:
@@ -42,30 +43,30 @@ def is_module(workflow: Any) -> bool:
 
 
 def is_main(workflow: Any) -> bool:
-    """Return whether this process plans this workflow: it is no job itself, and the workflow no module of another."""
+    """Return whether this process plans this workflow: the process is not a job, and the workflow not a module."""
     return workflow.exec_mode == ExecMode.DEFAULT and not is_module(workflow)
 
 
 def is_quiet(workflow: Any) -> bool:
-    """Return whether `--quiet` is given."""
+    """Return whether `--quiet` is set."""
     return bool(workflow.output_settings.quiet)
 
 
 def planned_jobs(workflow: Any) -> Iterator[PlannedJob]:
-    """Yield the jobs that the targets need, but for the targets themselves, in the order of their rules."""
+    """Yield the jobs that the targets need, except the targets themselves, in the order of their rules."""
     dag, persistence = workflow.dag, workflow.persistence
     order = {rule.name: k for k, rule in enumerate(workflow.rules)}
     for job in sorted(dag.jobs, key=lambda job: order[job.rule.name]):
         if not job.log:
             continue
-        killed = workflow.async_run(persistence.incomplete(job))  # outputs of killed jobs
+        incomplete = workflow.async_run(persistence.incomplete(job))  # outputs of killed jobs
         records = (ast.literal_eval(text) for path in job.output for text in persistence.params(path) or ())
         folder, label = place(Path(job.log[0]))
         yield PlannedJob(
             study=str(folder.relative_to("results")),
             label=label,
             remains=dag.needrun(job),
-            outputs=tuple(str(path) for path in job.output if path not in killed and os.path.exists(path)),
+            outputs=tuple(str(path) for path in job.output if path not in incomplete and os.path.exists(path)),
             needs=tuple(place(Path(other.log[0]))[1] for other in dag.dependencies[job] if other.log),
             settings=str(job.params.settings),
             made_with=next((text for text in records if isinstance(text, str) and text.startswith("{")), None),
@@ -73,8 +74,8 @@ def planned_jobs(workflow: Any) -> Iterator[PlannedJob]:
 
 
 def take_terminal(handler: logging.Handler, quiet: bool, logger: logging.Logger = logger) -> bool:
-    """Let a handler take the place of Snakemake's own for the terminal; return false if a user has chosen another."""
-    default = next((known for known in logger.handlers if known.name == _DEFAULT_HANDLER), None)
+    """Replace Snakemake's handler for the terminal; return false if the user has chosen another one, or `quiet`."""
+    default = next((candidate for candidate in logger.handlers if candidate.name == _DEFAULT_HANDLER), None)
     if default is not None and not quiet:
         handler.setFormatter(default.formatter)
         logger.removeHandler(default)
@@ -83,17 +84,28 @@ def take_terminal(handler: logging.Handler, quiet: bool, logger: logging.Logger 
 
 
 def terminate_safely() -> None:
-    """Let SIGTERM end a run after its running jobs, as documented; call it when the scheduler has set its handler.
+    """Let SIGTERM end a run after its running jobs, as documented; call it after the scheduler has set its handler.
 
-    The handler of Snakemake takes a lock that the interrupted thread may have, and never gets it (9.27: three of twelve
-    runs of short jobs hung). In a thread of its own it waits until the scheduler has released the lock.
+    Snakemake's handler takes a lock. If the interrupted thread holds that lock, the handler waits forever (9.27: three
+    of twelve runs of short jobs hung). In a separate thread it waits until the scheduler has released the lock.
     """
     handler: Any = signal.getsignal(signal.SIGTERM)
     signal.signal(signal.SIGTERM, lambda *arguments: threading.Thread(target=handler, args=arguments).start())
 
 
+def limit_no_rate(workflow: Any) -> None:
+    """Switch off Snakemake's default limit of 100 jobs a second; call it at the start of a run.
+
+    With a limit the scheduler (9.27) evaluates all ready jobs once more a second for every job that has ended: a tenth
+    of a core after 150 jobs. A limit of the user stays.
+    """
+    limiter = workflow.scheduler.job_rate_limiter
+    if limiter is not None and (limiter.max_jobs, limiter.timespan) == _DEFAULT_RATE:
+        workflow.scheduler.job_rate_limiter = None
+
+
 def after_dry_run(text: Callable[[], str]) -> None:
-    """Print a text below Snakemake's lines of a dry run, where it is seen."""
+    """Print a text below Snakemake's lines of a dry run, so that users see it."""
 
     class Last(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:

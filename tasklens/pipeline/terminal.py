@@ -1,8 +1,8 @@
-"""What a run of the workflow shows: a line for each job that ends, and a bar with what runs now.
+"""Terminal output of a run of the workflow: a line for each finished job, and a bar with the running jobs.
 
-Snakemake reports to a logger of Python; a handler of our own takes the place of its handler for the terminal, and keeps
-the state of the run (`pipeline.runs`). Snakemake's file below .snakemake/log has everything as ever. Without a terminal
-there is a line a minute in place of the bar.
+Snakemake reports to a Python logger. Our handler replaces Snakemake's handler for the terminal, and stores the state of
+the run (`pipeline.runs`). Snakemake's own log file below .snakemake/log stays complete. Without a terminal, one line a
+minute replaces the bar.
 """
 
 import logging
@@ -31,17 +31,17 @@ _MINUTE_S = 60.0
 _SHOWN = 8  # running jobs below the bar
 _LOG_LINES = 12  # of a failed job
 _NOTHING = "Nothing to be done"
-_STOPPING = "Terminating processes"  # on Ctrl-C; its jobs then end with errors
+_STOPPING = "Terminating processes"  # on Ctrl-C; the jobs then end with errors
 _TOLD = (_STOPPING, "Will exit after", "Unlock")
 _KNOWN = (
     "Exiting because a job execution failed",
     "At least one job did not complete",
     "non-zero exit status",
-)  # said here in other words
+)  # this handler prints its own messages instead
 
 
 class Terminal(logging.Handler):
-    """Handler of Snakemake's log records; it prints nothing where the user has chosen another logger or `--quiet`."""
+    """Handler of Snakemake's log records; it prints nothing if the user has chosen another logger or `--quiet`."""
 
     def __init__(
         self,
@@ -54,15 +54,15 @@ class Terminal(logging.Handler):
         self.study = study
         self.study_named = study_named
         self.durations: dict[str, Durations] = {}  # by name of the study, as `runs`
-        self.runs: dict[str, runs.Run] = {}  # by name of the study; more than one of a sweep
+        self.runs: dict[str, runs.Run] = {}  # by name of the study; a sweep has several
         self.live: Live | None = None
         self.stopped = threading.Event()
-        self.stopping = False  # by the user
+        self.stopping = False  # on the user's request
         self.jobs: dict[int, tuple[runs.Run, str, list[str]]] = {}  # label and outputs by Snakemake's number
         self.console = Console(stderr=True, quiet=not take_terminal(self, quiet, logger), highlight=False)
 
     def begin(self, jobs: Mapping[str, Mapping[str, PlannedJob]], cores: int) -> None:
-        """Begin to show a run.
+        """Start showing a run.
 
         Args:
             jobs: the jobs of each study by their labels.
@@ -87,7 +87,7 @@ class Terminal(logging.Handler):
             threading.Thread(target=self._every_minute, daemon=True).start()
 
     def end(self) -> None:
-        """End to show the run."""
+        """Stop showing the run."""
         self.stopped.set()
         if self.live is not None:
             self.live.stop()
@@ -96,12 +96,12 @@ class Terminal(logging.Handler):
                 run.finish()
 
     def close(self) -> None:
-        """Leave the terminal as it was, however the run ended."""
+        """Restore the terminal, however the run ended."""
         self.end()
         super().close()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Show a record of Snakemake, or note what it says of a job."""
+        """Print a record of Snakemake, or process its event of a job."""
         try:
             event = str(getattr(record, "event", "") or "")
             if event == "job_info":
@@ -113,13 +113,13 @@ class Terminal(logging.Handler):
             elif record.levelno >= logging.WARNING or str(record.msg).startswith(_TOLD):
                 self.stopping |= str(record.msg).startswith(_STOPPING)
                 text = self.format(record)
-                if not any(known in text for known in _KNOWN):
+                if not any(phrase in text for phrase in _KNOWN):
                     self._print(text)
             elif str(record.msg).startswith("Trying to restart job"):
                 self._print("        it is tried again")
             elif str(record.msg).startswith(_NOTHING):
                 self._print(f"{_NOTHING}.\n{closing.success(self.study, {})}")
-        except Exception:  # as every handler does: what cannot be shown must not end a run
+        except Exception:  # as in every handler: an error of the display must not end a run
             self.handleError(record)
 
     def _find(self, record: Any) -> tuple[runs.Run, str] | None:
@@ -131,44 +131,44 @@ class Terminal(logging.Handler):
         return (run, label) if run is not None and label in run.jobs else None
 
     def _begin_job(self, record: Any) -> None:
-        if found := self._find(record):
-            run, label = found
+        if match := self._find(record):
+            run, label = match
             self.jobs[record.jobid] = run, label, list(record.output)
             run.begin(label)
             if self.live is not None and not record.output:
-                self.live.stop()  # it prints
+                self.live.stop()  # a job without outputs prints
 
     def _finish_job(self, number: int) -> None:
         if number not in self.jobs:
             return
         run, label, outputs = self.jobs[number]
         job = run.jobs[label]
-        measured = benchmarks.read(Path(run.folder, "benchmarks", f"{label}.tsv"))
-        run.end(label, runs.DONE, None if measured is None else measured.seconds)
+        benchmark = benchmarks.read(Path(run.folder, "benchmarks", f"{label}.tsv"))
+        run.end(label, runs.DONE, None if benchmark is None else benchmark.seconds)
         job.result = outcome(job.rule, outputs, self._log(run, label))
         run.save()
         self.durations[run.study] = durations_of(self.study_named(run.study))
-        total = sum(len(each.jobs) for each in self.runs.values())
-        done = sum(len(each.labels(runs.DONE)) for each in self.runs.values())
+        total = sum(len(study_run.jobs) for study_run in self.runs.values())
+        done = sum(len(study_run.labels(runs.DONE)) for study_run in self.runs.values())
         count = f"{done:>{len(str(total))}}/{total}"
         self._print(f"{count}  {self._title(run, label):<44}  {duration(job.seconds or 0.0):>8}  {job.result}")
         if self.live is not None and not self.live.is_started and not self.stopped.is_set():
             self.live.start()
 
     def _fail_job(self, record: Any) -> None:
-        found = self._find(record)
-        if found is None:
+        match = self._find(record)
+        if match is None:
             return self._print(self.format(record))
-        run, label = found
+        run, label = match
         if self.stopping:
             run.end(label, runs.WAITING)
             return self._print(f"stopped  {self._title(run, label)}")
         log = self._log(run, label)
         lines = last_lines(log, _LOG_LINES)
-        own = [line for line in lines if line.startswith("tasklens: ")]  # torchrun's report may follow it
-        run.end(label, runs.FAILED, result=(own or lines or [""])[-1])
-        after = duration(run.jobs[label].seconds or 0.0)
-        self._print(f"FAILED  {self._title(run, label)}  after {after}; its log {log}:")
+        errors = [line for line in lines if line.startswith("tasklens: ")]  # torchrun's report may follow this line
+        run.end(label, runs.FAILED, result=(errors or lines or [""])[-1])
+        elapsed = duration(run.jobs[label].seconds or 0.0)
+        self._print(f"FAILED  {self._title(run, label)}  after {elapsed}; its log {log}:")
         empty = (
             "what failed is printed above"
             if run.jobs[label].rule == "verify"
@@ -188,7 +188,7 @@ class Terminal(logging.Handler):
         return runs.headline([(run, self.durations[name]) for name, run in self.runs.items()])
 
     def _running(self) -> list[str]:
-        """Describe the jobs that run now, each in a line."""
+        """Describe the running jobs, one line each."""
         return [
             " ".join(filter(None, (name.partition("/")[2], run.describe(label, self.durations[name]))))
             for name, run in self.runs.items()

@@ -1,6 +1,6 @@
-"""Folders of photographs, a folder per class: what is in them, and whether it is enough; no torch here.
+"""Folders of photographs with one folder per class: their contents, and checks of the counts. Does not import torch.
 
-Hidden files and folders, whose names begin with a dot, are passed over: macOS and Jupyter leave copies in them.
+Hidden files and folders (names that begin with a dot) are skipped: macOS and Jupyter leave copies in them.
 """
 
 import os
@@ -13,12 +13,12 @@ from tasklens.runtime.files import FileError
 from tasklens.study.settings import ImageSettings
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # images that are not read
-TRAIN, TEST = ("train",), ("test", "val")  # possible names of the folders of the splits
+OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # image formats that are not supported
+TRAIN, TEST = ("train",), ("test", "val")  # possible folder names of each split
 
 
 def is_split(folder: Path) -> bool:
-    """Return whether a folder has training and test images apart; otherwise it has the classes themselves."""
+    """Return whether a folder has separate train and test folders; if not, it contains the class folders."""
     if not folder.is_dir():
         return True  # its reader reports that it is missing
     inside = {entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")}
@@ -26,7 +26,7 @@ def is_split(folder: Path) -> bool:
 
 
 def split_folder(folder: Path, names: Sequence[str]) -> Path:
-    """Return the first of the folders `names` that is in `folder`; raises FileError if there is none."""
+    """Return the first folder in `names` that exists in `folder`; raises FileError if none does."""
     if not folder.is_dir():
         raise FileError(f"images.folder = {folder}: no such folder; correct the path")
     split = next((folder / name for name in names if (folder / name).is_dir()), None)
@@ -36,22 +36,22 @@ def split_folder(folder: Path, names: Sequence[str]) -> Path:
 
 
 def classes(split: Path) -> list[str]:
-    """Return the names of the folders of the classes in a split, in the order of the classes.
+    """Return the names of the class folders in a split, in class order.
 
     Raises:
-        FileError: there are none, or two names differ only in how Unicode composes their letters.
+        FileError: there is no class folder, or two names differ only in how Unicode composes their letters.
     """
     inside = [entry.name for entry in split.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
     if not inside:
         raise FileError(f"{split}: expected a folder per class in it, found none")
     if len(inside) > len({composed(name) for name in inside}):
-        twice = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)
-        raise FileError(f"{split}: two folders are called {twice}, with letters composed in two ways; merge them")
+        duplicate = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)
+        raise FileError(f"{split}: two folders are called {duplicate}, with letters composed in two ways; merge them")
     return sorted(inside, key=composed)
 
 
 def composed(name: str) -> str:
-    """Return a name with composed letters, as most systems write them; macOS takes them apart."""
+    """Return a name in composed Unicode (NFC), which most systems use; macOS decomposes letters."""
     return unicodedata.normalize("NFC", name)
 
 
@@ -61,10 +61,10 @@ def training_classes(folder: Path) -> list[str]:
 
 
 def photographs(folder: Path) -> Iterator[Path]:
-    """Yield the photographs of a class, in no order and one after the other, so that a few cost nothing.
+    """Yield the photographs of a class lazily, in no particular order, so that reading a few is cheap.
 
     Raises:
-        FileError: an image that is not read, since it is of another kind or no file.
+        FileError: an image has an unsupported format or is not a regular file.
     """
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -73,7 +73,7 @@ def photographs(folder: Path) -> Iterator[Path]:
             if entry.is_dir(follow_symlinks=False):
                 yield from photographs(Path(entry.path))
             elif entry.name.lower().endswith(SUFFIXES):
-                if not entry.is_file():  # to read a pipe would take for ever
+                if not entry.is_file():  # reading a pipe would block forever
                     raise FileError(f"{entry.path}: a pipe, a folder or a link to nothing; remove it")
                 yield Path(entry.path)
             elif entry.name.lower().endswith(OTHERS):
@@ -81,21 +81,21 @@ def photographs(folder: Path) -> Iterator[Path]:
 
 
 def no_image(folder: Path) -> FileError:
-    """Return the error of a class without photographs."""
+    """Return the error for a class without photographs."""
     return FileError(f"{folder}: this class has no image ({', '.join(SUFFIXES)}); add some, or remove the folder")
 
 
 def same_classes(folder: Path, train: Sequence[str], test: Sequence[str]) -> None:
     """Raise FileError if the classes of two splits differ."""
-    if different := sorted(set(map(composed, train)) ^ set(map(composed, test))):
-        raise FileError(f"{folder}: train and test have different classes: {', '.join(different)}")
+    if differences := sorted(set(map(composed, train)) ^ set(map(composed, test))):
+        raise FileError(f"{folder}: train and test have different classes: {', '.join(differences)}")
 
 
 def check(images: ImageSettings) -> None:
-    """Check that a folder has classes, an image in each, and enough for the minival, without listing all of them.
+    """Check that every class has an image and that there are enough for the minival, without listing all images.
 
     Raises:
-        FileError: names the folder, what was expected and what was found.
+        FileError: the message names the folder, the expected and the actual contents.
     """
     if images.folder is None:
         return
@@ -111,19 +111,19 @@ def check(images: ImageSettings) -> None:
         for name in classes(split):
             if next(photographs(split / name), None) is None:
                 raise no_image(split / name)
-    needed = images.minival + 1
-    if (found := count(splits[0], needed)) < needed:
-        raise too_few(images, found)
-    asked = {"train and minival": (images.train or 0) + images.minival, "test": images.test or 0}
-    for split, (keys, wanted) in zip(splits, asked.items(), strict=True):
-        if (found := count(split, wanted)) < wanted:
+    minimum = images.minival + 1
+    if (total := count(splits[0], minimum)) < minimum:
+        raise too_few(images, total)
+    requests = {"train and minival": (images.train or 0) + images.minival, "test": images.test or 0}
+    for split, (keys, request) in zip(splits, requests.items(), strict=True):
+        if (total := count(split, request)) < request:
             raise FileError(
-                f"{split}: has {found} images, {keys} of `images` ask for {wanted}; ask for fewer, or null for all"
+                f"{split}: has {total} images, {keys} of `images` ask for {request}; ask for fewer, or null for all"
             )
 
 
 def _check_whole(images: ImageSettings, folder: Path) -> None:
-    """Check a folder of classes that is cut into test, minival and training images; raises FileError."""
+    """Check a folder of classes that will be split into test, minival and training images; raises FileError."""
     if len(names := classes(folder)) < 2:
         raise FileError(f"{folder}: expected two classes or more, a folder each, found only {names[0]}")
     if images.train is None and images.test is None:
@@ -134,9 +134,9 @@ def _check_whole(images: ImageSettings, folder: Path) -> None:
     for name in names:
         if next(photographs(folder / name), None) is None:
             raise no_image(folder / name)
-    needed = (images.test or 1) + images.minival + (images.train or 1)
-    if (found := count(folder, needed)) < needed:
-        raise FileError(f"{folder}: has {found} images; test, minival and train of `images` ask for {needed}")
+    minimum = (images.test or 1) + images.minival + (images.train or 1)
+    if (total := count(folder, minimum)) < minimum:
+        raise FileError(f"{folder}: has {total} images; test, minival and train of `images` ask for {minimum}")
 
 
 def count(split: Path, most: int) -> int:
@@ -144,8 +144,8 @@ def count(split: Path, most: int) -> int:
     return sum(1 for _ in islice((file for name in classes(split) for file in photographs(split / name)), most))
 
 
-def too_few(images: ImageSettings, found: int) -> FileError:
-    """Return the error of a folder with too few training images."""
+def too_few(images: ImageSettings, total: int) -> FileError:
+    """Return the error for a folder with too few training images."""
     return FileError(
-        f"images.minival = {images.minival}: expected fewer than the {found} training images it is cut from"
+        f"images.minival = {images.minival}: expected fewer than the {total} training images it is cut from"
     )

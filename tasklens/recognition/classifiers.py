@@ -29,17 +29,17 @@ from tasklens.study import users_code
 from tasklens.study.settings import ClassifierSettings
 
 _Network = TypeVar("_Network", bound=nn.Module)
-_REACH_S = 5.0  # to reach the hub
-_LONGEST = 300  # characters of an error of a reader of weights, some of which are a page
+_REACH_S = 5.0  # timeout to reach the hub
+_LONGEST = 300  # maximum characters of an error from a weights reader; some are a page long
 
 
 class Classifier(nn.Module):
-    """A network with its normalisation of the input, which is applied after the optics.
+    """A network with its input normalisation, which is applied after the optics.
 
-    A network of timm has its normalisation in its configuration; any other module takes images in [0, 1] as they are.
+    A timm network has its normalisation in its configuration; any other module takes images in [0, 1] unchanged.
 
     Args:
-        outputs: indices of the outputs that are used, those of the images' classes first; None: all in their order.
+        outputs: indices of the used outputs, the images' classes first; None: all outputs, in order.
     """
 
     mean: Tensor
@@ -59,17 +59,17 @@ class Classifier(nn.Module):
 
     @property
     def has_more_outputs(self) -> bool:
-        """True if the network has outputs that are not used, so that its zero-shot accuracy is another one."""
+        """True if the network has unused outputs; its zero-shot accuracy over all outputs then differs."""
         return self.outputs is not None and len(self.outputs) < ImageNetInfo().num_classes()
 
     def all_outputs(self, images: Tensor) -> Tensor:
-        """Compute the logits (B, outputs) of images (B, 3, H, W) in [0, 1], of all outputs of the network."""
+        """Compute the logits (B, outputs) of all network outputs for images (B, 3, H, W) in [0, 1]."""
         normalised = (images - self.mean) / self.std
         with half_precision(images.device):
             return self.network(normalised.contiguous(memory_format=torch.channels_last)).float()
 
     def forward(self, images: Tensor) -> Tensor:
-        """Compute the logits (B, used outputs) of images (B, 3, H, W) in [0, 1]."""
+        """Compute the logits (B, used outputs) for images (B, 3, H, W) in [0, 1]."""
         logits = self.all_outputs(images)
         return logits if self.outputs is None else logits[:, self.outputs]
 
@@ -77,21 +77,21 @@ class Classifier(nn.Module):
 def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | None = None) -> Classifier:
     """Build the network of `settings` for images of these classes.
 
-    Weights are loaded from the file `weights` if it is given, else from the source in the settings. A head with another
-    number of classes is initialised anew by timm (`pretrained`) or refused (a file).
+    Weights are loaded from the file `weights` if it is not None, else from the source in the settings. If the head has
+    another number of classes, timm initialises it anew (`pretrained`), or it is rejected (a file).
 
     Raises:
-        FileError: weights that do not fit the network, or classes that ImageNet does not have.
-        InputError: a published head with another number of classes, and no training.
+        FileError: the weights do not fit the network, or ImageNet does not have a class.
+        InputError: the published head has another number of classes, and there is no training.
     """
     outputs = None if settings.outputs == "classes" else imagenet_outputs(classes)
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
     pretrained = settings.pretrained and weights is None
     if pretrained and not (settings.training and settings.training.epochs):
-        published = timm.get_pretrained_cfg(settings.model)
-        if published is not None and published.num_classes != count:
+        config = timm.get_pretrained_cfg(settings.model)
+        if config is not None and config.num_classes != count:
             raise InputError(
-                f"{settings.model}: published with {published.num_classes} outputs, {count} are wanted: "
+                f"{settings.model}: published with {config.num_classes} outputs, {count} are wanted: "
                 "its new head needs `training`, or its own outputs `outputs: imagenet`"
             )
     if pretrained:
@@ -100,29 +100,29 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
     path = weights or settings.weights
     if path is not None:
         path.stat()  # timm's error does not name a missing file
-        before = _head(network)
+        head = _head(network)
         try:
             load_checkpoint(network, str(path), weights_only=True)
-        except Exception as error:  # of torch, safetensors, pickle or numpy, depending on the format
-            why = _unreadable(path, error)
-            raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {why}") from error
-        if path.suffix == ".npz" and torch.equal(_head(network), before):  # timm's readers skip a head of another size
+        except Exception as error:  # from torch, safetensors, pickle or numpy, depending on the format
+            reason = _unreadable(path, error)
+            raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {reason}") from error
+        if path.suffix == ".npz" and torch.equal(_head(network), head):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
     if outputs is not None and settings.outputs == "all_imagenet":
-        asked = set(outputs.tolist())
-        outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in asked])])
+        class_outputs = set(outputs.tolist())
+        outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in class_outputs])])
     return Classifier(network, outputs)
 
 
 def _head(network: nn.Module) -> Tensor:
-    """Return a copy of the first parameter of the head of a network of timm, of another one of its last parameter."""
+    """Copy the first parameter of a timm network's head, or the last parameter of any other network."""
     head = network.get_classifier() if hasattr(network, "get_classifier") else network  # type: ignore[operator]
     parameters = list(head.parameters())
     return parameters[0 if head is not network else -1].detach().clone()
 
 
 def _unreadable(path: Path, error: Exception) -> str:
-    """Return why a file holds no weights for a network, and what to do."""
+    """Explain why a file does not hold weights for a network, and what to do."""
     text = str(error)
     if not path.stat().st_size:
         return "the file is empty"
@@ -146,15 +146,15 @@ def _unreadable(path: Path, error: Exception) -> str:
 
 
 def check_published(model: str) -> None:
-    """Check that published weights are in the cache of timm's hub, or the hub within reach.
+    """Check that published weights are in the hub's cache, or that the hub is reachable.
 
-    Without a connection the hub's library would try again for most of a minute, and not name the network.
+    Without a connection, the hub's library retries for most of a minute, and its error does not name the network.
 
     Raises:
-        InputError: neither; the message names the network.
+        InputError: neither is true; the message names the network.
     """
     config = timm.get_pretrained_cfg(model)
-    if config is None or not config.hf_hub_id or urllib.request.getproxies():  # elsewhere, or behind a proxy
+    if config is None or not config.hf_hub_id or urllib.request.getproxies():  # hosted elsewhere, or behind a proxy
         return
     files = ("model.safetensors", "pytorch_model.bin")
     if any(isinstance(huggingface_hub.try_to_load_from_cache(config.hf_hub_id, file), str) for file in files):
@@ -173,7 +173,7 @@ def check_published(model: str) -> None:
 
 
 def imagenet_outputs(classes: Sequence[str]) -> Tensor:
-    """Return the indices (C,) of ImageNet's 1000 classes with these WordNet ids, such as n01440764.
+    """Return the indices (C,) among ImageNet's 1000 classes of WordNet ids such as n01440764.
 
     Raises:
         FileError: an unknown id.
@@ -191,31 +191,31 @@ def frozen(classifier: _Network, images: Tensor, batch_norm: Literal["stored", "
     """Return a copy in `eval()` without parameter gradients, differentiable in its images.
 
     Args:
-        images: (B, 3, H, W) images of the size that it reads; their content does not matter.
-        batch_norm: "stored" statistics make batch norms constant affine maps, which are folded into convolutions; that
-            takes a quarter of the time and almost half of the memory of a ResNet. "batch" uses the statistics of the
+        images: (B, 3, H, W) images of the network's input size; their content does not matter.
+        batch_norm: "stored" statistics make batch norms constant affine maps, which are folded into convolutions; this
+            saves a quarter of the time and almost half of the memory of a ResNet. "batch" uses the statistics of the
             batch, and leaves the stored ones unchanged.
     """
-    copied = copy.deepcopy(classifier).eval().requires_grad_(False)
+    network = copy.deepcopy(classifier).eval().requires_grad_(False)
     if batch_norm == "stored":
-        fold_batch_norms(copied, images[:1])
-        return freeze_batch_norm_2d(copied).to(memory_format=torch.channels_last)
-    for module in copied.modules():
+        fold_batch_norms(network, images[:1])
+        return freeze_batch_norm_2d(network).to(memory_format=torch.channels_last)
+    for module in network.modules():
         if isinstance(module, _BatchNorm):
             module.train()
             module.momentum = 0.0
-    return copied
+    return network
 
 
 def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10) -> None:
-    """Check the model, arguments and image size [pixels] of a classifier; one of timm without memory for its weights.
+    """Check the model, arguments and image size [pixels] of a classifier; timm models take no memory for weights.
 
     Args:
-        classes: number of classes of the images, which a function of the user's may need.
+        classes: number of classes of the images; a user's function may need it.
 
     Raises:
-        InputError: there is no such model, the arguments or size do not fit it, or it answers with no logits or
-            without a gradient; the message names the classifier.
+        InputError: there is no such model, the arguments or size do not fit it, or its output is not logits or has
+            no gradient; the message names the classifier.
     """
     arguments = f" with {settings.arguments}" if settings.arguments else ""
     try:
@@ -225,8 +225,8 @@ def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10)
             images = torch.zeros(1, 3, size, size, requires_grad=True)
             answer = network(images)
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
-        why = str(error).removeprefix(f"{settings.model}: ")
-        raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {why}") from error
+        reason = str(error).removeprefix(f"{settings.model}: ")
+        raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {reason}") from error
     try:
         check_logits(answer, 1, outputs)
     except InputError as error:
@@ -234,15 +234,15 @@ def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10)
 
 
 def check_logits(answer: object, images: int, classes: int) -> None:
-    """Check that the answer of a network to some images has the logits of so many classes, and a gradient.
+    """Check that a network's output for `images` images is logits of `classes` classes with a gradient.
 
     Raises:
-        InputError: it has not.
+        InputError: the output is not.
     """
     if not isinstance(answer, Tensor) or answer.shape != (images, classes) or not answer.is_floating_point():
-        got = f"a tensor {tuple(answer.shape)}" if isinstance(answer, Tensor) else type(answer).__name__
+        kind = f"a tensor {tuple(answer.shape)}" if isinstance(answer, Tensor) else type(answer).__name__
         raise InputError(
-            f"the network answers {images} images with {got}; expected logits ({images}, {classes}), from a network "
+            f"the network answers {images} images with {kind}; expected logits ({images}, {classes}), from a network "
             "that classifies (of timm, without arguments such as features_only)"
         )
     if not answer.requires_grad:

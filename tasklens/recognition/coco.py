@@ -1,6 +1,6 @@
-"""Photographs with objects in the format of COCO: annotations/instances_<split>.json beside <split>/*.jpg.
+"""Photographs with objects in COCO format: annotations/instances_<split>.json next to <split>/*.jpg.
 
-Images are cut to their central square and resized, and so are the masks; boxes are those of the masks that are left.
+Images and masks are cropped to the central square and resized; boxes are computed from the cropped masks.
 """
 
 import json
@@ -19,21 +19,21 @@ from tasklens.recognition.objects import ObjectDataset, packed
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
 
-_LEAST_PIXELS = 12  # of an object that is left: smaller ones are specks
+_LEAST_PIXELS = 12  # minimum area of an object after the crop
 
 
 def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> ObjectDataset:
-    """Read a split; at most `limit` images, chosen at random by `seed`, of those that have an object.
+    """Read at most `limit` images of a split, at random by `seed`, among the images that have an object.
 
-    Objects of which fewer than 12 pixels are left, and crowds (`iscrowd`), are left out.
+    Crowds (`iscrowd`) are omitted, and objects with fewer than 12 pixels after the crop.
 
     Args:
         split: such as `train2017`.
         size: side of the square images [pixels].
 
     Raises:
-        FileError: a file is missing or no image, the annotations are incomplete, an object is outside its image, a mask
-            is of another size, or a class has no object.
+        FileError: a file is missing or not an image, the annotations are incomplete, an object is outside its image,
+            a mask has another size, or a class has no object.
     """
     path = folder / "annotations" / f"instances_{split}.json"
     content = _content(path)
@@ -42,38 +42,38 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
     for entry in content["annotations"]:
         if not entry.get("iscrowd"):
             by_image.setdefault(entry["image_id"], []).append(entry)
-    listed = {entry["id"]: entry for entry in content["images"]}
+    image_entries = {entry["id"]: entry for entry in content["images"]}
     for image in by_image:
-        if image not in listed:
+        if image not in image_entries:
             raise FileError(f"{path}: annotation of an image {image!r} that is not listed in `images`")
-    kept = [entry for image, entry in listed.items() if image in by_image]
-    if not kept:
+    entries = [entry for image, entry in image_entries.items() if image in by_image]
+    if not entries:
         raise FileError(f"{path}: no image has an object")
-    order = torch.randperm(len(kept), generator=torch.Generator().manual_seed(seed))[:limit]
+    order = torch.randperm(len(entries), generator=torch.Generator().manual_seed(seed))[:limit]
     classes = {identity: label for label, identity in enumerate(sorted(names))}
     progress = Progress(f"reading {folder / split}", len(order))
     images = torch.empty(len(order), 3, size, size, dtype=torch.uint8)
     owners, labels, masks = [], [], []
-    for k, entry in enumerate(kept[k] for k in order.tolist()):
-        whole = folders.decode(folder / split / entry["file_name"])
-        if whole.size != (entry["width"], entry["height"]):
+    for k, entry in enumerate(entries[k] for k in order.tolist()):
+        photograph = folders.decode(folder / split / entry["file_name"])
+        if photograph.size != (entry["width"], entry["height"]):
             raise FileError(
-                f"{path}: image {entry['file_name']} has {whole.size[0]} x {whole.size[1]} pixels, "
+                f"{path}: image {entry['file_name']} has {photograph.size[0]} x {photograph.size[1]} pixels, "
                 f"not {entry['width']} x {entry['height']}"
             )
-        fitted = ImageOps.fit(whole, (size, size), Image.Resampling.BICUBIC)
-        images[k] = torch.from_numpy(numpy.array(fitted)).permute(2, 0, 1)
+        square = ImageOps.fit(photograph, (size, size), Image.Resampling.BICUBIC)
+        images[k] = torch.from_numpy(numpy.array(square)).permute(2, 0, 1)
         for annotation in by_image[entry["id"]]:
-            where = f"{path}: annotation {annotation.get('id')!r} of {entry['file_name']}"
+            location = f"{path}: annotation {annotation.get('id')!r} of {entry['file_name']}"
             if annotation["category_id"] not in classes:
-                raise FileError(f"{where}: category {annotation['category_id']!r} is not listed in `categories`")
-            mask = _mask(annotation, entry, where)
+                raise FileError(f"{location}: category {annotation['category_id']!r} is not listed in `categories`")
+            mask = _mask(annotation, entry, location)
             small = ImageOps.fit(Image.fromarray(255 * mask), (size, size), Image.Resampling.BOX)
-            left = torch.from_numpy(numpy.array(small)) > 127
-            if int(left.sum()) >= _LEAST_PIXELS:
+            visible = torch.from_numpy(numpy.array(small)) > 127
+            if int(visible.sum()) >= _LEAST_PIXELS:
                 owners.append(k)
                 labels.append(classes[annotation["category_id"]])
-                masks.append(packed(left[None]))
+                masks.append(packed(visible[None]))
         progress(k + 1)
     missing = [names[identity] for identity, label in classes.items() if label not in set(labels)]
     if missing:
@@ -91,8 +91,8 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
 
 
 def _content(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """Read the annotations, and check what every entry must have."""
-    needed = {
+    """Read the annotations, and check that every entry has the required keys."""
+    required_keys = {
         "images": ("id", "file_name", "width", "height"),
         "categories": ("id", "name"),
         "annotations": ("image_id", "category_id", "segmentation"),
@@ -103,19 +103,19 @@ def _content(path: Path) -> dict[str, list[dict[str, Any]]]:
         raise FileError(f"{path}: no such file; expected COCO's annotations of instances") from None
     except ValueError as error:
         raise FileError(f"{path}: no JSON ({error})") from error
-    for section, keys in needed.items():
+    for section, keys in required_keys.items():
         entries = content.get(section) if isinstance(content, dict) else None
         if not isinstance(entries, list):
             raise FileError(f"{path}: has no list `{section}`, as COCO's annotations have")
         for number, entry in enumerate(entries):
-            absent = [key for key in keys if not isinstance(entry, dict) or key not in entry]
-            if absent:
-                raise FileError(f"{path}: {section}[{number}] has no {', '.join(absent)}")
+            missing = [key for key in keys if not isinstance(entry, dict) or key not in entry]
+            if missing:
+                raise FileError(f"{path}: {section}[{number}] has no {', '.join(missing)}")
     return content
 
 
-def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], where: str) -> numpy.ndarray:
-    """Return the mask (H, W) uint8 of polygons or of a run-length encoding."""
+def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], location: str) -> numpy.ndarray:
+    """Decode the mask (H, W) uint8 from polygons or a run-length encoding."""
     from pycocotools import mask as encoding
 
     height, width, shape = image["height"], image["width"], annotation["segmentation"]
@@ -123,7 +123,7 @@ def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], where: str) -
         for polygon in shape:
             points = numpy.asarray(polygon, dtype=float)
             if points.size < 6 or points.size % 2:
-                raise FileError(f"{where}: a polygon needs three points or more, two numbers each")
+                raise FileError(f"{location}: a polygon needs three points or more, two numbers each")
             x, y = points[::2], points[1::2]
             if (
                 x.max() <= 0
@@ -132,12 +132,12 @@ def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], where: str) -
                 or y.min() >= height
                 or not numpy.isfinite(points).all()
             ):
-                raise FileError(f"{where}: a polygon lies outside the image of {width} x {height} pixels")
+                raise FileError(f"{location}: a polygon lies outside the image of {width} x {height} pixels")
         if not shape:
-            raise FileError(f"{where}: has no polygon")
+            raise FileError(f"{location}: has no polygon")
     elif not isinstance(shape, dict) or list(shape.get("size", ())) != [height, width]:
         size = shape.get("size") if isinstance(shape, dict) else shape
-        raise FileError(f"{where}: expected a mask of {height} rows and {width} columns, got {size!r}")
+        raise FileError(f"{location}: expected a mask of {height} rows and {width} columns, got {size!r}")
     try:
         with redirect_stdout(StringIO()):
             if isinstance(shape, list):
@@ -145,5 +145,5 @@ def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], where: str) -
             else:
                 runs = encoding.frPyObjects(shape, height, width) if isinstance(shape["counts"], list) else shape
             return encoding.decode(runs)
-    except Exception as error:  # of any kind, from compiled code
-        raise FileError(f"{where}: cannot be read as a mask ({error})") from error
+    except Exception as error:  # any type, raised by compiled code
+        raise FileError(f"{location}: cannot be read as a mask ({error})") from error

@@ -33,7 +33,7 @@ class ImageDataset:
         return send(self.images[indices], self.device).float() / 255, send(self.labels[indices], self.device)
 
     def take(self, indices: Tensor) -> "ImageDataset":
-        """Return the data set of the images with these indices."""
+        """Return the subset of images with these indices."""
         return replace(self, images=self.images[indices], labels=self.labels[indices])
 
 
@@ -50,24 +50,24 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
         checkpoint: checkpoint of the job.
 
     Raises:
-        FileError: a missing folder, an empty class, an unreadable image, or too few images.
+        FileError: a folder is missing, a class is empty, an image is unreadable, or there are too few images.
     """
-    finished = {path: path.with_name(f".{path.name}") for path, _ in paths.values()}
+    temporary_files = {path: path.with_name(f".{path.name}") for path, _ in paths.values()}
     try:
         for name, split in zip(SPLITS, _splits(images), strict=True):
             path, labels = paths[name]
             if isinstance(split, ImageDataset):
                 write(split, path, labels)
-            else:  # beside the outputs, which Snakemake deletes where a job was killed
-                folders.convert(split, images.size, finished[path], torch.get_num_threads(), checkpoint)
+            else:  # in temporary files, since Snakemake deletes the outputs of a killed job
+                folders.convert(split, images.size, temporary_files[path], torch.get_num_threads(), checkpoint)
                 _write_labels(split, labels)
     except Exception:
-        for converted in finished.values():
-            converted.unlink(missing_ok=True)
+        for temporary in temporary_files.values():
+            temporary.unlink(missing_ok=True)
         raise
-    for path, converted in finished.items():
-        if converted.exists():
-            converted.replace(path)
+    for path, temporary in temporary_files.items():
+        if temporary.exists():
+            temporary.replace(path)
 
 
 def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]:
@@ -91,29 +91,29 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
     return pool.take(order[images.minival :]), pool.take(order[: images.minival]), test
 
 
-def _cut(images: ImageSettings, whole: folders.Listing) -> tuple[folders.Listing, ...]:
-    """Cut photographs, in an order that takes turns between the classes, into train, minival and test."""
-    left = len(whole) - images.minival
-    test = images.test if images.test is not None else left - (images.train or 0)
-    train = images.train if images.train is not None else left - test
-    if min(test, train) < 1 or test + train > left:
+def _cut(images: ImageSettings, photographs: folders.Listing) -> tuple[folders.Listing, ...]:
+    """Split photographs into train, minival and test; the listing alternates between the classes."""
+    rest = len(photographs) - images.minival
+    test = images.test if images.test is not None else rest - (images.train or 0)
+    train = images.train if images.train is not None else rest - test
+    if min(test, train) < 1 or test + train > rest:
         raise FileError(
-            f"{images.folder}: has {len(whole)} images; test, minival and train of `images` ask for {test}, "
+            f"{images.folder}: has {len(photographs)} images; test, minival and train of `images` ask for {test}, "
             f"{images.minival} and {train}"
         )
-    order = torch.arange(len(whole))
+    order = torch.arange(len(photographs))
     ends = [test + images.minival, test, 0], [test + images.minival + train, test + images.minival, test]
-    return tuple(whole.take(order[start:end]) for start, end in zip(*ends, strict=True))
+    return tuple(photographs.take(order[start:end]) for start, end in zip(*ends, strict=True))
 
 
 def training_images(images: ImageSettings, path: Path, *, device: torch.device = CPU) -> ImageDataset:
-    """Return training images alone: of a folder those in folder/train/<class>, or in folder/<class>.
+    """Return only the training images; in a folder, from folder/train/<class> or folder/<class>.
 
     Args:
-        path: the .npy file that photographs are converted to.
+        path: the .npy file to which photographs are converted.
 
     Raises:
-        FileError: a missing folder, an empty class, or an unreadable image.
+        FileError: a folder is missing, a class is empty, or an image is unreadable.
     """
     if images.folder is None:
         assert images.train is not None  # rendered images need counts
@@ -144,18 +144,18 @@ def _write_labels(split: ImageDataset | folders.Listing, path: Path) -> None:
 
 
 def read(images: Path, labels: Path, *, device: torch.device = CPU) -> ImageDataset:
-    """Read a split written by `make`; images are mapped from the file, not copied.
+    """Read a split written by `make`; images are memory-mapped, not copied.
 
     Raises:
-        FileError: a file is not complete, or the numbers of images and labels differ.
+        FileError: a file is incomplete, or the numbers of images and labels differ.
     """
     array = map_array(images)
     content = read_json(labels)
     try:
-        found = torch.tensor(content["labels"], dtype=torch.long)
+        label_tensor = torch.tensor(content["labels"], dtype=torch.long)
         classes = tuple(content["classes"])
     except (RuntimeError, ValueError, KeyError, TypeError) as error:
         raise damaged(labels, f"no labels of images ({error})") from error
-    if len(array) != len(found):
-        raise FileError(f"{labels}: {len(found)} labels for the {len(array)} images of {images}; remove both")
-    return ImageDataset(array, found, classes, device)
+    if len(array) != len(label_tensor):
+        raise FileError(f"{labels}: {len(label_tensor)} labels for the {len(array)} images of {images}; remove both")
+    return ImageDataset(array, label_tensor, classes, device)

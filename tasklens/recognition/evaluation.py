@@ -1,4 +1,4 @@
-"""Capture pipeline; accuracy of classifiers and scores of other networks on captures by field."""
+"""Capture pipeline; accuracy of classifiers and scores of other networks on captures, by field."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
 from tasklens.runtime.progress import Progress
 
-_WORST = 0.01  # fraction of the images, those with the lowest PSNR, in `worst_psnr_db`
+_WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
 _BATCH = 64  # images per rendering, and captures per forward pass
 
 
@@ -32,16 +32,16 @@ class CapturePipeline:
         if self.camera is None:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
-        drawn = None if self.camera.sensor is None else noise(images.shape, generator)[share]
-        return self._restored(self.camera.single(images[share], send(fields[share], images.device), drawn))
+        pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)[share]
+        return self._restored(self.camera.single(images[share], send(fields[share], images.device), pixel_noise))
 
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.
 
-        Noise is the same for all lenses; `batch`, a number, makes it differ from that of other batches.
+        Noise is the same for all lenses; the number `batch` seeds it, so that batches differ.
         """
-        drawn = torch.Generator().manual_seed(batch)
-        captures = images[None] if self.camera is None else self.camera.grid(images, drawn)
+        generator = torch.Generator().manual_seed(batch)
+        captures = images[None] if self.camera is None else self.camera.grid(images, generator)
         return torch.stack([self._restored(field) for field in captures])
 
     def _restored(self, captures: Tensor) -> Tensor:
@@ -53,11 +53,11 @@ class CapturePipeline:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Answers of C classifiers to N images at F fields.
+    """Predictions of C classifiers for N images at F fields.
 
     Attributes:
         correct: (C, F, N) whether the classification is correct, bool.
-        among_all: (C, F, N) whether it is among all outputs of the network, used or not, bool.
+        among_all: (C, F, N) whether it is correct among all outputs of the network, used or not, bool.
         losses: (C, F, N) cross-entropies.
         psnr_db: (F, N) PSNR of the captures [dB].
     """
@@ -76,7 +76,7 @@ def evaluate(
     label: str = "evaluation",
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Evaluation:
-    """Classify all images at all fields; they are captured once for all classifiers.
+    """Classify all images at all fields; all classifiers share the same captures.
 
     Args:
         classifiers: functions from images (B, 3, H, W) to logits (B, C).
@@ -86,30 +86,30 @@ def evaluate(
     part = checkpoint.part(label)
     if part.result is not None:
         return Evaluation(**part.result)
-    found = [] if part.state is None else [Evaluation(**part.state)]
+    evaluations = [] if part.state is None else [Evaluation(**part.state)]
     batches = torch.arange(len(dataset)).split(_BATCH)
     progress = Progress(label, len(batches))
     for step, indices in enumerate(batches[part.step :], part.step + 1):
         images, labels = dataset.batch(indices)
         captures = pipeline.all_fields(images, step)
-        answers = zip(*(_answers(each, captures, labels) for each in classifiers), strict=True)
-        correct, among_all, losses = (torch.stack(each).cpu() for each in answers)
-        found.append(Evaluation(correct, among_all, losses, psnr(captures, images).cpu()))
+        answers = zip(*(_answers(item, captures, labels) for item in classifiers), strict=True)
+        correct, among_all, losses = (torch.stack(item).cpu() for item in answers)
+        evaluations.append(Evaluation(correct, among_all, losses, psnr(captures, images).cpu()))
         progress(step)
         if checkpoint.due():
-            found = [_joined(found)]
-            part.save(step, **vars(found[0]))
-    whole = _joined(found)
-    part.finish(**vars(whole))
-    return whole
+            evaluations = [_joined(evaluations)]
+            part.save(step, **vars(evaluations[0]))
+    result = _joined(evaluations)
+    part.finish(**vars(result))
+    return result
 
 
 def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, ...]:
     """Classify captures (F, B, 3, H, W) with labels (B,).
 
     Returns:
-        Whether each is classified correctly, among the used outputs and among all of the network, and the
-        cross-entropies, each (F, B).
+        Whether each capture is classified correctly among the used outputs, whether it is among all outputs of the
+        network, and the cross-entropies; all (F, B).
     """
     outputs = classifier.outputs if isinstance(classifier, Classifier) else None
     function = classifier.all_outputs if isinstance(classifier, Classifier) else classifier
@@ -121,23 +121,25 @@ def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: T
     return logits.argmax(-1) == labels, among_all, losses.reshape(logits.shape[:2])
 
 
-def _joined(found: Sequence[Evaluation]) -> Evaluation:
+def _joined(evaluations: Sequence[Evaluation]) -> Evaluation:
     """Concatenate the results of batches."""
-    return Evaluation(*(torch.cat(values, -1) for values in zip(*(vars(each).values() for each in found), strict=True)))
+    return Evaluation(
+        *(torch.cat(values, -1) for values in zip(*(vars(part).values() for part in evaluations), strict=True))
+    )
 
 
-def zero_shot(classifier: Classifier, before: Evaluation) -> list[dict]:
-    """Return the accuracy among all outputs of a network that has more of them than are used.
+def zero_shot(classifier: Classifier, untrained: Evaluation) -> list[dict]:
+    """Return the accuracy among all outputs of a network that has unused outputs.
 
     Args:
-        before: evaluation of the test images before any training.
+        untrained: evaluation of the test images before any training.
 
     Returns:
-        Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without other outputs.
+        Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without unused outputs.
     """
     if not classifier.has_more_outputs:
         return []
-    values = (100 * before.among_all[0].double().mean(-1)).tolist()
+    values = (100 * untrained.among_all[0].double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
 
 
@@ -148,7 +150,7 @@ def classify(
     """Classify images (N, 3, H, W) with labels (N,) at F fields.
 
     Returns:
-        Whether each is classified correctly, (F, N) bool, and the cross-entropy (F, N).
+        Whether each image is classified correctly, (F, N) bool, and the cross-entropy (F, N).
     """
     correct, _, losses = _answers(classifier, pipeline.all_fields(images), labels)
     return correct.cpu(), losses.cpu()
@@ -156,10 +158,10 @@ def classify(
 
 @torch.no_grad()
 def scores(network: nn.Module, task: Task, dataset: ImageDataset, pipeline: CapturePipeline) -> list[dict]:
-    """Score a network in its task on captures of all images.
+    """Score a network at its task on captures of all images.
 
     Returns:
-        Rows (field, metric, value) of the task's scores; without a camera there is one field.
+        Rows (field, metric, value) of the task's scores; one field without a camera.
     """
     network.eval()
     answers: list[list] = []
@@ -167,18 +169,18 @@ def scores(network: nn.Module, task: Task, dataset: ImageDataset, pipeline: Capt
     progress = Progress("scores", len(batches))
     for step, indices in enumerate(batches, 1):
         captures = pipeline.all_fields(dataset.batch(indices)[0], step)
-        found = [list(task.answers(network, field)) for field in captures]
-        answers = [a + b for a, b in zip(answers, found, strict=True)] if answers else found
+        batch_answers = [list(task.answers(network, field)) for field in captures]
+        answers = [a + b for a, b in zip(answers, batch_answers, strict=True)] if answers else batch_answers
         progress(step)
     return [
         {"field": field, "metric": name, "value": value}
-        for field, of_field in enumerate(answers)
-        for name, value in task.scores(of_field, dataset.labels).items()
+        for field, field_answers in enumerate(answers)
+        for name, value in task.scores(field_answers, dataset.labels).items()
     ]
 
 
 def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
-    """Return a row per image: its index in the split, its label, and the value of each field.
+    """Return a row per image: its index in the split, its label, and the value at each field.
 
     Args:
         values: (F, N).
@@ -186,45 +188,45 @@ def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
     fields = [f"field{k}" for k in range(len(values))]
     labels = [dataset.classes[label] for label in dataset.labels.tolist()]
     return [
-        {"image": i, "label": label} | dict(zip(fields, found, strict=True))
-        for i, (label, found) in enumerate(zip(labels, values.T.tolist(), strict=True))
+        {"image": i, "label": label} | dict(zip(fields, by_field, strict=True))
+        for i, (label, by_field) in enumerate(zip(labels, values.T.tolist(), strict=True))
     ]
 
 
 def measure(
     classifiers: Sequence[Classifier], dataset: ImageDataset, test: Evaluation, minival: Evaluation, captured: bool
 ) -> list[tuple[list[dict], list[dict]]]:
-    """Return accuracies and PSNR of classifiers, as means and by image.
+    """Return the accuracies of classifiers and the PSNR, as means and by image.
 
     Args:
         dataset: test images.
         test, minival: evaluations of the classifiers on test and minival images.
-        captured: whether the images were captured by a camera; there is no PSNR without one.
+        captured: whether a camera captured the images; without one there is no PSNR.
 
     Returns:
-        Of each classifier rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of
-        the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. And the rows of
-        `by_image` for the test images: 1 if classified correctly, else 0.
+        For each classifier, rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and
+        of the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. Also the rows
+        of `by_image` for the test images: 1 if classified correctly, else 0.
     """
-    found = []
-    for classifier, correct, chosen in zip(classifiers, test.correct, minival.correct, strict=True):
-        rows = _metrics(correct, chosen, test.psnr_db if captured else None)
+    results = []
+    for classifier, correct, minival_correct in zip(classifiers, test.correct, minival.correct, strict=True):
+        rows = _metrics(correct, minival_correct, test.psnr_db if captured else None)
         answers = dataset.classes if classifier.outputs is None else classifier.outputs
-        whole = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
-        rows += [{"field": "", "metric": metric, "value": value} for metric, value in whole.items()]
-        found.append((rows, by_image(correct.int(), dataset)))
-    return found
+        totals = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
+        rows += [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]
+        results.append((rows, by_image(correct.int(), dataset)))
+    return results
 
 
-def _metrics(correct: Tensor, chosen: Tensor, quality: Tensor | None) -> list[dict]:
-    """Return the rows of metrics by field from correct test and minival images and the PSNR, each (F, N)."""
+def _metrics(correct: Tensor, minival_correct: Tensor, psnr_db: Tensor | None) -> list[dict]:
+    """Return rows of metrics by field from correct test images, correct minival images, and PSNR, each (F, N)."""
     columns = {
         "accuracy": 100 * correct.double().mean(-1),
-        "minival_accuracy": 100 * chosen.double().mean(-1),
+        "minival_accuracy": 100 * minival_correct.double().mean(-1),
     }
-    if quality is not None:
-        columns["psnr_db"] = quality.double().mean(-1)
-        columns["worst_psnr_db"] = quality.double().sort(-1).values[:, : math.ceil(_WORST * quality.shape[-1])].mean(-1)
+    if psnr_db is not None:
+        columns["psnr_db"] = psnr_db.double().mean(-1)
+        columns["worst_psnr_db"] = psnr_db.double().sort(-1).values[:, : math.ceil(_WORST * psnr_db.shape[-1])].mean(-1)
     return [
         {"field": field, "metric": metric, "value": value}
         for metric, values in columns.items()

@@ -15,9 +15,9 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.files import FileError, resumable_of, writing_array
 from tasklens.runtime.progress import Progress
 
-Image.MAX_IMAGE_PIXELS = 250_000_000  # twice as many, 1.5 GB, are refused: a small file can claim any number
-_BLOCK = 64  # photographs per task of a thread
-_SHOWN = 3  # errors of photographs in a message
+Image.MAX_IMAGE_PIXELS = 250_000_000  # Pillow rejects twice this number (1.5 GB): a small file can claim any size
+_BLOCK = 64  # photographs per thread task
+_SHOWN = 3  # errors listed in a message
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ class Listing:
 
 
 def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Listing:
-    """Select at most `limit` photographs of folder/<name>/<class>/*, evenly over the classes and at random by `seed`.
+    """Select at most `limit` photographs in folder/<name>/<class>/*, balanced over classes and at random by `seed`.
 
     Args:
         names: possible names of the split's folder; the first that exists is taken.
 
     Raises:
-        FileError: no such folder, no class in it, or a class without photographs.
+        FileError: the folder does not exist, has no class, or has a class without photographs.
     """
     split = class_folders.split_folder(folder, names)
     classes = class_folders.classes(split)
@@ -55,31 +55,32 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
             raise class_folders.no_image(split / name)
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
     rounds = max(map(len, per_class))
-    chosen = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
+    selection = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
     return Listing(
-        tuple(file for file, _ in chosen),
-        torch.tensor([k for _, k in chosen]),
+        tuple(file for file, _ in selection),
+        torch.tensor([k for _, k in selection]),
         tuple(map(class_folders.composed, classes)),
     )
 
 
 def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: Checkpoint = NO_CHECKPOINT) -> None:
-    """Decode photographs into a mapped .npy file, (N, 3, size, size) uint8.
+    """Decode photographs into a memory-mapped .npy file, (N, 3, size, size) uint8.
 
     Args:
         threads: number of decoding threads.
         checkpoint: checkpoint of the job; the part is named after the file.
 
     Raises:
-        FileError: files that are no images, counted; or too little disk space, before anything is decoded.
+        FileError: some files are not images (the message counts them), or the disk space is too small for the result
+            (checked before decoding).
     """
     progress = Progress(f"reading {listing.files[0].parent.parent}", len(listing))
     part = checkpoint.part(path.stem)
     if part.result is not None and path.exists():
         return
-    begun = resumable_of(path).exists() and part.step > 0
+    resume = resumable_of(path).exists() and part.step > 0
     shape = (len(listing), 3, size, size)
-    with writing_array(path, shape, "uint8", begun) as array, ThreadPoolExecutor(threads) as pool:
+    with writing_array(path, shape, "uint8", resume) as array, ThreadPoolExecutor(threads) as pool:
 
         def block(first: int) -> int:
             files = listing.files[first : first + _BLOCK]
@@ -91,14 +92,14 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
             return first + len(files)
 
         errors: list[FileError] = []
-        waiting = [pool.submit(block, first) for first in range(part.step if begun else 0, len(listing), _BLOCK)]
+        futures = [pool.submit(block, first) for first in range(part.step if resume else 0, len(listing), _BLOCK)]
         try:
-            for each in waiting:
-                done = each.result()
-                progress(done)
+            for future in futures:
+                count = future.result()
+                progress(count)
                 if checkpoint.due() and not errors:
                     array.flush()
-                    part.save(done)
+                    part.save(count)
             if errors:
                 raise _unreadable(errors, len(listing))
         finally:
@@ -107,7 +108,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
 
 
 def read_all(files: Sequence[Path], size: int) -> Tensor:
-    """Read the central squares of images, (N, 3, size, size) uint8; raises FileError, which counts what is no image."""
+    """Read the central squares of images, (N, 3, size, size) uint8; raises FileError and counts the failures."""
     images, errors = torch.zeros(len(files), 3, size, size, dtype=torch.uint8), []
     for i, file in enumerate(files):
         try:
@@ -120,12 +121,12 @@ def read_all(files: Sequence[Path], size: int) -> Tensor:
 
 
 def _unreadable(errors: Sequence[FileError], count: int) -> FileError:
-    """Return the error of some files that are no images."""
+    """Return the error for files that are not images."""
     if len(errors) == 1:
         return errors[0]
-    shown = "; ".join(str(error) for error in sorted(errors, key=str)[:_SHOWN])
+    examples = "; ".join(str(error) for error in sorted(errors, key=str)[:_SHOWN])
     more = f"; and {len(errors) - _SHOWN} more" if len(errors) > _SHOWN else ""
-    return FileError(f"{len(errors)} of {count} images cannot be read; repair or remove them: {shown}{more}")
+    return FileError(f"{len(errors)} of {count} images cannot be read; repair or remove them: {examples}{more}")
 
 
 def read(path: Path, size: int) -> Tensor:
@@ -139,21 +140,21 @@ def read_whole(path: Path) -> Tensor:
 
 
 def decode(path: Path) -> Image.Image:
-    """Decode an image to RGB, turned by its EXIF tag; raises FileError."""
+    """Decode an image to RGB, rotated by its EXIF tag; raises FileError."""
     try:
         with Image.open(path) as file:
             image = ImageOps.exif_transpose(file)
             if image.mode == "F":
                 image = _of_floats(image)
-            elif image.mode.startswith("I"):  # 16 bits of grey, which `convert` would clip at 255
+            elif image.mode.startswith("I"):  # 16-bit grey, which `convert` would clip at 255
                 image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
             return image.convert("RGB")
-    except Exception as error:  # of any kind, whichever decoder notices
+    except Exception as error:  # any type, depending on the decoder
         raise FileError(f"{path}: cannot be read as an image ({error})") from error
 
 
 def _of_floats(image: Image.Image) -> Image.Image:
-    """Convert an image of floating-point numbers in [0, 1], which Pillow would clip to 0 and 1, to 8 bits."""
+    """Convert a floating-point image in [0, 1] to 8 bits; Pillow would clip it to 0 and 1."""
     values = numpy.asarray(image)
     if not (values.min() >= 0 and values.max() <= 1):
         raise ValueError(f"floating-point values from {values.min():g} to {values.max():g}; expected 0 to 1")

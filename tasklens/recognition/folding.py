@@ -1,4 +1,4 @@
-"""Batch norms with stored statistics folded into the convolutions before them: the same function, fewer operations."""
+"""Folding of batch norms with stored statistics into the preceding convolutions: same function, fewer operations."""
 
 from collections import Counter
 from typing import Any
@@ -9,19 +9,19 @@ from torch import Tensor, nn
 from torch.nn.utils import fuse_conv_bn_eval
 
 _NORMS = (nn.BatchNorm2d, BatchNormAct2d)
-_CONVOLUTIONS = (nn.Conv2d, Conv2dSame)  # others may change their weights when they are called
+_CONVOLUTIONS = (nn.Conv2d, Conv2dSame)  # subclasses may change their weights when called
 
 
 def fold_batch_norms(network: nn.Module, images: Tensor) -> None:
-    """Fold batch norms into convolutions, in place, where nothing but the batch norm reads the convolution's output.
+    """Fold batch norms into convolutions in place, if only the batch norm reads the convolution's output.
 
     W' = s W,  b' = s (b - mean) + shift,  s = scale / sqrt(variance + eps)
 
-    A network whose answer is no tensor is left as it is.
+    A network is unchanged if its output is not a tensor.
 
     Args:
         network: network in `eval()` without parameter gradients.
-        images: (B, 3, H, W) images for one pass, which shows what is read by what; their content does not matter.
+        images: (B, 3, H, W) images for one pass that traces the data flow; their content does not matter.
     """
     names = {module: name for name, module in network.named_modules()}
     if not any(type(module) in _NORMS for module in names):
@@ -33,19 +33,19 @@ def fold_batch_norms(network: nn.Module, images: Tensor) -> None:
 
 
 def _pairs(network: nn.Module, images: Tensor) -> list[tuple[nn.Conv2d, nn.BatchNorm2d]]:
-    """Return the convolutions that a batch norm follows, each with its batch norm."""
-    made: dict[Any, nn.Conv2d] = {}  # convolutions by the node of their output in autograd's graph
-    found: list[tuple[Any, nn.Conv2d, nn.BatchNorm2d]] = []
+    """Return each convolution that a batch norm follows, with its batch norm."""
+    producers: dict[Any, nn.Conv2d] = {}  # convolution by the autograd node of its output
+    candidates: list[tuple[Any, nn.Conv2d, nn.BatchNorm2d]] = []
     calls: Counter[nn.Module] = Counter()
 
-    def after(module: nn.Conv2d, given: Any, output: Tensor) -> None:
+    def after(module: nn.Conv2d, inputs: Any, output: Tensor) -> None:
         calls[module] += 1
-        made[output.grad_fn] = module
+        producers[output.grad_fn] = module
 
-    def before(module: nn.BatchNorm2d, given: tuple[Tensor]) -> None:
+    def before(module: nn.BatchNorm2d, inputs: tuple[Tensor]) -> None:
         calls[module] += 1
-        if given[0].grad_fn in made:
-            found.append((given[0].grad_fn, made[given[0].grad_fn], module))
+        if inputs[0].grad_fn in producers:
+            candidates.append((inputs[0].grad_fn, producers[inputs[0].grad_fn], module))
 
     hooks = []
     for module in network.modules():
@@ -60,20 +60,20 @@ def _pairs(network: nn.Module, images: Tensor) -> list[tuple[nn.Conv2d, nn.Batch
     if not isinstance(answer, Tensor):
         return []
     readers = _readers(answer.grad_fn)
-    places = Counter(module for _, module in network.named_modules(remove_duplicate=False))  # by which it may be called
-    once = {module for module, count in calls.items() if count == places[module] == 1}
-    return [(a, b) for node, a, b in found if readers[node] == 1 and {a, b} <= once]
+    places = Counter(module for _, module in network.named_modules(remove_duplicate=False))  # names of each module
+    single_use = {module for module, count in calls.items() if count == places[module] == 1}
+    return [(a, b) for node, a, b in candidates if readers[node] == 1 and {a, b} <= single_use]
 
 
 def _readers(last: Any) -> Counter[Any]:
     """Count the operations that read each node of autograd's graph."""
     readers: Counter[Any] = Counter()
-    seen, waiting = {last}, [last]
-    while waiting:
-        for node, _ in waiting.pop().next_functions:
+    visited, queue = {last}, [last]
+    while queue:
+        for node, _ in queue.pop().next_functions:
             if node is not None:
                 readers[node] += 1
-                if node not in seen:
-                    seen.add(node)
-                    waiting.append(node)
+                if node not in visited:
+                    visited.add(node)
+                    queue.append(node)
     return readers

@@ -1,4 +1,4 @@
-"""Images of a user, in a file or an array of any usual kind, as tensors."""
+"""Conversion of a user's image, a file or any common array type, to a tensor."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
 Image = str | Path | PillowImage | numpy.ndarray | Tensor
-_ROUNDING = 1e-6  # of floats in [0, 1]
+_ROUNDING = 1e-6  # tolerance of floats in [0, 1]
 
 
 def image_tensor(image: Image) -> Tensor:

@@ -1,4 +1,4 @@
-"""Metrics files: rows (field, metric, value) of one classifier on the captures of one lens; no torch here."""
+"""Metrics files: rows (field, metric, value) of one classifier on the captures of one lens. Does not import torch."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ def mean_metrics(path: Path) -> dict[str, float]:
 
 
 def least_metrics(path: Path) -> dict[str, float]:
-    """Read a metrics file, and return the least value over fields of every metric; raises FileError if damaged."""
+    """Read a metrics file, and return the minimum over fields of every metric by name; raises FileError if damaged."""
     return {str(metric): float(value) for metric, value in _values(path).groupby(level=0).min().items()}
 
 
@@ -21,8 +21,8 @@ def _values(path: Path) -> pandas.Series:
     """Read the values of a metrics file, a row per metric and field.
 
     Raises:
-        FileError: the file is not what a measurement writes: it has other columns, values that are no numbers, or not
-            every field of every metric.
+        FileError: the file is not a metrics file: it has other columns, a value is not a number, or a metric lacks a
+            field.
     """
     try:
         rows = read_table(path)
@@ -31,9 +31,9 @@ def _values(path: Path) -> pandas.Series:
         raise damaged(path, f"not a table of metrics ({error})") from None
     if rows.empty or values.isna().any():
         raise damaged(path, "a value is missing")
-    by_field = {str(metric): sorted(found) for metric, found in fields.dropna().groupby(rows["metric"])}
+    by_field = {str(metric): sorted(numbers) for metric, numbers in fields.dropna().groupby(rows["metric"])}
     count = max(map(len, by_field.values()), default=0)
-    for metric, found in by_field.items():
-        if found != list(range(count)):
-            raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in found)} of {count}")
+    for metric, numbers in by_field.items():
+        if numbers != list(range(count)):
+            raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in numbers)} of {count}")
     return values.set_axis(rows["metric"])

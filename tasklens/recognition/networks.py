@@ -1,4 +1,4 @@
-"""Networks by name: of timm, or a function of the user's, `package.module:function`."""
+"""Networks by name: a timm model, or a user's function `package.module:function`."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ from tasklens.study import users_code
 
 
 def create(name: str, outputs: int, arguments: dict[str, Any], pretrained: bool = False) -> nn.Module:
-    """Create a network with so many outputs.
+    """Create a network with `outputs` outputs.
 
     Args:
-        name: name in timm, or a function that is called with `num_classes` and the arguments, and returns a module for
-            images (B, 3, H, W) in [0, 1].
+        name: name in timm, or a function that takes `num_classes` and the arguments, and returns a module for images
+            (B, 3, H, W) in [0, 1].
 
     Raises:
-        InputError: there is no such function, or it returns no module.
+        InputError: there is no such function, or it does not return a module.
     """
     if not users_code.is_users(name):
         return timm.create_model(name, pretrained=pretrained, num_classes=outputs, **arguments)

@@ -1,7 +1,7 @@
-"""The built-in images with objects: several textured ones that occlude each other, with exact masks.
+"""The built-in images with objects: textured objects that occlude each other, with exact masks.
 
-The class of an object is its texture alone, as in `scenes`: without resolution of its period the accuracy is that of
-chance, while outlines are seen through any lens.
+Only the texture defines the class of an object, as in `scenes`. If a lens does not resolve its period, accuracy is at
+chance level, but outlines are visible through any lens.
 """
 
 import torch
@@ -10,14 +10,14 @@ from torch import Tensor
 from tasklens.recognition import scenes
 from tasklens.recognition.objects import ObjectDataset, packed
 
-MOST = 4  # objects of a scene
-_AREA = (0.05, 0.2)  # of the image, before occlusion
-_LEAST_VISIBLE = 0.5  # of an object: one that is occluded more is taken out of the scene
+MOST = 4  # maximum objects per scene
+_AREA = (0.05, 0.2)  # range of an object's fraction of the image, before occlusion
+_LEAST_VISIBLE = 0.5  # fraction of an object: one that is occluded more is removed from the scene
 _CHUNK = 100  # scenes rendered at a time
 
 
 def _shapes(count: int, size: int, generator: torch.Generator) -> Tensor:
-    """Render masks (count, 1, size, size) of smooth objects somewhere in the image, from 0 to 1."""
+    """Render masks (count, 1, size, size) in [0, 1] of smooth objects at random positions."""
     draw, half = scenes.Draw(count, size, generator), size / 2
     pixels = torch.arange(size) - half + 0.5
     x = pixels - draw.uniform(-0.7 * half, 0.7 * half)
@@ -33,20 +33,20 @@ def _scenes(
     labels = torch.randint(len(scenes.CLASSES), (count, MOST), generator=generator)
     numbers = torch.randint(1, MOST + 1, (count,), generator=generator)
     masks = torch.stack([_shapes(count, size, generator)[:, 0] for _ in range(MOST)], 1)
-    # From the front to the back, so that whatever is taken out changes nothing in front of it.
+    # Front to back, so that removing an object changes nothing in front of it.
     covered = torch.zeros(count, size, size, dtype=torch.bool)
     present = torch.arange(MOST) < numbers[:, None]
     visible = masks > 0.5
     for k in range(MOST):
-        shown = visible[:, k] & ~covered
-        present[:, k] &= shown.sum((1, 2)) >= _LEAST_VISIBLE * visible[:, k].sum((1, 2))
-        visible[:, k] = shown & present[:, k, None, None]
+        unoccluded = visible[:, k] & ~covered
+        present[:, k] &= unoccluded.sum((1, 2)) >= _LEAST_VISIBLE * visible[:, k].sum((1, 2))
+        visible[:, k] = unoccluded & present[:, k, None, None]
         covered |= visible[:, k]
     planes = torch.zeros(count, MOST, 3, size, size)
     for label, name in enumerate(scenes.CLASSES):
-        chosen = (present & (labels == label)).nonzero()
-        if len(chosen):
-            planes[chosen[:, 0], chosen[:, 1]] = scenes.surfaces(name, len(chosen), size, periods, generator)
+        indices = (present & (labels == label)).nonzero()
+        if len(indices):
+            planes[indices[:, 0], indices[:, 1]] = scenes.surfaces(name, len(indices), size, periods, generator)
     image = scenes.grounds(count, size, generator)
     for k in reversed(range(MOST)):
         alpha = masks[:, k, None] * present[:, k, None, None, None]
@@ -71,9 +71,9 @@ def render(count: int, size: int, seed: int, periods: tuple[float, float] = (5.0
     generator = torch.Generator().manual_seed(seed)
     images, owners, labels, masks = [], [], [], []
     for first in range(0, count, _CHUNK):
-        found = _scenes(min(_CHUNK, count - first), size, periods, generator)
-        images.append(found[0])
-        owners.append(found[1] + first)
-        labels.append(found[2])
-        masks.append(packed(found[3]))
+        chunk = _scenes(min(_CHUNK, count - first), size, periods, generator)
+        images.append(chunk[0])
+        owners.append(chunk[1] + first)
+        labels.append(chunk[2])
+        masks.append(packed(chunk[3]))
     return ObjectDataset(torch.cat(images), torch.cat(owners), torch.cat(labels), torch.cat(masks), scenes.CLASSES)

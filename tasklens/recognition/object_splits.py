@@ -1,4 +1,4 @@
-"""Training and test images with objects: rendered, or read from a folder in the format of COCO."""
+"""Training and test images with objects: rendered, or read from a folder in COCO format."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from tasklens.recognition.objects import ObjectDataset
 from tasklens.runtime.files import FileError
 from tasklens.study.task_settings import SceneSettings
 
-_NAMES = {"train": ("train2017", "train"), "test": ("val2017", "val")}  # of a folder's splits
+_NAMES = {"train": ("train2017", "train"), "test": ("val2017", "val")}  # possible names of a folder's splits
 
 
 def check(settings: SceneSettings) -> None:
@@ -21,7 +21,7 @@ def make(settings: SceneSettings) -> dict[str, ObjectDataset]:
     """Return the splits `train` and `test`.
 
     Raises:
-        FileError: as of `coco.read`; or the splits have different classes.
+        FileError: as in `coco.read`, or the splits have different classes.
     """
     counts = {"train": settings.train, "test": settings.test}
     if settings.folder is None:
@@ -29,18 +29,18 @@ def make(settings: SceneSettings) -> dict[str, ObjectDataset]:
             name: object_scenes.render(count, settings.size, 2 * settings.seed + k, settings.periods)
             for k, (name, count) in enumerate(counts.items())
         }
-    found = {
+    splits = {
         name: coco.read(settings.folder, _split(settings.folder, names), settings.size, counts[name], settings.seed)
         for name, names in _NAMES.items()
     }
-    if found["train"].classes != found["test"].classes:
-        other = set(found["train"].classes) ^ set(found["test"].classes)
-        raise FileError(f"{settings.folder}: training and test annotations differ in {', '.join(sorted(other))}")
-    return found
+    if splits["train"].classes != splits["test"].classes:
+        differences = set(splits["train"].classes) ^ set(splits["test"].classes)
+        raise FileError(f"{settings.folder}: training and test annotations differ in {', '.join(sorted(differences))}")
+    return splits
 
 
 def _split(folder: Path, names: tuple[str, ...]) -> str:
-    """Return the name of a split that has annotations."""
+    """Return the first name in `names` that has annotations; raises FileError if none has."""
     for name in names:
         if (folder / "annotations" / f"instances_{name}.json").exists():
             return name

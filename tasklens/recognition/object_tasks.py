@@ -12,15 +12,15 @@ from tasklens.recognition.scores import Detections, average_precision, encoded, 
 from tasklens.recognition.tasks import Task
 from tasklens.study.task_settings import TaskSettings
 
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of torchvision's networks
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # normalisation of torchvision's networks
 
 
 class ObjectTask(Task):
     """A task on the objects of images.
 
     Args:
-        dataset: images with objects; labels are numbers of its images, as of `as_images`.
-        outputs: outputs of a network for the classes; 0 is that of the background.
+        dataset: images with objects; labels are the indices of its images, as in `as_images`.
+        outputs: network output of each class; output 0 is the background.
     """
 
     def __init__(self, dataset: ObjectDataset, outputs: Sequence[int]):
@@ -33,7 +33,7 @@ class ObjectTask(Task):
 
 
 class Segmentation(ObjectTask):
-    """The class of each pixel, background among them; scored by mean intersection over union."""
+    """Classification of each pixel, including the background; scored by mean intersection over union."""
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         """Compute the mean cross-entropy of all pixels."""
@@ -45,18 +45,18 @@ class Segmentation(ObjectTask):
 
     def _each(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         pairs = zip(labels.tolist(), flipped.tolist(), strict=True)
-        wanted = torch.stack([objects.semantic(*self.masks(*pair)) for pair in pairs]).to(captures.device)
-        return F.cross_entropy(self._logits(network, captures), wanted, reduction="none").mean((1, 2))
+        targets = torch.stack([objects.semantic(*self.masks(*pair)) for pair in pairs]).to(captures.device)
+        return F.cross_entropy(self._logits(network, captures), targets, reduction="none").mean((1, 2))
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
-        """Return the likeliest class (H, W) of each pixel, uint8."""
+        """Return the most likely class (H, W) of each pixel, uint8."""
         return list(self._logits(network, captures).argmax(1).byte().cpu())
 
     def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
         """Return `miou` [%]."""
-        true = (objects.semantic(*self.masks(k, False)) for k in labels.tolist())
-        return {"miou": mean_iou(answers, true, 1 + len(self.dataset.classes))}
+        truth = (objects.semantic(*self.masks(k, False)) for k in labels.tolist())
+        return {"miou": mean_iou(answers, truth, 1 + len(self.dataset.classes))}
 
     def _logits(self, network: nn.Module, captures: Tensor) -> Tensor:
         """Return the logits (B, 1 + C, H, W) of background and classes for captures in [0, 1]."""
@@ -65,14 +65,14 @@ class Segmentation(ObjectTask):
 
 
 class Detection(ObjectTask):
-    """Boxes of objects, and their masks if the network finds masks; scored by COCO's average precision."""
+    """Detection of boxes, and of masks if the network predicts them; scored by COCO's average precision."""
 
     def __init__(self, dataset: ObjectDataset, outputs: Sequence[int], with_masks: bool):
         super().__init__(dataset, outputs)
         self.with_masks = with_masks
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
-        """Compute the sum of torchvision's losses; the network is in `train()`, or gives none."""
+        """Compute the sum of torchvision's losses; the network must be in `train()` to return them."""
         targets = []
         for index, flip in zip(labels.tolist(), flipped.tolist(), strict=True):
             classes, masks = self.masks(index, flip)
@@ -86,35 +86,36 @@ class Detection(ObjectTask):
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Detections]:
-        """Return the objects that are found; the network is in `eval()`."""
-        found, known = [], torch.tensor(self.outputs)
+        """Return the detected objects; the network is in `eval()`."""
+        detections, class_outputs = [], torch.tensor(self.outputs)
         for answer in network(list(captures)):
             masks = (answer["masks"][:, 0] > 0.5).cpu() if self.with_masks else None
             boxes, labels, scores = (answer[name].cpu() for name in ("boxes", "labels", "scores"))
-            is_class = labels[:, None] == known
-            kept = is_class.any(1)  # published networks know other classes too
-            classes = is_class[kept].int().argmax(1)
-            found.append(
-                Detections(boxes[kept], classes, scores[kept], None if masks is None else encoded(masks[kept]))
+            is_class = labels[:, None] == class_outputs
+            in_set = is_class.any(1)  # published networks have other classes too
+            classes = is_class[in_set].int().argmax(1)
+            detections.append(
+                Detections(boxes[in_set], classes, scores[in_set], None if masks is None else encoded(masks[in_set]))
             )
-        return found
+        return detections
 
     def scores(self, answers: Sequence[Detections], labels: Tensor) -> Mapping[str, float]:
-        """Return `box_ap`, `box_ap50`, and of masks `mask_ap`, `mask_ap50` [%]; masks first."""
-        true = []
+        """Return `mask_ap` and `mask_ap50` if there are masks, then `box_ap` and `box_ap50` [%]."""
+        truth = []
         for index in labels.tolist():
             classes, masks = self.dataset.objects_of(index)
-            true.append(Detections(objects.boxes(masks), classes, None, encoded(masks)))
-        found: dict[str, float] = {}
+            truth.append(Detections(objects.boxes(masks), classes, None, encoded(masks)))
+        values: dict[str, float] = {}
         for by in ("mask", "box") if self.with_masks else ("box",):
-            found |= {
-                f"{by}_{name}": v for name, v in average_precision(answers, true, len(self.dataset.classes), by).items()
+            values |= {
+                f"{by}_{name}": v
+                for name, v in average_precision(answers, truth, len(self.dataset.classes), by).items()
             }
-        return found
+        return values
 
 
 def make(name: str, settings: TaskSettings, dataset: ObjectDataset) -> Task:
-    """Return the task `name` on a data set; raises InputError where published weights do not know its classes."""
+    """Return the task `name` on a data set; raises InputError if published weights lack one of its classes."""
     outputs = task_networks.outputs(name, settings, dataset.classes)
     if settings.kind == "segmentation":
         return Segmentation(dataset, outputs)

@@ -1,4 +1,4 @@
-"""Images with objects: boxes, masks and classes of what is in them, for segmentation and detection."""
+"""Images with the boxes, masks and classes of their objects, for segmentation and detection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ class ObjectDataset:
 
     Attributes:
         images: (N, 3, H, W) uint8.
-        owner: (M,) int64 image of each object, never falling.
+        owner: (M,) int64 image index of each object, non-decreasing.
         labels: (M,) int64 classes.
-        masks: (M, H W / 8) uint8, eight pixels a byte, row by row.
+        masks: (M, H W / 8) uint8, eight pixels per byte, row by row.
         classes: names of the classes, without the background.
         device: device of batches.
     """
@@ -46,37 +46,37 @@ class ObjectDataset:
         return self.images[indices].to(self.device).float() / 255
 
     def as_images(self) -> ImageDataset:
-        """Return the images alone, the label of each being its own index."""
+        """Return the images without objects; the label of each image is its index."""
         return ImageDataset(self.images, torch.arange(len(self.images)), self.classes, self.device)
 
 
 def packed(masks: Tensor) -> Tensor:
-    """Pack masks (M, H, W) bool into (M, H W / 8) uint8; H W is a multiple of 8."""
+    """Pack masks (M, H, W) bool into (M, H W / 8) uint8; H W must be a multiple of 8."""
     return torch.from_numpy(numpy.packbits(masks.numpy().reshape(len(masks), -1), axis=1))
 
 
 def unpacked(bits: Tensor, size: Sequence[int]) -> Tensor:
-    """Return the masks (M, H, W) bool of packed ones."""
+    """Unpack masks (M, H W / 8) uint8 into (M, H, W) bool."""
     return torch.from_numpy(numpy.unpackbits(bits.numpy(), axis=1)).bool().reshape(len(bits), *size)
 
 
 def boxes(masks: Tensor) -> Tensor:
     """Return boxes (K, 4) of masks (K, H, W): left, top, right, bottom edge [pixels]; raises ValueError."""
-    found = torch.zeros(len(masks), 4)
+    edges = torch.zeros(len(masks), 4)
     for k, mask in enumerate(masks):
         rows, columns = mask.any(1).nonzero()[:, 0], mask.any(0).nonzero()[:, 0]
         if not len(rows):
             raise ValueError(f"mask {k} is empty")
-        found[k] = torch.tensor([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
-    return found
+        edges[k] = torch.tensor([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
+    return edges
 
 
 def semantic(labels: Tensor, masks: Tensor) -> Tensor:
     """Return the class of each pixel (H, W), 0 for the background and 1 + label otherwise; smaller objects on top."""
-    found = torch.zeros(masks.shape[-2:], dtype=torch.long)
+    pixel_classes = torch.zeros(masks.shape[-2:], dtype=torch.long)
     for k in masks.sum((1, 2)).argsort(descending=True).tolist():
-        found[masks[k]] = 1 + labels[k]
-    return found
+        pixel_classes[masks[k]] = 1 + labels[k]
+    return pixel_classes
 
 
 def write(dataset: ObjectDataset, images: Path, objects: Path) -> None:
@@ -88,22 +88,22 @@ def write(dataset: ObjectDataset, images: Path, objects: Path) -> None:
 
 
 def read(images: Path, objects: Path, *, device: torch.device = CPU) -> ObjectDataset:
-    """Read a split written by `write`; images are mapped from the file, not copied.
+    """Read a split written by `write`; images are memory-mapped, not copied.
 
     Raises:
-        FileError: a file is not complete, or the two do not belong together.
+        FileError: a file is incomplete, or the two files do not match.
     """
     array = map_array(images)
     tensors, notes = read_tensors(objects)
     try:
-        found = ObjectDataset(
+        dataset = ObjectDataset(
             array, tensors["owner"], tensors["labels"], tensors["masks"], tuple(notes["classes"]), device
         )
     except KeyError as error:
         raise damaged(objects, f"no {error.args[0]} of objects") from None
     pixels = array.shape[-1] * array.shape[-2]
-    if len(found.owner) != len(found.labels) or found.masks.shape != (len(found.labels), pixels // 8):
+    if len(dataset.owner) != len(dataset.labels) or dataset.masks.shape != (len(dataset.labels), pixels // 8):
         raise damaged(objects, "labels, masks and images of different numbers or sizes")
-    if len(found.owner) and not 0 <= int(found.owner.min()) <= int(found.owner.max()) < len(array):
+    if len(dataset.owner) and not 0 <= int(dataset.owner.min()) <= int(dataset.owner.max()) < len(array):
         raise FileError(f"{objects}: objects of images that {images} does not have; remove both")
-    return found
+    return dataset

@@ -1,9 +1,9 @@
 """The built-in labelled data set: textured objects, rendered procedurally.
 
-A lens design supervised by a classifier needs images whose label depends on detail that a lens can blur. Here the class
-is the fine texture of an object only: pose, colours, shape, contrast and background have the same distributions for all
-classes, and every texture covers half of its surface and has the same range of periods, so that without resolution of
-the period the accuracy is that of chance. Rendering needs only torch: no download, no licence, any number of images.
+A lens design supervised by a classifier needs images whose label depends on detail that a lens can blur. Here only the
+fine texture of an object defines its class. Pose, colours, shape, contrast and background have the same distributions
+for all classes; every texture covers half of its surface and has the same range of periods. If a lens does not resolve
+the period, accuracy is at chance level. Rendering needs only torch: no download, no licence, any number of images.
 """
 
 import math
@@ -28,7 +28,7 @@ def _both(a: Tensor, b: Tensor) -> Tensor:
 
 
 # Each texture maps coordinates (u, v) [periods] to the signed distance [periods] from the edge between its light and
-# its dark colour, positive in the light colour. The offsets give each colour half of the area.
+# dark colours, positive in the light colour. The offsets give each colour half of the area.
 
 
 def _stripes(u: Tensor, v: Tensor) -> Tensor:
@@ -93,7 +93,7 @@ CLASSES: tuple[str, ...] = tuple(_TEXTURES)
 
 
 def filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
-    """Filter white noise and scale every plane to mean 0 and standard deviation 1.
+    """Filter white noise, and scale every plane to mean 0 and standard deviation 1.
 
     Args:
         noise: white noise, (..., size, size).
@@ -126,7 +126,7 @@ class Draw:
 
 
 def surfaces(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
-    """Render planes that are covered by the texture of one class, (count, 3, size, size), about 0 to 1.
+    """Render planes covered by the texture of one class, (count, 3, size, size), values about 0 to 1.
 
     Args:
         name: class, one of `CLASSES`.
@@ -164,19 +164,19 @@ def grounds(count: int, size: int, generator: torch.Generator) -> Tensor:
 
 
 def in_bytes(image: Tensor, generator: torch.Generator) -> Tensor:
-    """Return images (count, 3, size, size) with the noise of a sensor as uint8."""
+    """Add sensor noise to images (count, 3, size, size), and convert them to uint8."""
     noisy = image + NOISE * torch.randn(image.shape, generator=generator)
     return (noisy * 255).round().clamp(0, 255).byte()
 
 
 def _scenes(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
-    """Render scenes of one object, (count, 3, size, size), uint8; arguments as of `surfaces`."""
+    """Render scenes of one object, (count, 3, size, size), uint8; arguments as in `surfaces`."""
     surface = surfaces(name, count, size, periods, generator)
     ground = grounds(count, size, generator)
     draw, half = Draw(count, size, generator), size / 2
     pixels = torch.arange(size) - half + 0.5
 
-    # A smooth random shape around the centre; a quantile sets its fraction of the image.
+    # A smooth random shape around the centre; a quantile sets the fraction of the image that it covers.
     reach = torch.hypot(pixels, pixels[:, None]) / half
     shape = filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
     mask = cut(shape, draw.uniform(0.1, 0.5))
@@ -184,7 +184,7 @@ def _scenes(name: str, count: int, size: int, periods: tuple[float, float], gene
 
 
 def cut(shape: Tensor, hidden: Tensor) -> Tensor:
-    """Return the mask (count, 1, size, size) of all but the lowest fraction `hidden` (count, 1, 1, 1) of a shape."""
+    """Return the mask (count, 1, size, size) of a shape without its lowest fraction `hidden` (count, 1, 1, 1)."""
     size = shape.shape[-1]
     rank = (hidden * (size * size - 1)).round().long()
     level = shape.flatten(2).sort().values.unsqueeze(2).gather(3, rank)

@@ -11,16 +11,16 @@ import torch
 from torch import Tensor
 
 
-def mean_iou(found: Iterable[Tensor], true: Iterable[Tensor], classes: int) -> float:
-    """Compute the mean over classes of intersection over union [%]; classes that are nowhere are left out.
+def mean_iou(answers: Iterable[Tensor], truth: Iterable[Tensor], classes: int) -> float:
+    """Compute the mean over classes of intersection over union [%]; absent classes are omitted.
 
     Args:
-        found, true: class of each pixel of each image, 0 to `classes` - 1.
-        classes: number of classes, with the background.
+        answers, truth: predicted and true class of each pixel of each image, 0 to `classes` - 1.
+        classes: number of classes, including the background.
     """
     pairs = torch.zeros(classes**2, dtype=torch.double)
-    for answer, wanted in zip(found, true, strict=True):
-        pairs += torch.bincount((wanted.long() * classes + answer.long()).flatten(), minlength=classes**2)
+    for answer, target in zip(answers, truth, strict=True):
+        pairs += torch.bincount((target.long() * classes + answer.long()).flatten(), minlength=classes**2)
     pairs = pairs.reshape(classes, classes)
     both, union = pairs.diagonal(), pairs.sum(0) + pairs.sum(1) - pairs.diagonal()
     return 100 * float((both[union > 0] / union[union > 0]).mean())
@@ -28,13 +28,13 @@ def mean_iou(found: Iterable[Tensor], true: Iterable[Tensor], classes: int) -> f
 
 @dataclass(frozen=True)
 class Detections:
-    """Objects of one image, found or true, on the CPU.
+    """Objects of one image, detected or true, on the CPU.
 
     Attributes:
         boxes: (K, 4) left, top, right, bottom edge [pixels].
         labels: (K,) classes.
-        scores: (K,) confidence; None: true objects.
-        masks: (K,) run lengths of the masks, as of `encoded`; None: none.
+        scores: (K,) confidence; None for true objects.
+        masks: (K,) run lengths of the masks, from `encoded`; None if there are no masks.
     """
 
     boxes: Tensor
@@ -44,7 +44,7 @@ class Detections:
 
 
 def encoded(masks: Tensor) -> list[dict[str, Any]]:
-    """Return the run lengths of masks (K, H, W) bool, by pycocotools: a hundredth of their memory."""
+    """Encode masks (K, H, W) bool as run lengths with pycocotools: a hundredth of the memory."""
     from pycocotools import mask as encoding
 
     columns = numpy.asfortranarray(masks.permute(1, 2, 0).numpy().astype("uint8"))
@@ -52,14 +52,14 @@ def encoded(masks: Tensor) -> list[dict[str, Any]]:
 
 
 def average_precision(
-    found: Sequence[Detections], true: Sequence[Detections], classes: int, by: Literal["box", "mask"]
+    detections: Sequence[Detections], true: Sequence[Detections], classes: int, by: Literal["box", "mask"]
 ) -> dict[str, float]:
-    """Compute COCO's average precision [%] by pycocotools: over IoU of 0.5 to 0.95 (`ap`), and at 0.5 (`ap50`).
+    """Compute COCO's average precision [%] with pycocotools: over IoU of 0.5 to 0.95 (`ap`), and at 0.5 (`ap50`).
 
     Args:
-        found, true: objects of each image.
+        detections, true: detected and true objects of each image.
         classes: number of classes, without the background.
-        by: whether overlaps are of boxes or of masks.
+        by: whether overlaps are between boxes or between masks.
     """
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
@@ -72,17 +72,17 @@ def average_precision(
             )
         ]
 
-    wanted = entries(true)
-    if not wanted:
+    annotations = entries(true)
+    if not annotations:
         raise ValueError("expected at least one true object")
-    with redirect_stdout(StringIO()):  # it prints what it does
+    with redirect_stdout(StringIO()):  # pycocotools prints its progress
         truth, answer = COCO(), COCO()
         common = {
-            "images": [{"id": k, "height": 0, "width": 0} for k in range(len(true))],  # encoded masks have their own
+            "images": [{"id": k, "height": 0, "width": 0} for k in range(len(true))],  # encoded masks have sizes
             "categories": [{"id": label} for label in range(classes)],
         }
-        truth.dataset = common | {"annotations": wanted}
-        answer.dataset = common | {"annotations": entries(found)}
+        truth.dataset = common | {"annotations": annotations}
+        answer.dataset = common | {"annotations": entries(detections)}
         truth.createIndex()
         answer.createIndex()
         evaluation = COCOeval(truth, answer, "bbox" if by == "box" else "segm")
@@ -109,7 +109,7 @@ def _entries(image: Detections, number: int, by: str) -> list[dict[str, Any]]:
         if image.scores is not None:
             row["score"] = float(image.scores[k])
         if by == "mask":
-            assert image.masks is not None  # whoever asks for masks has them
+            assert image.masks is not None  # by = "mask" needs masks
             row["segmentation"] = image.masks[k]
             row["area"] = float(encoding.area(image.masks[k]))
         rows.append(row)

@@ -1,4 +1,4 @@
-"""Accuracy of a network on sharp images, before lenses are designed by it or compared with it."""
+"""Accuracy of a network on sharp images, as a check before it designs or ranks lenses."""
 
 import math
 from collections.abc import Callable
@@ -10,18 +10,18 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
 
 _BATCH = 32
-_DEVIATIONS = 3.0  # of the accuracy of guessing
+_DEVIATIONS = 3.0  # standard deviations above the accuracy of guessing
 
 
 @torch.no_grad()
 def recognised(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -> str:
-    """Return in words what a network recognises of sharp images.
+    """Return a sentence with the accuracy of a network on sharp images.
 
     Args:
         network: function from images (B, 3, H, W) in [0, 1] to logits.
 
     Raises:
-        InputError: that is no better than guessing.
+        InputError: the accuracy is no better than guessing.
     """
     correct, outputs = [], len(dataset.classes)
     for indices in torch.arange(len(dataset)).split(_BATCH):

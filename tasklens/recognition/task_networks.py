@@ -1,4 +1,4 @@
-"""torchvision's networks for segmentation and detection, whole or small."""
+"""torchvision's networks for segmentation and detection, at full or reduced size."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,9 +17,9 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors
 from tasklens.study.task_settings import TaskSettings
 
-_LEVELS = 5  # of the pyramid: strides 4 to 64
+_LEVELS = 5  # levels of the pyramid: strides 4 to 64
 _ANCHOR = 12  # side of the anchors of the first level [pixels]; each level doubles it
-_CELLS, _MASK_CELLS = 7, 14  # of the boxes' and the masks' grids
+_CELLS, _MASK_CELLS = 7, 14  # side of the pooling grids of boxes and masks
 
 
 def build(name: str, settings: TaskSettings, classes: int, size: int) -> nn.Module:
@@ -31,41 +31,41 @@ def build(name: str, settings: TaskSettings, classes: int, size: int) -> nn.Modu
         size: side of the images [pixels].
 
     Raises:
-        InputError: torchvision does not know the model, or the arguments do not fit it; the message names the task.
+        InputError: torchvision has no such model, or the arguments do not fit it; the message names the task.
     """
     try:
         if settings.model is None:
             return _small_detector(settings, 1 + classes, size)
         weights = "DEFAULT" if settings.pretrained else None
-        sized = {} if settings.kind == "segmentation" else {"min_size": size, "max_size": size}
-        given: dict[str, Any] = {"num_classes": 1 + classes, "weights_backbone": None} | sized | settings.arguments
+        sizes = {} if settings.kind == "segmentation" else {"min_size": size, "max_size": size}
+        arguments: dict[str, Any] = {"num_classes": 1 + classes, "weights_backbone": None} | sizes | settings.arguments
         if settings.pretrained:
-            given.pop("num_classes")
-        return get_model(settings.model, weights=weights, **given)
+            arguments.pop("num_classes")
+        return get_model(settings.model, weights=weights, **arguments)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"tasks.networks.{name}: {settings.model or settings.backbone}: {error}") from error
 
 
 def outputs(name: str, settings: TaskSettings, classes: Sequence[str]) -> tuple[int, ...]:
-    """Return the output of each class; 0 is that of the background.
+    """Return the network output of each class; output 0 is the background.
 
     Raises:
-        InputError: the published weights do not know one of the classes.
+        InputError: the published weights lack one of the classes.
     """
     if not settings.pretrained:
         return tuple(range(1, 1 + len(classes)))
-    known = get_model_weights(settings.model).DEFAULT.meta["categories"]
-    unknown = [each for each in classes if each not in known]
+    categories = get_model_weights(settings.model).DEFAULT.meta["categories"]
+    unknown = [label for label in classes if label not in categories]
     if unknown:
         raise InputError(
             f"tasks.networks.{name}: the published weights of {settings.model} know no {', '.join(unknown)}, but "
-            f"{', '.join(known)}; rename the classes of the data, or train without `pretrained`"
+            f"{', '.join(categories)}; rename the classes of the data, or train without `pretrained`"
         )
-    return tuple(known.index(each) for each in classes)
+    return tuple(categories.index(label) for label in classes)
 
 
 def load(name: str, settings: TaskSettings, classes: Sequence[str], size: int, weights: Path | None) -> nn.Module:
-    """Build the network of a task, with the weights of a file if there is one; raises FileError if they do not fit."""
+    """Build the network of a task, and load weights if there is a file; raises FileError if they do not fit."""
     network = build(name, settings, len(classes), size)
     if weights is not None:
         tensors, _ = read_tensors(weights)
@@ -77,7 +77,7 @@ def load(name: str, settings: TaskSettings, classes: Sequence[str], size: int, w
 
 
 def _small_detector(settings: TaskSettings, outputs: int, size: int) -> nn.Module:
-    """Build a Faster or Mask R-CNN with a narrow pyramid and narrow heads, normalised by batch norms."""
+    """Build a Faster or Mask R-CNN with a narrow pyramid, narrow heads and batch norms."""
     channels = settings.channels
     backbone = resnet_fpn_backbone(
         backbone_name=str(settings.backbone), weights=None, norm_layer=nn.BatchNorm2d, trainable_layers=5
@@ -113,7 +113,7 @@ def _small_detector(settings: TaskSettings, outputs: int, size: int) -> nn.Modul
 
 
 def frozen(network: nn.Module) -> nn.Module:
-    """Freeze a network that gives losses: in `train()`, but for its batch norms, and without parameter gradients."""
+    """Freeze a network that returns losses: in `train()` except for batch norms and dropout, no parameter gradients."""
     network.train().requires_grad_(False)
     for module in network.modules():
         if isinstance(module, nn.modules.batchnorm._BatchNorm | nn.Dropout):

@@ -1,7 +1,7 @@
-"""What a network is asked about images, how it learns that, and how its answers are scored.
+"""Tasks of networks on images: loss, answers, and scores.
 
-The images of a task are an `ImageDataset`. What its labels mean only the task knows: classes in classification, numbers
-of the images in tasks on objects.
+The images of a task are an `ImageDataset`. The task defines the meaning of its labels: classes in classification, image
+indices in tasks on objects.
 """
 
 from abc import ABC, abstractmethod
@@ -26,7 +26,7 @@ class Task(ABC):
         """
 
     def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
-        """Compute the loss (N,) of each capture; by default it is that of their mean."""
+        """Compute the loss (N,) of each capture; by default, every entry is the mean loss."""
         return self.loss(network, captures, labels, torch.zeros_like(labels, dtype=torch.bool)).expand(len(captures))
 
     @abstractmethod
@@ -35,12 +35,12 @@ class Task(ABC):
 
     @abstractmethod
     def scores(self, answers: Sequence[Any], labels: Tensor) -> Mapping[str, float]:
-        """Return the scores of answers for images with labels (N,), by name; the first is the one that counts."""
+        """Return the scores of answers for images with labels (N,), by name; the first is the main score."""
 
 
 @dataclass(frozen=True)
 class Classification(Task):
-    """The class of an image; scored by accuracy.
+    """Classification of images; scored by accuracy.
 
     Attributes:
         temperature: T of the loss T cross_entropy(logits / T).
@@ -49,7 +49,7 @@ class Classification(Task):
     temperature: float = 1.0
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
-        """Compute the mean cross-entropy of logits; a label is the same for a flipped image."""
+        """Compute the mean cross-entropy; a flipped image has the same label."""
         return self.temperature * F.cross_entropy(network(captures) / self.temperature, labels)
 
     def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
@@ -58,7 +58,7 @@ class Classification(Task):
 
     @torch.no_grad()
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[int]:
-        """Return the likeliest class of each capture."""
+        """Return the most likely class of each capture."""
         return network(captures).argmax(-1).tolist()
 
     def scores(self, answers: Sequence[int], labels: Tensor) -> Mapping[str, float]:

@@ -67,7 +67,7 @@ def fit(
     group: ProcessGroup = SINGLE_PROCESS,
     task: Task = CLASSIFICATION,
 ) -> None:
-    """Train networks in place, each as if alone, on the same captures; leave them in `eval()`.
+    """Train networks in place and independently, on the same captures; leave them in `eval()`.
 
     Args:
         networks: by name, networks for images (B, 3, H, W) in [0, 1].
@@ -75,11 +75,11 @@ def fit(
         training: settings of the training.
         seed: seed of the image order, the flips and the networks' random numbers.
         label: label of progress lines, and name of the part of the checkpoint.
-        capture: function that captures a share of the sharp images (B, 3, H, W); it draws the same random numbers
-            from the generator for every share.
+        capture: function that captures a share of the sharp images (B, 3, H, W); it must draw the same random
+            numbers from the generator for every share.
         checkpoint: checkpoint of the job; the first process saves it.
         group: process group; all processes end with the same networks.
-        task: what the networks learn.
+        task: task of the networks.
 
     Raises:
         FloatingPointError: the loss, or a weight after the last step, is not finite.
@@ -91,7 +91,7 @@ def fit(
     trainees = {name: _Trainee(network, training, steps, group) for name, network in networks.items()}
     order = Shuffled(len(dataset), training.batch_size, generator)
     progress = Progress(label, steps)
-    part = checkpoint.part(label, order=order, **{f"trainee {name}": each for name, each in trainees.items()})
+    part = checkpoint.part(label, order=order, **{f"trainee {name}": holder for name, holder in trainees.items()})
     if part.result is not None:
         for name, network in networks.items():
             network.load_state_dict(part.result["networks"][name])
@@ -114,7 +114,7 @@ def fit(
     for step in range(part.step + 1, steps + 1):
         images, labels = dataset.batch(order.next())
         flip = send(torch.rand(len(images), generator=generator) < 0.5, images.device)
-        if before:  # after fetching images, which overlaps with the previous step on a GPU
+        if before:  # after the images are fetched, which overlaps with the previous step on a GPU
             check(step - 1, before)
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
         captures = capture(images, generator, share)
@@ -136,7 +136,7 @@ def fit(
 
 
 class _Trainee:
-    """A network with its optimizer, schedule and random numbers, such as those of its dropout."""
+    """A network with its optimizer, schedule and random state (for dropout, for example)."""
 
     def __init__(self, network: nn.Module, training: TrainingSettings, steps: int, group: ProcessGroup):
         self.parallel = group.wrap(network)
@@ -147,7 +147,7 @@ class _Trainee:
         self.random = random_state()
 
     def step(self, task: Task, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
-        """Take one step; return the loss before it."""
+        """Take one step; return the loss before the step."""
         set_random_state(self.random)
         loss = task.loss(self.parallel, captures, labels, flipped)
         self.optimizer.zero_grad()
@@ -158,7 +158,7 @@ class _Trainee:
         return loss.detach()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of network, optimizer, schedule and random numbers."""
+        """Return the states of the network, optimizer, schedule and random generators."""
         return {name: holder.state_dict() for name, holder in self.holders.items()} | {"random": self.random}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

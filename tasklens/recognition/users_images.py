@@ -1,4 +1,4 @@
-"""Labelled images of a user in Python: a data set of torch, or any sequence of pairs."""
+"""A user's labelled images in Python: a torch data set, or any sequence of pairs."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,11 +15,11 @@ from tasklens.runtime.errors import InputError
 def of_pairs(pairs: Any) -> ImageDataset:
     """Return a data set from pairs (image, label) of any length, as torch's data sets have them.
 
-    An image is what `image_tensor` takes; all have one size, and keep 8 bits. A label is a whole number, or a number or
-    tensor for a loss of one's own. Names of the classes are those of `pairs.classes`, or the labels.
+    `image_tensor` converts each image; all must have the same size, and are stored as 8 bits. A label is an integer, or
+    a number or tensor for a custom loss. Class names come from `pairs.classes`, or are the labels.
 
     Raises:
-        InputError: no pairs, images of several sizes, or one that cannot be read, with its number.
+        InputError: there are no pairs, image sizes differ, or an image cannot be read (the message has its index).
     """
     if isinstance(pairs, ImageDataset):
         return pairs
@@ -43,7 +43,7 @@ def of_pairs(pairs: Any) -> ImageDataset:
 
 
 def _items(pairs: Any) -> Iterable[Any]:
-    """Return the items of a data set; one of torch need not be iterable."""
+    """Return the items of a data set; a torch data set need not be iterable."""
     if hasattr(pairs, "__len__") and hasattr(pairs, "__getitem__"):
         return (pairs[k] for k in range(len(pairs)))
     if not isinstance(pairs, Iterable):
@@ -52,13 +52,13 @@ def _items(pairs: Any) -> Iterable[Any]:
 
 
 def of_folder(folder: Path, names: Sequence[str], size: int, start: int, limit: int) -> ImageDataset:
-    """Read photographs of a folder, from number `start` in their random order on, at most `limit`.
+    """Read at most `limit` photographs of a folder, from index `start` of their random order.
 
     Args:
-        names: possible names of the folder of the classes in it, "." for itself.
+        names: possible names of the subfolder that contains the classes; "." is the folder itself.
 
     Raises:
-        FileError: as of `folders.find`, and `folders.read`.
+        FileError: as in `folders.find` and `folders.read`.
     """
     listing = folders.find(folder, names, start + limit, 0)
     listing = listing.take(torch.arange(len(listing))[start:])

@@ -23,13 +23,13 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
     classifier = claims.claims[0].classifier
     rows = []
     for lens in (ablation.base, *differences.index):
-        measured = [
+        seed_values = [
             measurements.values(lens, classifier, seed) | measurements.lens_values(lens, seed) for seed in claims.seeds
         ]
         columns = dict.fromkeys(("accuracy", "rms_spot_um", "core_radius_um", "energy_in_window"), "mean")
-        rows.append({"lens": lens} | pandas.DataFrame(measured).agg(columns | {"worst_margin": "min"}).to_dict())
-    compared = differences[["difference", "low", "high", "seeds", "verdict"]].reset_index()
-    return pandas.DataFrame(rows).merge(compared, on="lens", how="left")
+        rows.append({"lens": lens} | pandas.DataFrame(seed_values).agg(columns | {"worst_margin": "min"}).to_dict())
+    comparison = differences[["difference", "low", "high", "seeds", "verdict"]].reset_index()
+    return pandas.DataFrame(rows).merge(comparison, on="lens", how="left")
 
 
 def make(
@@ -44,8 +44,8 @@ def make(
     claims = ablation.claims
     rows = collect(ablation, Measurements.of_claims(claims, lenses, metrics, predictions))
     digits = {"": ".2f", "energy": ".3f", "worst": ".3f", "seeds": ".0f"}
-    shown = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
+    texts = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
     note = _NOTE.format(
         study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
     )
-    publish(csv, md, f"Ablation: {ablation.name}", rows, shown, note)
+    publish(csv, md, f"Ablation: {ablation.name}", rows, texts, note)

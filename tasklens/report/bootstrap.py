@@ -1,6 +1,6 @@
 """Confidence intervals by resampling test images and seeds (Efron and Tibshirani 1993, chapters 6 and 13).
 
-A row is one image, the mean over its nine captures: these are not independent, and not resampled.
+A row is one image, the mean over its nine captures; these are not independent and are not resampled.
 """
 
 from collections.abc import Sequence
@@ -25,28 +25,28 @@ def resampled_means(values: ndarray, seed: int = 0, resamples: int = RESAMPLES) 
     means = []
     for start in range(0, resamples, block):
         rows = min(block, resamples - start)
-        drawn = generator.integers(count, size=(rows, count)) + count * numpy.arange(rows)[:, None]
-        times = numpy.bincount(drawn.ravel(), minlength=rows * count).reshape(rows, count)
-        means.append(times @ values / count)
+        indices = generator.integers(count, size=(rows, count)) + count * numpy.arange(rows)[:, None]
+        counts = numpy.bincount(indices.ravel(), minlength=rows * count).reshape(rows, count)
+        means.append(counts @ values / count)
     return numpy.concatenate(means)
 
 
 def resampled_over_seeds(by_seed: ndarray, observed: ndarray, seed: int = 1) -> ndarray:
-    """Compute resampled means (R,) over seeds, from values (R, S) of S seeds over resampled images, and observed ones.
+    """Compute resampled means (R,) over seeds from resampled values (R, S) and observed values (S,) of S seeds.
 
     With several seeds, the deviation from their mean of S of the S observed values (S,), sampled with replacement, is
     added to each mean. Since seeds are few, it is multiplied by sqrt(S / (S - 1)) t / z, with the quantiles t of
     Student's distribution for S - 1 degrees of freedom and z of the normal one: otherwise the coverage with five seeds
-    is 86 %, not 95 %. Observed values differ by the noise of their images too, which is thus counted twice where it is
-    independent between seeds: intervals may err on the wide side.
+    is 86 %, not 95 %. Observed values also differ by the noise of their images. Noise that is independent between seeds
+    is counted twice, so intervals may be too wide.
     """
     resamples, seeds = by_seed.shape
     means = by_seed.mean(1)
     if seeds > 1:
         quantile = (1 + CONFIDENCE) / 2
         stretch = numpy.sqrt(seeds / (seeds - 1)) * stdtrit(seeds - 1, quantile) / ndtri(quantile)
-        drawn = numpy.random.default_rng(seed).integers(seeds, size=(resamples, seeds))
-        means = means + stretch * (observed[drawn].mean(1) - observed.mean())
+        indices = numpy.random.default_rng(seed).integers(seeds, size=(resamples, seeds))
+        means = means + stretch * (observed[indices].mean(1) - observed.mean())
     return means
 
 
@@ -59,8 +59,9 @@ def interval(means: ndarray) -> tuple[float, float]:
 def p_value(means: ndarray, seeds: int, null: float = 0.0) -> float:
     """Compute the two-sided p-value of a mean of `null` from resampled means (R,) over `seeds` seeds.
 
-    With one seed it is the fraction beyond `null`, at least 2 / (R + 1). With several it is that of Student's
-    distribution with their standard deviation: five seeds know little of the tails, where Holm's correction looks.
+    With one seed it is twice the fraction beyond `null`, at least 2 / (R + 1). With several seeds it is that of
+    Student's distribution with their standard deviation: five seeds say little about the tails that Holm's correction
+    needs.
     """
     if seeds > 1 and means.std() > 0:
         quantile = (1 + CONFIDENCE) / 2

@@ -1,4 +1,4 @@
-"""The table of one lens: first-order data, figures by field, aberrations by surface."""
+"""Data sheet of one lens: first-order data, figures by field, aberrations by surface."""
 
 from collections.abc import Mapping, Sequence
 
@@ -51,7 +51,7 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
 
     Args:
         fields_mm: (X, Y) of each field [mm].
-        content: `figures` of the lens, and its `worst_margin` if known, as in its file; and how it was designed.
+        content: content of the lens file: `figures`, and `worst_margin` and `origin` if present.
         by_surface: contributions of the surfaces to each Seidel sum [um], by name.
     """
     figures = content["figures"]

@@ -17,16 +17,21 @@ from tasklens.optics.view import View
 from tasklens.report.scale_bar import scale_bar
 
 _RAYS = 9  # of a field
-_ROWS = 3  # of the names of materials
-_FOOT = 0.35  # height of these rows and of the scale bar, over half the height of the lens
-_PUPIL = 0.98  # of its radius, where the outermost rays are
+_ROWS = 3  # rows for the names of materials
+_FOOT = 0.35  # height of these rows and the scale bar, in half heights of the lens
+_PUPIL = 0.98  # outermost rays, in radii of the pupil
 _ELEMENT: Any = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
 
 
 def cross_section(
-    axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str], narrowest_mm: float = math.inf
+    axes: Axes,
+    lens: Lens,
+    view: View,
+    field_names: Mapping[int, str],
+    colours: Sequence[str],
+    narrowest_mm: float = math.inf,
 ) -> None:
-    """Draw elements, stop, sensor, and a fan of rays of each of the fields `shown`; a scale bar fits `narrowest_mm`."""
+    """Draw elements, stop, sensor and a ray fan for each field of `field_names`; the scale bar fits `narrowest_mm`."""
     vertices = lens.vertices
     edges = []
     for i in range(len(lens.media)):
@@ -42,20 +47,20 @@ def cross_section(
     for i, medium in enumerate(lens.media[:-1]):
         if medium != AIR:
             (z0, h0), (z1, h1) = edges[i], edges[i + 1]
-            # Beyond its clear aperture a surface is a flat flange.
+            # A surface continues as a flat flange beyond its clear aperture.
             flange = float(max(h0[-1], h1[-1]))
             z = torch.cat([z0[:1], z0, z0[-1:], z1[-1:], z1.flip(0), z1[:1]])
             end = torch.tensor([flange], dtype=lens.dtype)
             axes.fill(z, torch.cat([-end, h0, end, end, h1.flip(0), -end]), **_ELEMENT)
             middle = float(vertices[i] + lens.thickness[i] / 2)
             names.append((middle, short_name(medium)))
-    _rays(axes, lens, view, shown, colours)
+    _rays(axes, lens, view, field_names, colours)
     image_z = float(vertices[-1] + lens.thickness[-1])
     half = float(view.radii.max())
     axes.plot([image_z] * 2, [-half, half], color="black", lw=2.5)
     axes.text(image_z, half, "sensor", ha="center", va="bottom", fontsize=8)
     base = min(-half, *(-float(height.max()) for _, height in edges if height.isfinite().all()))
-    for k, (middle, name) in enumerate(names):  # in rows, lest they overlap
+    for k, (middle, name) in enumerate(names):  # in rows, so that names do not overlap
         axes.text(middle, base, "\n" * (k % _ROWS) + name, ha="center", va="top", fontsize=8)
     axes.set(aspect="equal", ylim=(base * (1 + _FOOT), None))
     axes.margins(0.03, 0.08)
@@ -64,23 +69,23 @@ def cross_section(
     scale_bar(axes, "mm", narrowest=narrowest_mm)
 
 
-def _rays(axes: Axes, lens: Lens, view: View, shown: Mapping[int, str], colours: Sequence[str]) -> None:
+def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str], colours: Sequence[str]) -> None:
     """Draw a fan of rays for each field, turned into the plane of the drawing."""
     vertices = lens.vertices
-    radius = view.radii[list(shown)]
+    radius = view.radii[list(field_names)]
     along_y = replace(view.in_reference(), fields=torch.stack([torch.zeros_like(radius), radius], -1))
     fan = torch.stack([torch.zeros(_RAYS), torch.linspace(-_PUPIL, _PUPIL, _RAYS)], -1).double()
     start = launch_fields(lens, along_y, fan)
-    image, behind = trace_full(lens, start, lens.refractive_indices(along_y.wavelengths))
+    image, surface_rays = trace_full(lens, start, lens.refractive_indices(along_y.wavelengths))
     # Rays are drawn from the foremost plane straight to the first refracting surface, since a stop may be behind it.
-    z_each = [behind[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
-    y_each = [behind[i].y[:, 0] for i in lens.refracting_surfaces]
-    front = torch.full_like(z_each[0], float(vertices.min()))
-    before = y_each[0] - (start.m / start.n)[:, 0] * (z_each[0] - front)
-    z = torch.stack([front, *z_each, torch.full_like(front, float(vertices[-1] + lens.thickness[-1]))])
-    y = torch.stack([before, *y_each, image.y[:, 0]])
+    z_surfaces = [surface_rays[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
+    y_surfaces = [surface_rays[i].y[:, 0] for i in lens.refracting_surfaces]
+    front = torch.full_like(z_surfaces[0], float(vertices.min()))
+    y_front = y_surfaces[0] - (start.m / start.n)[:, 0] * (z_surfaces[0] - front)
+    z = torch.stack([front, *z_surfaces, torch.full_like(front, float(vertices[-1] + lens.thickness[-1]))])
+    y = torch.stack([y_front, *y_surfaces, image.y[:, 0]])
     angles = torch.rad2deg(torch.atan(radius / view.efl)).tolist()
-    for k, (name, colour) in enumerate(zip(shown.values(), colours, strict=False)):
+    for k, (name, colour) in enumerate(zip(field_names.values(), colours, strict=False)):
         valid = image.valid[k, 0]
         lost = int((~valid).sum())
         label = f"{name}, {angles[k]:.2g}°" + (f" ({lost} of {len(valid)} rays lost)" if lost else "")

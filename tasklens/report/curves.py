@@ -16,24 +16,24 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.report.along_field import AlongField
 
-# As in a specification: red, green, blue.
+# In the order of a specification: red, green, blue.
 BY_WAVELENGTH = (
     {"color": "#CC3311", "ls": "-"},
     {"color": "#228833", "ls": "--"},
     {"color": "#4477AA", "ls": ":"},
 )
-_MARKERS = ("o", "s", "^")  # of the fields shown
+_MARKERS = ("o", "s", "^")  # of the drawn fields
 _FREQUENCIES = 41
 _RADII_UM = (0.5, 500.0)
-_SHIFTS = 31  # of the image plane
-_DEPTH = 8  # largest shift, over pixel pitch times F-number
+_SHIFTS = 31  # number of shifts of the image plane
+_DEPTH = 8  # largest shift, in pixel pitches times the F-number
 
 
-def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, shown: Mapping[int, str]) -> None:
+def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, field_names: Mapping[int, str]) -> None:
     """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian."""
     half = view.kernel_size * view.pixel_pitch / 2
-    all_axes = part.subplots(1, 2 * len(shown), sharey=True, squeeze=False)[0]
-    for k, (field, name) in enumerate(shown.items()):
+    all_axes = part.subplots(1, 2 * len(field_names), sharey=True, squeeze=False)[0]
+    for k, (field, name) in enumerate(field_names.items()):
         for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
             axes = all_axes[2 * k + i]
             for w, (wavelength, style) in enumerate(zip(view.wavelengths, BY_WAVELENGTH, strict=False)):
@@ -47,12 +47,14 @@ def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, shown: Mapping
     part.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=8, frameon=False)
 
 
-def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, shown: Mapping[int, str], colours: Sequence[str]) -> None:
-    """Draw the geometric MTF up to the Nyquist frequency of the pixels: solid T, dashed S; grey: a perfect lens."""
+def mtf(
+    axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mapping[int, str], colours: Sequence[str]
+) -> None:
+    """Draw the geometric MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey."""
     nyquist, cutoff = figures["nyquist_per_mm"], figures["diffraction_cutoff_per_mm"]
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
     tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
-    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=False)):
+    for k, ((field, name), colour) in enumerate(zip(field_names.items(), colours, strict=False)):
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
@@ -64,13 +66,13 @@ def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, shown: Mapping[int
 
 
 def encircled(
-    axes: Axes, rays: Rays, centre: Tensor, view: View, shown: Mapping[int, str], colours: Sequence[str]
+    axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: Mapping[int, str], colours: Sequence[str]
 ) -> None:
     """Draw the share of the light within a radius of the chief ray's image point."""
     low, high = (torch.tensor(radius).log10().item() for radius in _RADII_UM)
     radii = torch.logspace(low, high, 81, dtype=torch.float64)
     energy = encircled_energy(rays, centre, radii / 1e3)
-    for k, ((field, name), colour) in enumerate(zip(shown.items(), colours, strict=False)):
+    for k, ((field, name), colour) in enumerate(zip(field_names.items(), colours, strict=False)):
         axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
     axes.axhline(0.5, color="grey", lw=0.6)
     axes.axvline(view.pixel_pitch, color="grey", lw=1, ls=":", label="a pixel")
@@ -97,17 +99,17 @@ def mtf_by_focus(
     view: View,
     figures: Mapping,
     frequency: float,
-    shown: Mapping[int, str],
+    field_names: Mapping[int, str],
     colours: Sequence[str],
 ) -> None:
     """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
     half = _DEPTH * view.pixel_pitch * figures["f_number"]
     shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
-    for (field, name), colour in zip(shown.items(), colours, strict=False):
+    for (field, name), colour in zip(field_names.items(), colours, strict=False):
         values = []
         for shift in (shifts / 1e3).tolist():
-            moved = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
-            tangential, sagittal = geometric_mtf(moved, view.directions, [frequency])
+            shifted_rays = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
+            tangential, sagittal = geometric_mtf(shifted_rays, view.directions, [frequency])
             values.append(float(tangential[field, 0] + sagittal[field, 0]) / 2)
         axes.plot(shifts, values, color=colour, lw=1, label=name)
     axes.set(

@@ -9,7 +9,7 @@ _KEYS = ("elements", "design", "classifier")
 
 @dataclass(frozen=True)
 class Difference:
-    """A number that differs between two tables, or that only one of them has; None where it has none."""
+    """A number that differs between two tables, or that only one of them has; None in the other."""
 
     table: str
     row: str
@@ -30,9 +30,9 @@ def _shown(value: float | None) -> str:
 def differences(old: Path, new: Path) -> list[Difference]:
     """Compare the numbers of all tables in two folders of results; the paper's values are left out.
 
-    Tables that one of them has not made are left out too.
+    Tables that are missing in one of the folders are left out too.
     """
-    found = []
+    changes = []
     for path in sorted((old / "tables").glob("table?.csv")):
         other, table = new / "tables" / path.name, path.stem
         if not other.exists():
@@ -41,8 +41,8 @@ def differences(old: Path, new: Path) -> list[Difference]:
         for row, column in dict.fromkeys([*before, *after]):
             values = before.get((row, column)), after.get((row, column))
             if values[0] != values[1]:
-                found.append(Difference(table, row, column, *values))
-    return found
+                changes.append(Difference(table, row, column, *values))
+    return changes
 
 
 def numbers_of(path: Path) -> dict[tuple[str, str], float]:

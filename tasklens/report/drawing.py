@@ -1,4 +1,4 @@
-"""Drawings of lenses that have no files of a study: their figures and PSFs are computed."""
+"""Drawings of lenses without study files; figures and PSFs are computed."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,24 +12,24 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.report.figures import Panel, drawn, panel_of, save
 
-_RIM = 1.02  # of a surface without clear aperture, over the radius that light uses
-_COLOURS = 3  # that a panel can show
+_RIM = 1.02  # radius of a surface without clear aperture, as a multiple of the radius that light uses
+_COLOURS = 3  # most wavelengths that a panel can show
 
 
 def draw(path: Path, lenses: Mapping[str, tuple[Lens, View]], rays: int) -> None:
-    """Draw lenses by their titles one above the other; the suffix of `path` is the format."""
+    """Draw lenses (by title) one above the other; the suffix of `path` is the format."""
     save(figure(lenses, rays), [path])
 
 
 def figure(lenses: Mapping[str, tuple[Lens, View]], rays: int) -> Figure:
-    """Return the drawings of lenses by their titles, one above the other."""
-    return drawn([_panel(title, *shown, rays) for title, shown in lenses.items()])
+    """Return a figure of lenses (by title), one above the other."""
+    return drawn([_panel(title, *pair, rays) for title, pair in lenses.items()])
 
 
 def _panel(title: str, lens: Lens, view: View, rays: int) -> Panel:
     lens = lens.detached()
     psf = evaluation_psf(lens, view.in_colours(), rays).float()
-    computed = figures(lens, view, rays)
+    lens_figures = figures(lens, view, rays)
     view = view if len(view.wavelengths) <= _COLOURS else view.in_colours()
     lens = with_clear_apertures(lens, _RIM * clear_semi_diameters(lens, view))
-    return panel_of(title, lens, view, psf, computed)
+    return panel_of(title, lens, view, psf, lens_figures)

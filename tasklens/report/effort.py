@@ -17,43 +17,44 @@ not the fine-tunings that told some of them apart."""
 
 
 def core_minutes(path: Path) -> float:
-    """Return the duration [min] in one of Snakemake's benchmark files; NaN where it has none.
+    """Return the duration [min] from one of Snakemake's benchmark files; NaN if it has none.
 
-    Its processor time is sampled every half minute, and misses the last part of that.
+    The duration is the wall time: Snakemake samples processor time every half minute and misses the last interval.
     """
-    found = benchmark_files.read(path)
-    return float("nan") if found is None else found.seconds / 60
+    benchmark = benchmark_files.read(path)
+    return float("nan") if benchmark is None else benchmark.seconds / 60
 
 
 def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
-    """Return a row per lens: lenses tried and least core-minutes, its own and with those it was chosen from.
+    """Return a row per lens: lenses tried and fewest core-minutes, alone and with all lenses it was chosen from.
 
     Args:
         benchmarks: benchmark files of the designs in `efforts.lens_keys`.
     """
     by_key = dict(zip(efforts.lens_keys, map(core_minutes, benchmarks), strict=True))
     minutes = {
-        each.lens: pandas.Series([by_key[each.lens, seed] for seed in efforts.seeds]).min() for each in efforts.efforts
+        effort.lens: pandas.Series([by_key[effort.lens, seed] for seed in efforts.seeds]).min()
+        for effort in efforts.efforts
     }
     rows = []
-    for each in efforts.efforts:
-        elements, _, design = each.lens.partition("-")
-        used = (each.lens, *each.chosen_from)
+    for effort in efforts.efforts:
+        elements, _, design = effort.lens.partition("-")
+        all_lenses = (effort.lens, *effort.chosen_from)
         rows.append(
             {
                 "elements": elements,
                 "design": design,
-                "lenses_tried": each.tried,
-                "core_minutes": minutes[each.lens],
-                "lenses_tried_in_all": each.tried_in_all,
-                "core_minutes_in_all": sum(minutes[lens] for lens in used),
+                "lenses_tried": effort.tried,
+                "core_minutes": minutes[effort.lens],
+                "lenses_tried_in_all": effort.tried_in_all,
+                "core_minutes_in_all": sum(minutes[lens] for lens in all_lenses),
             }
         )
     return pandas.DataFrame(rows)
 
 
 def make(settings: Efforts, lenses: Sequence[Path], benchmarks: Sequence[Path], csv: Path, md: Path) -> None:
-    """Write the efforts as CSV and Markdown; `lenses` are waited for, since their designs are measured."""
+    """Write the efforts as CSV and Markdown; `lenses` only make Snakemake wait for the designs."""
     rows = collect(settings, benchmarks)
-    shown = rounded(rows, {"core_minutes": ".1f"})
-    publish(csv, md, "Effort of each design", rows, shown, _NOTE.format(study=settings.study))
+    texts = rounded(rows, {"core_minutes": ".1f"})
+    publish(csv, md, "Effort of each design", rows, texts, _NOTE.format(study=settings.study))

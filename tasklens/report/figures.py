@@ -1,8 +1,8 @@
 """Figures of lenses: cross-section, spots, PSFs, ray fans, MTF and encircled energy from axis to corner.
 
 All panels about the sensor have the same axes, x to the right and y upward, and are centred on the image point of the
-chief ray. Colours are those of Okabe and Ito, which people without colour vision can tell apart; lines differ in
-their dashes as well.
+chief ray. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines also differ in
+their dashes.
 """
 
 import io
@@ -34,10 +34,10 @@ _NAMES = ("axis", "middle", "corner")
 _COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
-_RIM = 1.02  # of a surface, over the radius that light uses
+_RIM = 1.02  # drawn radius of a surface, as a multiple of the radius that light uses
 _DPI = 110
-_PLACES = 6  # decimals of a place in a figure
-# Text stays text, and the names of parts are the same in every run.
+_PLACES = 6  # decimals of a position in a figure
+# Text stays text, and element ids are the same in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor"), "white"
@@ -57,8 +57,8 @@ class Panel:
         figures: optical figures of the lens, for captions.
         rays: rays of all fields on the image plane.
         centre: (F, 2) image points of the chief rays [mm].
-        narrowest_mm: length of the shortest lens of the figure, which its scale bars fit.
-        narrowest_um: width of its smallest PSF window.
+        narrowest_mm: length of the shortest lens of the figure; its scale bars fit.
+        narrowest_um: width of the smallest PSF window of the figure.
     """
 
     title: str
@@ -73,7 +73,7 @@ class Panel:
 
     @property
     def shown(self) -> dict[int, str]:
-        """Names by index of the fields that are drawn: nearest to the axis, in the middle, and in the corner."""
+        """Names by index of the drawn fields: nearest to the axis, in the middle, and in the corner."""
         return shown_fields(self.view)
 
 
@@ -84,20 +84,20 @@ def shown_fields(view: View) -> dict[int, str]:
 
 
 def panel(title: str, path: Path, psf: Path) -> Panel:
-    """Read what a panel shows from the files of a lens and its PSFs; raises FileError."""
-    found, content = prescription.read(path)
-    view = view_of(found.lens, content, str(path))
-    return panel_of(title, found.lens, view, psf_files.read(psf).psf, content["figures"])
+    """Read the panel of a lens from the files of the lens and its PSFs; raises FileError."""
+    prescribed, content = prescription.read(path)
+    view = view_of(prescribed.lens, content, str(path))
+    return panel_of(title, prescribed.lens, view, psf_files.read(psf).psf, content["figures"])
 
 
 def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) -> Panel:
-    """Return what a panel shows of a lens, its PSFs and figures."""
+    """Return the panel of a lens with its PSFs and figures."""
     rays = trace_fields(lens, view, sobol_disc(_RAYS, 0))
     return Panel(title, lens, view, psf, figures, rays, chief_points(lens, view))
 
 
 def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
-    """Draw one lens, or several one above the other, and write a file of the format of each path's suffix."""
+    """Draw one lens, or several one above the other; write a file for each path, in the format of its suffix."""
     save(drawn(panels), paths)
 
 
@@ -128,7 +128,7 @@ def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
 
 
 def _round(part: Figure | SubFigure) -> None:
-    """Round the places of all parts, whose last digits differ from run to run, so that files do not."""
+    """Round the positions of all parts: their last digits differ between runs, and files must not."""
     for inner in part.subfigs:
         inner.bbox_relative.set_points(inner.bbox_relative.get_points().round(_PLACES) + 0.0)  # no -0.0
         _round(inner)
@@ -153,7 +153,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 
 def section_svg(lens: Lens, view: View) -> str:
-    """Return the cross-section of a lens with rays as SVG; of each surface what light uses, and a little more."""
+    """Return the cross-section of a lens with rays as SVG; surfaces end just beyond the radius that light uses."""
     figure, text = Figure(figsize=(7, 4), layout="constrained"), io.StringIO()
     used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
@@ -174,7 +174,7 @@ def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
 
 
 def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw the PSFs of all fields, by square root and by logarithm."""
+    """Draw the PSFs of all fields, on square-root and logarithmic scales."""
     spot_panels.psf_strip(part, panel.psf, panel.view, panel.figures, panel.narrowest_um)
 
 
@@ -207,10 +207,10 @@ def compare_psfs(path: Path, panels: Sequence[Panel]) -> None:
 
 
 def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Path) -> None:
-    """Write the parts of the figure of a lens as pictures of their own, for a page."""
+    """Write the parts of the figure of a lens as separate files, for a page."""
     parts = (
         (draw_section, section, (5.2, 3.4)),
-        (draw_spots, spots, (9, 4.2)),  # lower, its titles would be cut off
+        (draw_spots, spots, (9, 4.2)),  # titles would be cut off if it were lower
         (draw_psfs, psfs, (13, 3.2)),
         (draw_curves, charts, (9, 3.8)),
     )

@@ -1,4 +1,4 @@
-"""Figure of whole frames: an image and its captures by some lenses, with zoomed patches and the answers of networks."""
+"""Figure of whole frames: an image and its captures through some lenses, with zoomed patches and answers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ from torch import Tensor
 from tasklens.report.figures import save
 
 _ZOOM = 96, 144  # height and width of a zoomed patch [pixels]
-_PATCHES = {"centre": (0.5, 0.5, "#0072B2"), "off axis": (0.81, 0.81, "#D55E00")}  # middle in heights, widths; colour
+# Centre of each patch [share of the height, share of the width], and its colour.
+_PATCHES = {"centre": (0.5, 0.5, "#0072B2"), "off axis": (0.81, 0.81, "#D55E00")}
 _DPI = 130
 
 
@@ -21,8 +22,8 @@ class Answered:
     """A test image, and whether the network of each lens recognises it.
 
     Attributes:
-        title: what the image is.
-        shown: images (3, H, W) by column: sharp, and the captures of the lenses at one field.
+        title: description of the image.
+        shown: images (3, H, W) by column: the sharp image, and the captures of the lenses at one field.
         correct: whether each capture is recognised, by column.
     """
 
@@ -31,7 +32,7 @@ class Answered:
     correct: Mapping[str, bool]
 
     def said(self, column: str) -> str:
-        """Return what stands above an image of a column."""
+        """Return the words above the image of a column."""
         if column not in self.correct:
             return self.title
         return "recognised" if self.correct[column] else "not recognised"
@@ -40,7 +41,7 @@ class Answered:
 def draw(
     path: Path, title: str, frames: Mapping[str, Mapping[str, Tensor]], answered: Sequence[Answered], rule: str
 ) -> None:
-    """Draw frames (3, H, W) by name and column with their patches, and below them single captures.
+    """Draw frames (3, H, W) by name and column with their patches, and single captures below them.
 
     Args:
         rule: how the single captures were chosen.
@@ -63,15 +64,15 @@ def draw(
             _show(axes, captures[column][:, top : top + _ZOOM[0], left : left + _ZOOM[1]], where)
             axes.spines[:].set_color(colour)
             axes.spines[:].set_linewidth(2)
-    for each in answered:
+    for entry in answered:
         for axes, column in zip(next(parts).subplots(1, len(columns)), columns, strict=True):
-            _show(axes, each.shown[column], f"{column}: {each.said(column)}")
+            _show(axes, entry.shown[column], f"{column}: {entry.said(column)}")
     figure.supxlabel(rule, fontsize=9)
     save(figure, [path], _DPI)
 
 
 def _corner(frame: Tensor, row: float, column: float) -> tuple[int, int]:
-    """Return the first row and column of a patch about a place."""
+    """Return the first row and column of a patch centred at a place."""
     height, width = frame.shape[1:]
     return round(row * height) - _ZOOM[0] // 2, round(column * width) - _ZOOM[1] // 2
 

@@ -1,4 +1,4 @@
-"""Lenses at a glance: the few figures by which they are compared."""
+"""Lenses at a glance: a few figures for comparing lenses."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from tasklens.optics.lens import Lens
 from tasklens.report.manufacturability import UNITS
 from tasklens.report.publish import rounded
 
-_FIELDS = {  # key in the figures of a lens: what a person reads, number of decimals
+_FIELDS = {  # key in the figures of a lens: label, number of decimals
     "angle_deg": ("field [degrees]", 1),
     "rms_centroid_um": ("RMS spot radius [um]", 2),
     "core_radius_um": ("radius of 50 % of the light [um]", 2),
@@ -21,7 +21,7 @@ _FIELDS = {  # key in the figures of a lens: what a person reads, number of deci
     "distortion_percent": ("distortion [%]", 2),
     "relative_illumination": ("relative illumination", 2),
 }
-_NEAR = ("object_distance_mm", "magnification", "working_f_number")  # of an object at a finite distance
+_NEAR = ("object_distance_mm", "magnification", "working_f_number")  # only for an object at a finite distance
 _COLUMNS = {  # key of a row: its heading, format
     "lens": ("lens", ""),
     "efl_mm": ("EFL", ".3f"),
@@ -47,62 +47,62 @@ rad); a violation is negative."""
 
 
 def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
-    """Return what a lens is: materials, first-order data, and figures at the smallest, middle and largest field.
+    """Summarise a lens: materials, first-order data, and figures at the smallest, middle and largest field.
 
     Args:
-        content: what its file says besides: origin, worst margin.
+        content: content of its file, with origin and worst margin if present.
         figures: its optical figures.
     """
     order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
-    shown = list(dict.fromkeys((order[0], order[len(order) // 2], order[-1])))
-    found: dict[str, Any] = {
+    fields = list(dict.fromkeys((order[0], order[len(order) // 2], order[-1])))
+    data: dict[str, Any] = {
         "materials": [
             short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and not is_plate(lens, i)
         ],
         "plates": [short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and is_plate(lens, i)],
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm", "image_distance_mm", "airy_radius_um")},
-        "fields": {key: [figures[key][field] for field in shown] for key in _FIELDS},
+        "fields": {key: [figures[key][field] for field in fields] for key in _FIELDS},
     }
-    found |= {key: figures[key] for key in _NEAR if key in figures}
-    return found | {key: content[key] for key in ("worst_margin", "origin") if key in content}
+    data |= {key: figures[key] for key in _NEAR if key in figures}
+    return data | {key: content[key] for key in ("worst_margin", "origin") if key in content}
 
 
 def is_plate(lens: Lens, surface: int) -> bool:
-    """Return whether the medium behind a surface is a plane plate, such as a cover glass: no element of the lens."""
+    """Return whether the medium behind a surface is a plane plate, such as a cover glass, and no element."""
     both = slice(surface, surface + 2)
     return not (lens.curvature[both].any() or lens.alpha[both].any())
 
 
-def text(name: str, found: Mapping) -> str:
-    """Return a summary as a few lines for a terminal."""
-    materials = found["materials"]
-    plates = f"; plane plates {', '.join(found['plates'])}" if found["plates"] else ""
+def text(name: str, data: Mapping) -> str:
+    """Format a summary as a few lines for a terminal."""
+    materials = data["materials"]
+    plates = f"; plane plates {', '.join(data['plates'])}" if data["plates"] else ""
     lines = [
         f"{name}: {len(materials)} element{'s' * (len(materials) != 1)}, {', '.join(materials)}{plates}",
-        f"  focal length {found['efl_mm']:.3f} mm, F/{found['f_number']:.2f}, {found['track_mm']:.2f} mm from the "
-        f"first surface to the image, Airy radius {found['airy_radius_um']:.1f} um",
+        f"  focal length {data['efl_mm']:.3f} mm, F/{data['f_number']:.2f}, {data['track_mm']:.2f} mm from the "
+        f"first surface to the image, Airy radius {data['airy_radius_um']:.1f} um",
     ]
-    if "object_distance_mm" in found:
+    if "object_distance_mm" in data:
         lines.append(
-            f"  object {found['object_distance_mm']:g} mm in front of the first surface, magnification "
-            f"{found['magnification']:.4g}, working F/{found['working_f_number']:.2f}"
+            f"  object {data['object_distance_mm']:g} mm in front of the first surface, magnification "
+            f"{data['magnification']:.4g}, working F/{data['working_f_number']:.2f}"
         )
     for key, (meaning, digits) in _FIELDS.items():
-        lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in found["fields"][key]))
-    if "worst_margin" in found:
-        limit, value = found["worst_margin"]["limit"], found["worst_margin"]["value"]
+        lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in data["fields"][key]))
+    if "worst_margin" in data:
+        limit, value = data["worst_margin"]["limit"], data["worst_margin"]["value"]
         unit, limit = UNITS.get(limit, "mm"), limit.replace("_", " ")
         size = f"{abs(value):.4f} {unit}".strip()
         lines.append(f"  VIOLATES its limit of {limit} by {size}" if value < 0 else f"  worst margin: {size} ({limit})")
-    if "design" in found.get("origin", {}):
-        origin = found["origin"]
+    if "design" in data.get("origin", {}):
+        origin = data["origin"]
         seed = f", seed {origin['seed']}" if "seed" in origin else ""
         lines.append(f"  design: {origin['design']} by {origin['method']}{seed}")
     return "\n".join(lines)
 
 
 def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
-    """Return the row of a lens in a table of several: means and extremes over its fields."""
+    """Return the row of a lens in a table of lenses: means and extremes over its fields."""
 
     def mean(*keys: str) -> float:
         values = [value for key in keys for value in figures[key]]
@@ -126,8 +126,8 @@ def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows as a table for a terminal, with what its columns are."""
-    found = pandas.DataFrame(rows).astype({"worst_margin": "float64"})
-    found = found.rename(columns={key: heading for key, (heading, _) in _COLUMNS.items()})
-    shown = rounded(found, {heading: form for heading, form in _COLUMNS.values() if form})
-    return f"{shown.to_string(index=False)}\n\n{_NOTE}"
+    """Format rows as a table for a terminal, with a note that explains the columns."""
+    frame = pandas.DataFrame(rows).astype({"worst_margin": "float64"})
+    frame = frame.rename(columns={key: heading for key, (heading, _) in _COLUMNS.items()})
+    texts = rounded(frame, {heading: form for heading, form in _COLUMNS.values() if form})
+    return f"{texts.to_string(index=False)}\n\n{_NOTE}"

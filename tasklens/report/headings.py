@@ -1,4 +1,4 @@
-"""Columns of tables as people read them: headings with units, numbers with their spread, and the best values."""
+"""Readable columns of tables: headings with units, numbers with their spread, and the best values."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -66,31 +66,31 @@ HEADINGS = {
 
 
 def heading(name: str) -> Heading:
-    """Return the heading of a column, that of the paper's values like that of ours; else its name in words."""
+    """Return the heading of a column, the same for the paper's values; the name in words if it has no heading."""
     base = name.removesuffix(PAPER)
     return HEADINGS.get(base, Heading(base.replace("_", " ")))
 
 
 def columns(table: pandas.DataFrame) -> list[str]:
-    """Return the columns to show: standard deviations stand beside their means, the paper's columns come last."""
+    """Return the columns to show: without standard deviations of shown means, and with the paper's columns last."""
     names = [str(name) for name in table if not str(name).endswith(STD) or str(name).removesuffix(STD) not in table]
     return sorted(names, key=lambda name: name.endswith(PAPER))
 
 
 def number(name: str, row: Mapping[Any, Any]) -> tuple[str, str]:
-    """Return a number of a row and its standard deviation over seeds as texts; "" without one."""
-    own = heading(name)
+    """Return a number of a row and its standard deviation over seeds as texts; "" without a standard deviation."""
+    column = heading(name)
     spread = row.get(f"{name}{STD}", math.nan)
-    text = "" if pandas.isna(spread) else format(own.factor * spread, own.digits.removeprefix("+"))
-    return format(own.factor * row[name], own.digits), text
+    text = "" if pandas.isna(spread) else format(column.factor * spread, column.digits.removeprefix("+"))
+    return format(column.factor * row[name], column.digits), text
 
 
 def best(table: pandas.DataFrame, name: str) -> Sequence[bool]:
-    """Return by row whether its value, as shown, is the best of its elements and classifier; none of one row alone."""
-    own = heading(name)
-    if not own.best or name.endswith(PAPER) or not pandas.api.types.is_numeric_dtype(table[name]):
+    """Return by row whether its rounded value is the best of its elements and classifier; a single row has no best."""
+    column = heading(name)
+    if not column.best or name.endswith(PAPER) or not pandas.api.types.is_numeric_dtype(table[name]):
         return [False] * len(table)
     keys = [table[key].fillna("") for key in _GROUPS if key in table]
-    shown = table[name].round(int(own.digits.strip("+.f")))
-    groups = shown.groupby(keys) if keys else shown.groupby([0] * len(table))
-    return ((shown == groups.transform(own.best)) & (groups.transform("count") > 1)).tolist()
+    values = table[name].round(int(column.digits.strip("+.f")))
+    groups = values.groupby(keys) if keys else values.groupby([0] * len(table))
+    return ((values == groups.transform(column.best)) & (groups.transform("count") > 1)).tolist()

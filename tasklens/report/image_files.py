@@ -1,4 +1,4 @@
-"""Files of PSFs and captures: arrays for programs, images to look at."""
+"""Files of PSFs and captures: arrays for programs, images for people."""
 
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,10 @@ _BORDER = 4  # between tiles [pixels]
 
 
 def write_psf(path: Path, grid: Tensor, lens: Lens, view: View) -> None:
-    """Write PSFs (F, W, K, K) by the suffix of `path`.
+    """Write PSFs (F, W, K, K) in the format of the suffix of `path`.
 
     .npz and .safetensors hold `psf` and `illumination` (F,), with fields, wavelengths, pixel pitch, and the distance of
-    a near object. A .png shows the square root of each PSF over its largest value, so that its tail can be seen.
+    a near object. A .png shows the square root of each PSF divided by its largest value, so that its tail is visible.
     """
     suffix = path.suffix.lower()
     illumination, notes = relative_illumination(lens, view), psf_notes(view, grid)
@@ -32,8 +32,8 @@ def write_psf(path: Path, grid: Tensor, lens: Lens, view: View) -> None:
     elif suffix == ".safetensors":
         write_tensors(path, {"psf": grid.float(), "illumination": illumination.float()}, notes)
     else:
-        shown = (grid / grid.amax((1, 2, 3), keepdim=True).clamp(min=1e-12)).sqrt()
-        _save(path, _mosaic(shown[:, [0, len(view.wavelengths) // 2, -1]]), _ZOOM)
+        image = (grid / grid.amax((1, 2, 3), keepdim=True).clamp(min=1e-12)).sqrt()
+        _save(path, _mosaic(image[:, [0, len(view.wavelengths) // 2, -1]]), _ZOOM)
 
 
 def write_captures(path: Path, captures: Tensor) -> None:

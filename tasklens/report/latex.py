@@ -1,4 +1,4 @@
-"""Tables in LaTeX that can be pasted into a paper."""
+"""LaTeX tables for a paper."""
 
 import re
 from typing import Any
@@ -36,7 +36,7 @@ def tabular(table: pandas.DataFrame, caption: str, label: str) -> str:
 
     Args:
         caption: plain text.
-        label: name by which a text refers to the table; characters that LaTeX could take for its own become hyphens.
+        label: LaTeX label of the table; characters that are special in LaTeX become hyphens.
     """
     names = headings.columns(table)
     numeric = {name: pandas.api.types.is_numeric_dtype(table[name]) for name in names}
@@ -60,7 +60,7 @@ def escaped(text: str) -> str:
 
 
 def _heading(name: str, numeric: bool) -> str:
-    """Return the words of a heading one above the other, so that columns are narrow; braces keep `[` from LaTeX."""
+    """Stack the words of a heading, so that columns are narrow; LaTeX would take `[` without braces for an option."""
     heading = headings.heading(name)
     lines = [escaped(word) for word in heading.words.split()]
     lines += ["(paper)"] if name.endswith(PAPER) else []

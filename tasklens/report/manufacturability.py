@@ -9,7 +9,7 @@ from tasklens.optics.analysis.shapes import Shape
 from tasklens.optics.tolerancing.errors import DEVIATION
 from tasklens.report.publish import right_aligned
 
-_SHOWN = 3  # number of most sensitive parts in the page
+_SHOWN = 3  # number of most sensitive parts on the page
 UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "rad"}
 
 
@@ -23,9 +23,9 @@ def markdown(
     """Return the section of a lens' page: a verdict in words, and its tables.
 
     Args:
-        margins: margin of each limit [mm, slopes and fractions without unit], negative where it is violated.
+        margins: margin of each limit [mm; slopes and fractions without unit], negative if the limit is violated.
         shapes: shapes of the surfaces.
-        errors_um: displacement of the rays of the core by each error as large as its tolerance [um].
+        errors_um: displacement of the core's rays by each error, at the size of its tolerance [um].
         grade: name of the grade of manufacture.
         pixel_um: pixel pitch [um].
     """
@@ -66,11 +66,11 @@ def markdown(
 
 
 def verdict(margins: Mapping[str, float], moved_um: float, grade: str, pixel_um: float) -> str:
-    """Describe the manufacturability in a sentence: errors may move the core's rays [um] by a pixel."""
-    violated = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
-    if violated:
-        return f"Not manufacturable: it violates {', '.join(violated)}."
-    moved = f"move the rays of the core by {moved_um:.1f} um; a pixel has {pixel_um:.1f}."
+    """Describe the manufacturability in a sentence; errors may move the core's rays by up to a pixel."""
+    violations = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
+    if violations:
+        return f"Not manufacturable: it violates {', '.join(violations)}."
+    displacement = f"move the rays of the core by {moved_um:.1f} um; a pixel has {pixel_um:.1f}."
     if moved_um <= pixel_um:
-        return f"Within {grade}: all limits are kept, and its errors {moved}"
-    return f"Needs tighter tolerances than {grade}: all limits are kept, but those errors {moved}"
+        return f"Within {grade}: all limits are kept, and its errors {displacement}"
+    return f"Needs tighter tolerances than {grade}: all limits are kept, but those errors {displacement}"

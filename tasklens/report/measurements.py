@@ -1,4 +1,4 @@
-"""Measurements of a study, from its files of lenses, metrics and predictions; no torch here."""
+"""Measurements of a study, from its files of lenses, metrics and predictions; does not import torch."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,9 +16,9 @@ from tasklens.study.claims import Claim, Claims
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
-    """Compute means over fields from a lens file: RMS and core radius [um], energy inside the window; and worst margin.
+    """Compute RMS and core radius [um] and energy inside the window, mean over fields, and worst margin of a lens file.
 
-    The worst margin is negative where the lens violates a limit of manufacturing [mm], focal length or distortion.
+    The worst margin is negative if the lens violates a limit of manufacturing [mm], focal length or distortion.
     """
     figures = content["figures"]
 
@@ -54,21 +54,21 @@ class Measurements:
         )
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
-        """Read the content of a lens file; raises FileError where its figures are of another prescription."""
+        """Read the content of a lens file; raises FileError if its figures are of another prescription."""
         content = read_yaml(self.lenses[lens, seed])
         lens_digest.check(content, self.lenses[lens, seed])
         return content
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
-        """Compute the function `lens_values` of a lens of the study."""
+        """Apply the function `lens_values` to a lens of the study."""
         return lens_values(self.lens_file(lens, seed))
 
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
-        """Return the mean over fields of every metric."""
+        """Return each metric, mean over fields."""
         return mean_metrics(self.metrics[lens, classifier, seed])
 
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
-        """Read predictions: 1 where an image is classified correctly, else 0; a row per image, a column per field."""
+        """Read predictions: 1 if an image is classified correctly, else 0; a row per image, a column per field."""
         return predictions.read(self.predictions[lens, classifier, seed])
 
     def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
@@ -92,14 +92,14 @@ class Measurements:
         return losses
 
     def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> Gap:
-        """Return the optimality gap of a lens beside other lenses."""
+        """Return the optimality gap of a lens compared with other lenses."""
         losses = {name: self.frozen_losses(name, classifier, seed) for name in (lens, *others)}
         return gap(losses.pop(lens), losses)
 
     def strongest_baseline(self, claim: Claim, seed: int) -> str:
         """Return the baseline of a claim with the best minival accuracy for this seed; "" without baselines.
 
-        It is selected for each seed, as a designer with several designs would select the best one.
+        The selection is per seed, as a designer selects the best of several designs.
         """
         accuracy = {name: self.values(name, claim.classifier, seed)["minival_accuracy"] for name in claim.baselines}
         return max(accuracy, key=lambda name: accuracy[name], default="")

@@ -1,8 +1,8 @@
 """The merit function of each classifier: its loss through a lens, predicted from the lens' MTF.
 
 The loss of a frozen classifier at a field is close to exp(c - sum_k w_k M_k), where M_k is the mean modulation of the
-PSF in a band of spatial frequencies, over all directions and colours. Weights w_k >= 0 say which frequencies the
-classifier wants: which PSF is the best for it.
+PSF in a band of spatial frequencies, over all directions and colours. The weights w_k >= 0 show which frequencies
+matter to the classifier, and so which PSF is the best for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ correlation of the losses with what the merit function of {supervisor} predicts.
 
 
 def modulation(psf: numpy.ndarray) -> numpy.ndarray:
-    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; light beside the window is a veil."""
+    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; light outside the window is a veil."""
     frequency = numpy.fft.fftfreq(psf.shape[-1])
     radius = numpy.hypot(frequency[:, None], frequency)
     mtf = abs(numpy.fft.fft2(psf)).mean(1)
@@ -65,8 +65,8 @@ def left_out(modulation: numpy.ndarray, log_loss: numpy.ndarray, lenses: numpy.n
     """Predict the logarithm of the loss (N,) of each lens by a fit without it."""
     predicted = numpy.empty_like(log_loss)
     for lens in numpy.unique(lenses):
-        own = lenses == lens
-        predicted[own] = fit(modulation[~own], log_loss[~own]).log_loss(modulation[own])
+        mask = lenses == lens
+        predicted[mask] = fit(modulation[~mask], log_loss[~mask]).log_loss(modulation[mask])
     return predicted
 
 
@@ -88,20 +88,20 @@ def make(
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
-    seen = numpy.concatenate([modulation(psf_files.read(path).psf.double().numpy()) for path in psfs])
-    fields = len(seen) // len(keys)
+    modulations = numpy.concatenate([modulation(psf_files.read(path).psf.double().numpy()) for path in psfs])
+    fields = len(modulations) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {
         name: numpy.log(numpy.concatenate([measured.losses_by_field(lens, name, seed) for lens, seed in keys]))
         for name in contents.classifiers
     }
-    fits = {name: fit(seen, loss) for name, loss in losses.items()}
-    predicted = {name: left_out(seen, loss, lenses) for name, loss in losses.items()}
-    ranking = fits[supervisor].log_loss(seen)
+    fits = {name: fit(modulations, loss) for name, loss in losses.items()}
+    predicted = {name: left_out(modulations, loss, lenses) for name, loss in losses.items()}
+    ranking = fits[supervisor].log_loss(modulations)
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
-    shown = rounded(table, dict.fromkeys(table.columns[1:], ".2f"))
+    texts = rounded(table, dict.fromkeys(table.columns[1:], ".2f"))
     note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)
-    publish(csv, md, "Merit functions of the classifiers", table, shown, note)
+    publish(csv, md, "Merit functions of the classifiers", table, texts, note)
     _draw(figure, fits, losses, predicted)
 
 
@@ -111,8 +111,8 @@ def _row(
     """Return the row of a classifier."""
     bands = {f"to_{high:g}": weight for high, weight in zip(BANDS[1:], merit.weights, strict=True)}
     r2 = 1 - ((loss - predicted) ** 2).sum() / ((loss - loss.mean()) ** 2).sum()
-    ranked = pandas.Series(loss).corr(pandas.Series(ranking), method="spearman")
-    return {"classifier": name, **bands, "constant": merit.constant, "r2": r2, "ranked_by_supervisor": ranked}
+    rank_correlation = pandas.Series(loss).corr(pandas.Series(ranking), method="spearman")
+    return {"classifier": name, **bands, "constant": merit.constant, "r2": r2, "ranked_by_supervisor": rank_correlation}
 
 
 def _draw(
@@ -121,7 +121,7 @@ def _draw(
     losses: Mapping[str, numpy.ndarray],
     predicted: Mapping[str, numpy.ndarray],
 ) -> None:
-    """Draw the weights of all classifiers, and their losses against those predicted for lenses left out."""
+    """Draw the weights of all classifiers, and their losses against the predictions for lenses left out of the fit."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     for name, merit in fits.items():
@@ -136,7 +136,7 @@ def _draw(
 
 
 def _diagonal(axes: Axes) -> None:
-    """Finish the plot of losses against predicted ones: logarithmic, with the line of equality."""
+    """Finish the plot of actual against predicted losses: logarithmic axes and the line of equality."""
     axes.axline((1, 1), slope=1, color="grey", linewidth=1)
     axes.set(xscale="log", yscale="log", title="One point for each field of each lens")
     axes.set(xlabel="loss predicted from the MTF, lens left out", ylabel="loss")

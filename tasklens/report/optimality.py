@@ -1,8 +1,8 @@
-"""Convergence of designs: the test of a local optimum, and the frozen classifier's loss compared with other lenses.
+"""Convergence of designs: test for a local optimum, and loss of the frozen classifier compared with other lenses.
 
-A lens is at a local optimum of its criterion if no small step within its limits lowers the loss. It can be one and yet
-have a larger loss than another lens of the same elements: its optimality gap, by the loss of the classifier before any
-fine-tuning, on the minival images.
+A lens is at a local optimum of its criterion if no small step within its limits lowers the loss. Such a lens can still
+have a larger loss than another lens of the same elements. This difference is its optimality gap, by the loss of the
+classifier on the minival images before any fine-tuning.
 """
 
 import math
@@ -13,18 +13,18 @@ from typing import Any
 import pandas
 
 _ERRORS = 2.0  # paired standard errors within which losses count as equal
-_NEGLIGIBLE = 0.002  # gain of a step that is none, where losses are about 1
+_NEGLIGIBLE = 0.002  # gains up to this count as none; losses are about 1
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Test of a local optimum, from a lens file (see `design.optimum`).
+    """Test for a local optimum, from a lens file (see `design.optimum`).
 
     Attributes:
         gain: largest mean decrease of the loss by one of the steps; negative if all raise it.
         error: standard error of the gain, paired by image.
         step_um: RMS ray displacement of that step [um].
-        along: its direction.
+        along: direction of that step.
         images: number of images.
     """
 
@@ -36,7 +36,7 @@ class Optimum:
 
     @property
     def reached(self) -> bool:
-        """True if the gain is not more than twice its standard error and 0.002."""
+        """True if the gain is at most twice its standard error plus 0.002."""
         return self.gain <= _ERRORS * self.error + _NEGLIGIBLE
 
     def __str__(self) -> str:
@@ -44,9 +44,9 @@ class Optimum:
 
 
 def optimum(content: Mapping[str, Any]) -> Optimum | None:
-    """Return the test of the optimum in a lens file; None for designs without captures or PSFs."""
-    found = content.get("local_optimum")
-    return None if found is None else Optimum(**found)
+    """Return the test for a local optimum in a lens file; None for designs without captures or PSFs."""
+    test = content.get("local_optimum")
+    return None if test is None else Optimum(**test)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Gap:
 
     Attributes:
         nearest: name of the other lens with the least mean loss.
-        difference: mean loss less that of `nearest`; negative where the lens is the best.
+        difference: mean loss minus that of `nearest`; negative if the lens is the best.
         error: standard error of the difference, paired by image.
     """
 
@@ -65,7 +65,7 @@ class Gap:
 
 
 def gap(loss: pandas.Series, others: Mapping[str, pandas.Series]) -> Gap:
-    """Compute the gap between the losses of a lens, a value per image, and the least of `others` by name."""
+    """Compute the gap between the losses of a lens (a value per image) and those of `others` with the least mean."""
     nearest = min(others, key=lambda name: float(others[name].mean()))
     difference = loss - others[nearest]
     return Gap(nearest, float(difference.mean()), float(difference.std(ddof=1)) / math.sqrt(len(difference)))

@@ -1,4 +1,4 @@
-"""Reading of predictions: which test images were classified correctly at each field."""
+"""Read predictions: which test images were classified correctly at each field."""
 
 from pathlib import Path
 
@@ -10,10 +10,10 @@ Labelled = pandas.DataFrame | pandas.Series  # with a row per image
 
 
 def read(path: Path) -> pandas.DataFrame:
-    """Read predictions: 1 where an image is classified correctly, else 0; a row per (image, label), a column per field.
+    """Read predictions: 1 if an image is classified correctly, else 0; a row per (image, label), a column per field.
 
     Raises:
-        FileError: the file has other contents.
+        FileError: the file is not a table of predictions.
     """
     try:
         frame = read_table(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])

@@ -1,4 +1,4 @@
-"""Ranking of lenses by what a network recognises through them: order, intervals, groups, and a page."""
+"""Ranking of lenses by the accuracy of a network on their captures: order, intervals, groups, and a page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from tasklens.study.ranking import RankingJob
 
 SIGNIFICANCE = 0.05
 _FIELD = "field_of_view_deg"  # key of a specification
-_SCALE = 5.0  # of the accuracies on the page [%]
+_SCALE = 5.0  # step of the axis of accuracies on the page [%]
 _NOTE = """\
 Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Accuracy [%] and its 95 % interval
 over the photographs; `behind`: points behind the first lens, on the same photographs, with the interval of that. Lenses
@@ -40,7 +40,7 @@ class Rank:
     Attributes:
         group: number of the group, from 1.
         low, high: interval of the accuracy.
-        behind: difference to the first lens, and its interval.
+        behind, behind_low, behind_high: accuracy of the first lens minus this one, and its interval.
         by_field: accuracy at each field.
     """
 
@@ -56,10 +56,11 @@ class Rank:
 
 
 def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
-    """Rank lenses by accuracy, and group those that the photographs cannot tell apart.
+    """Rank lenses by accuracy, and group lenses that the photographs cannot tell apart.
 
-    A group begins with the best lens that is in none yet, and ends before the first one that is less accurate: by
-    paired differences over resampled photographs, after Holm's correction for all lenses that are compared with it.
+    A group begins with the best lens that has no group yet. It ends before the first lens that is significantly less
+    accurate, by paired differences over resampled photographs, after Holm's correction for all lenses compared with the
+    best one.
 
     Args:
         correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
@@ -74,8 +75,8 @@ def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     for k, name in enumerate(names):
         behind = interval(means[:, 0] - means[:, k])
         by_field = tuple(predictions.accuracy_by_field(correct[name]))
-        own = interval(means[:, k])
-        ranks.append(Rank(name, groups[k], observed[k], *own, observed[0] - observed[k], *behind, by_field))
+        own_interval = interval(means[:, k])
+        ranks.append(Rank(name, groups[k], observed[k], *own_interval, observed[0] - observed[k], *behind, by_field))
     return ranks
 
 
@@ -93,7 +94,7 @@ def _groups(means: numpy.ndarray) -> list[int]:
 
 
 def sentences(ranks: Sequence[Rank], titles: Mapping[str, str]) -> list[str]:
-    """Say which lenses are equal, and how far the others are behind, group by group."""
+    """Say, group by group, which lenses are equal and how far the others are behind."""
     answer = []
     for number in range(1, ranks[-1].group + 1):
         group = [rank for rank in ranks if rank.group == number]
@@ -116,7 +117,7 @@ def _and(names: Sequence[str]) -> str:
 
 
 def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]) -> str | None:
-    """Say what the sieve by the MTF has left out, and whether a better lens may be among them; None without one.
+    """Say which lenses the sieve by the MTF left out, and whether a better lens may be among them; None without one.
 
     A lens is above the order of the MTF by as much as its accuracy exceeds the largest one of all measured lenses with
     no more MTF.
@@ -212,7 +213,7 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
 
 
 def _built(path: Path) -> dict[str, float]:
-    """Return what built lenses lose of the accuracy of their design: in the mean, and 95 of 100 at most [points]."""
+    """Return the accuracy that built lenses lose against their design [points]: the mean, and the most of 95 %."""
     built = distribution([{str(k): v for k, v in row.items()} for row in read_table(path).to_dict("records")])
     return {"built_lose": built["lost"], "built_lose_95": built["accuracy_design"] - built["accuracy_5th"]}
 
@@ -227,7 +228,7 @@ def render(
     """Return the page as HTML.
 
     Args:
-        rows: of the table, in the order of `ranks`.
+        rows: rows of the table, in the order of `ranks`.
         drawings: cross-sections by lens, as SVG.
         answer: sentences.
         words: `title`; `images`, their number; `sharp`, the accuracy on them [%]; `tuned`, how the network got used to
@@ -240,7 +241,7 @@ def render(
         {"rank": rank, "row": row, "drawing": pictures.of_text(drawings[rank.lens], ".svg")}
         for rank, row in zip(ranks, rows, strict=True)
     ]
-    better = ranks[: (len(ranks) + 1) // 2]  # the others may lie at the left edge
+    better = ranks[: (len(ranks) + 1) // 2]  # the other lenses may be at the left edge
     low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in better) // _SCALE))
     css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
     return environment.get_template("ranking.html").render(

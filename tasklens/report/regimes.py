@@ -24,10 +24,10 @@ def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements
     """Return a row per task-driven lens: specification, difference [points] with interval, RMS spots [um], effort.
 
     Args:
-        tried: number of lenses that were tried, by lens.
+        tried: number of lenses tried for the design of each lens.
     """
     rows = verdicts.collect(claims, measurements)
-    compared = [
+    lens_pairs = [
         [(claim.lens, measurements.strongest_baseline(claim, seed), seed) for seed in claims.seeds]
         for claim in claims.claims
     ]
@@ -41,16 +41,16 @@ def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements
         {
             "elements": rows["lens"].str.split("-").str[0],
             "design": rows["lens"].str.split("-").str[1],
-            "plastics": [sum(each["medium"] != AIR.name for each in content["surfaces"]) for content in files],
+            "plastics": [sum(surface["medium"] != AIR.name for surface in content["surfaces"]) for content in files],
             "field_of_view_deg": [spec["field_of_view_deg"] for spec in specs],
             "f_number": [spec["f_number"] for spec in specs],
             "difference": rows["difference"],
             "low": rows["low"],
             "high": rows["high"],
-            "rms_task_um": [mean(rms_um(own, seed) for own, _, seed in pairs) for pairs in compared],
-            "rms_imaging_um": [mean(rms_um(other, seed) for _, other, seed in pairs) for pairs in compared],
-            "tried_task": [round(mean(tried[own] for own, _, _ in pairs)) for pairs in compared],
-            "tried_imaging": [round(mean(tried[other] for _, other, _ in pairs)) for pairs in compared],
+            "rms_task_um": [mean(rms_um(task_lens, seed) for task_lens, _, seed in pairs) for pairs in lens_pairs],
+            "rms_imaging_um": [mean(rms_um(baseline, seed) for _, baseline, seed in pairs) for pairs in lens_pairs],
+            "tried_task": [round(mean(tried[task_lens] for task_lens, _, _ in pairs)) for pairs in lens_pairs],
+            "tried_imaging": [round(mean(tried[baseline] for _, baseline, _ in pairs)) for pairs in lens_pairs],
             "baseline": rows["baseline"],
             "seeds": rows["seeds"],
             "verdict": rows["verdict"],
@@ -69,5 +69,5 @@ def make(
     """Write the table as CSV and Markdown."""
     claims = settings.claims
     rows = collect(claims, settings.tried, Measurements.of_claims(claims, lenses, metrics, predictions))
-    shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
-    publish(csv, md, "Where it pays", rows, shown, _NOTE.format(study=claims.study))
+    texts = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
+    publish(csv, md, "Where it pays", rows, texts, _NOTE.format(study=claims.study))

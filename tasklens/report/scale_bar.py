@@ -10,13 +10,13 @@ _LARGEST = 0.25  # share of the width of the plot
 
 
 def scale_bar(axes: Axes, unit: str, colour: str = "black", narrowest: float = math.inf) -> None:
-    """Draw a bar of a round length (1, 2 or 5 times a power of ten of the x axis' unit), with the length above.
+    """Draw a bar of a round length (1, 2 or 5 times a power of ten in the unit of the x axis), labelled above.
 
     Args:
         axes: axes with their limits set.
         unit: unit of the x axis.
         colour: colour of the bar.
-        narrowest: width of the narrowest plot of the figure, so that all bars have its length.
+        narrowest: width of the narrowest plot of the figure, so that all bars have the same length.
     """
     low, high = axes.get_xlim()
     most = _LARGEST * min(abs(high - low), narrowest)

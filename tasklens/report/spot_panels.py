@@ -20,7 +20,7 @@ _ROUND = (
     Line2D([], [], marker="o", mfc="none", mec="black", ms=9, lw=0, label="core: 50 % about the chief ray"),
     Line2D([], [], color="black", ls="--", lw=0.9, label="80 % about the chief ray"),
 )
-_LEAST_SAID = 5e-4  # share of light outside the frame from which it is said
+_LEAST_SAID = 5e-4  # smallest share of light that a label mentions
 
 
 def spots(
@@ -29,19 +29,21 @@ def spots(
     centre: Tensor,
     view: View,
     figures: Mapping,
-    shown: Mapping[int, str],
+    field_names: Mapping[int, str],
     narrowest_um: float,
 ) -> None:
-    """Draw the spots of the fields `shown`, with the circles about the chief ray of 50 % (core) and 80 %.
+    """Draw the spots of the fields `field_names`, with circles of 50 % and 80 % of the light about the chief ray.
 
     Args:
         rays: rays of all fields on the image plane.
         centre: (F, 2) image points of the chief rays [mm].
-        narrowest_um: width that the scale bars fit.
+        narrowest_um: width of the narrowest panel; the scale bars fit into it.
     """
     points = 1e3 * spot_diagram(rays, centre)[:, :, :_DRAWN]
     half = view.kernel_size * view.pixel_pitch / 2
-    for axes, (field, name) in zip(part.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True):
+    for axes, (field, name) in zip(
+        part.subplots(1, len(field_names), squeeze=False)[0], field_names.items(), strict=True
+    ):
         for w, (wavelength, style) in enumerate(zip(view.wavelengths, BY_WAVELENGTH, strict=False)):
             x, y = points[field, w].unbind(-1)
             axes.scatter(x, y, s=1.2, lw=0, color=style["color"], rasterized=True)
@@ -51,7 +53,7 @@ def spots(
             Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.9),
         )
         for circle in circles:
-            if circle.radius < 1e3 * half:  # an infinite one cannot be drawn
+            if circle.radius < 1e3 * half:  # an infinite circle cannot be drawn
                 axes.add_patch(circle)
         axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xticks=[], yticks=[])
@@ -69,15 +71,15 @@ def _um(value: float) -> str:
 
 
 def _outside(figures: Mapping, field: int) -> str:
-    """Say which share of the light is outside the frame, and which is lost before it."""
+    """Return the shares of the light outside the frame and lost in the lens, in words."""
     outside = 1 - figures["energy_in_window"][field]
-    said = f"{outside:.1%} of the light outside" if outside >= _LEAST_SAID else "all light inside"
+    text = f"{outside:.1%} of the light outside" if outside >= _LEAST_SAID else "all light inside"
     lost = 1 - figures["valid_fraction"][field]
-    return f"{said}, {lost:.1%} lost" if lost >= _LEAST_SAID else said
+    return f"{text}, {lost:.1%} lost" if lost >= _LEAST_SAID else text
 
 
 def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mapping, narrowest_um: float) -> None:
-    """Draw the PSFs of all fields from axis to corner: square root above, logarithm of four decades below."""
+    """Draw the PSFs of all fields from axis to corner: square root above, four decades of the logarithm below."""
     order = torch.argsort(view.radii, stable=True).tolist()
     grid = part.subplots(2, len(order), squeeze=False)
     half = view.kernel_size * view.pixel_pitch / 2

@@ -1,4 +1,4 @@
-"""The table of a sweep: accuracies at all points beside each other."""
+"""Table of a sweep: accuracies at all points, side by side."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ own report, results/{study}/<point>/report.html."""
 
 
 def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
-    """Return a row per number: the values of the swept keys, table, row, column, value."""
+    """Return a row per number: values of the swept keys, table, row, column, value."""
     rows = [
         {"point": name, **settings.points[name], "table": table, "row": row, "column": column, "value": value}
         for (name, table), path in zip(settings.tables, tables, strict=True)
@@ -26,13 +26,13 @@ def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
 
 def beside(numbers: pandas.DataFrame) -> pandas.DataFrame:
     """Return the accuracies with a row per row of a table, and a column per point."""
-    chosen = numbers[numbers["column"] == "accuracy"]
-    wide = chosen.pivot_table("value", ["table", "row"], "point", sort=False)
-    return wide[list(dict.fromkeys(chosen["point"]))].reset_index()
+    accuracies = numbers[numbers["column"] == "accuracy"]
+    wide = accuracies.pivot_table("value", ["table", "row"], "point", sort=False)
+    return wide[list(dict.fromkeys(accuracies["point"]))].reset_index()
 
 
 def make(settings: SweepJob, tables: Sequence[Path], csv: Path, md: Path) -> None:
     """Write the table as CSV and Markdown; the files are those of `settings.tables`."""
     numbers = collect(settings, tables)
-    shown = rounded(beside(numbers), {"": ".1f"})
-    publish(csv, md, "Sweep", numbers.drop(columns="point"), shown, _NOTE.format(study=settings.study))
+    texts = rounded(beside(numbers), {"": ".1f"})
+    publish(csv, md, "Sweep", numbers.drop(columns="point"), texts, _NOTE.format(study=settings.study))

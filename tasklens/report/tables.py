@@ -1,6 +1,6 @@
 """The paper's four tables from measurements, with the paper's values.
 
-Columns of the paper's values end in `_paper`: they are for another data set (ImageNet) and other networks.
+Columns with the paper's values end in `_paper`; these are for another data set (ImageNet) and other networks.
 """
 
 import importlib.metadata
@@ -55,9 +55,9 @@ def collect(contents: TableContents, measurements: Measurements) -> pandas.DataF
     for seed, classifier in product(contents.seeds, contents.classifiers):
         sharp = measurements.values(SHARP, classifier, seed)
         if contents.name == "table1":
-            shown = {key: sharp[key] for key in ("accuracy", _ZERO_SHOT) if key in sharp}
-            shown |= _frozen_values(SHARP, (), classifier, seed, measurements)
-            rows.append({"elements": "", "design": "reference", "seed": seed} | shown)
+            sharp_values = {key: sharp[key] for key in ("accuracy", _ZERO_SHOT) if key in sharp}
+            sharp_values |= _frozen_values(SHARP, (), classifier, seed, measurements)
+            rows.append({"elements": "", "design": "reference", "seed": seed} | sharp_values)
         for lens in contents.lenses:
             values = measurements.values(lens, names.measured(classifier, contents.restored), seed)
             row = _row(lens, classifier, seed, sharp, values, measurements)
@@ -79,7 +79,7 @@ def _row(
 def _frozen_values(
     lens: str, others: Iterable[str], classifier: str, seed: int, measured: Measurements
 ) -> dict[str, float]:
-    """Return the mean loss of the frozen classifier, and its gap to the least of other lenses, as far as measured."""
+    """Return the mean loss of the frozen classifier, and its gap to the best other lens, if they are measured."""
     if (lens, classifier, seed) not in measured.frozen:
         return {}
     values = {"frozen_loss": float(measured.frozen_losses(lens, classifier, seed).mean())}
@@ -100,9 +100,9 @@ def _columns(contents: TableContents, rows: pandas.DataFrame) -> list[str]:
 def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:
     """Compute means over seeds, and add the paper's values.
 
-    Margins are the worst of all seeds; `failed` is the fraction of seeds whose design failed. For several seeds there
-    are standard deviations (`_std`), and of accuracies in tables 1 and 3 the median and that of the seed which is best
-    by minival accuracy: means say little of a method that may be run again.
+    Margins are the worst of all seeds; `failed` is the fraction of seeds whose design failed. Several seeds add
+    standard deviations (`_std`) and, in tables 1 and 3, the median accuracy and the accuracy of the seed with the best
+    minival accuracy, since a mean says little about a method that can be run again.
     """
     columns = _columns(contents, rows)
     keys = ["elements", "design", *(["classifier"] if contents.name == "table2" else [])]
@@ -116,18 +116,18 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
         spread = groups[[c for c in columns if c not in ("failed", "worst_margin")]].std(ddof=1)
         table = table.join(spread.add_suffix(STD))
     table = table.reset_index()
-    wanted = paper[paper["table"] == contents.name]
-    published = wanted.pivot_table(index=keys, columns="metric", values="value", sort=False)
+    paper_rows = paper[paper["table"] == contents.name]
+    published = paper_rows.pivot_table(index=keys, columns="metric", values="value", sort=False)
     shared = [c for c in columns if c in published and c != "parameters_m"]
     return table.merge(published[shared].add_suffix(PAPER).reset_index(), on=keys, how="left")
 
 
 def printed(table: pandas.DataFrame) -> pandas.DataFrame:
     """Format the table: rounded, missing values as dashes, failures in per cent of the seeds."""
-    shown = rounded(table, _DIGITS)
+    texts = rounded(table, _DIGITS)
     for column in [column for column in table.columns if str(column).startswith("failed")]:
-        shown[column] = table[column].map(lambda v: GAP if pandas.isna(v) else f"{v:.0%}")
-    return shown
+        texts[column] = table[column].map(lambda v: GAP if pandas.isna(v) else f"{v:.0%}")
+    return texts
 
 
 def make(
@@ -158,19 +158,19 @@ def make(
     rows = collect(contents, measurements)
     rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name], "minival_accuracy"])))
     table = summarise(contents, rows, published)
-    shown = printed(table)
+    texts = printed(table)
     title = f"Table {contents.name[-1]}: {_TITLES[contents.name]}"
     note = f"Study `{contents.study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
-    publish(csv, md, title, table, shown, note)
-    each = [c for c in ("elements", "design", "classifier", "seed", *_columns(contents, rows)) if c in rows]
-    write_text(seeds_csv, rows[each].to_csv(index=False))
+    publish(csv, md, title, table, texts, note)
+    seed_columns = [c for c in ("elements", "design", "classifier", "seed", *_columns(contents, rows)) if c in rows]
+    write_text(seeds_csv, rows[seed_columns].to_csv(index=False))
     caption = _caption(contents, table)
     write_text(tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
     write_text(json, dumps(provenance(contents), indent=1) + "\n")
 
 
 def _caption(contents: TableContents, table: pandas.DataFrame) -> str:
-    """Return the caption in LaTeX, which numbers tables itself."""
+    """Return the caption without a number, since LaTeX numbers tables."""
     parts = [f"{_TITLES[contents.name]}.", f"Study {contents.study}."]
     if any(str(name).endswith(STD) for name in table):
         parts.append("Mean ± standard deviation over seeds.")

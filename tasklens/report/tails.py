@@ -22,12 +22,12 @@ Rows = Sequence[Mapping[str, Any]]
 def means(by_field: Rows) -> pandas.DataFrame:
     """Return a row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
     lenses = pandas.DataFrame(by_field).drop(columns="field").groupby(["lens", "seed"], sort=False)
-    found = pandas.DataFrame(
+    table = pandas.DataFrame(
         {"lens": lens, "seed": seed} | fields.drop(columns=["lens", "seed"]).mean(skipna=False).to_dict()
         for (lens, seed), fields in lenses
     )
-    found["rms_over_core"] = found["rms_um"] / found["core_radius_um"]
-    return found
+    table["rms_over_core"] = table["rms_um"] / table["core_radius_um"]
+    return table
 
 
 def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
@@ -42,5 +42,5 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
 def publish_tails(study: str, by_field: Rows, csv: Path, md: Path) -> None:
     """Write the table of rows (lens, seed, field, ...) as CSV and Markdown."""
     table = summarise(means(by_field))
-    shown = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
-    publish(csv, md, "Tails of the PSFs", table, shown, _NOTE.format(study=study))
+    texts = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
+    publish(csv, md, "Tails of the PSFs", table, texts, _NOTE.format(study=study))

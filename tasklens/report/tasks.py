@@ -1,4 +1,4 @@
-"""The table of tasks beside classification: scores of their networks through each lens, and the PSFs of all lenses."""
+"""Table of tasks other than classification: scores of their networks through each lens, and PSFs of the lenses."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,23 +24,23 @@ def collect(metrics: Mapping[tuple[str, str, int], Path]) -> pandas.DataFrame:
         metrics: files of scores by (lens, task, seed).
     """
     frames = [read_table(path, keep_default_na=False).assign(lens=lens) for (lens, _, _), path in metrics.items()]
-    every = pandas.concat(frames, ignore_index=True)
+    table = pandas.concat(frames, ignore_index=True)
     rows = []
-    for (task, metric, _), found in every.groupby(["task", "metric", "lens"], sort=False):
-        fields = found.groupby(["tuned", "field"])["value"].mean()
+    for (task, metric, _), scores in table.groupby(["task", "metric", "lens"], sort=False):
+        fields = scores.groupby(["tuned", "field"])["value"].mean()
         rows.append(
             {
                 "task": task,
                 "score": metric,
-                "elements": found["elements"].iloc[0],
-                "design": found["design"].iloc[0],
+                "elements": scores["elements"].iloc[0],
+                "design": scores["design"].iloc[0],
                 "frozen": fields[False].mean(),
                 "tuned": fields[True].mean(),
                 "worst_field": fields[True].min(),
-                "seeds": found["seed"].nunique(),
+                "seeds": scores["seed"].nunique(),
             }
         )
-    order = {name: k for k, name in enumerate(every["task"].unique())}
+    order = {name: k for k, name in enumerate(table["task"].unique())}
     return pandas.DataFrame(rows).sort_values("task", key=lambda names: names.map(order), kind="stable")
 
 
@@ -60,7 +60,7 @@ def make(
         lenses, psfs: files of `settings.drawn`.
     """
     rows = collect(dict(zip(settings.score_keys, metrics, strict=True)))
-    shown = rounded(rows, {"": ".1f", "seeds": "d"})
-    publish(csv, md, "Other tasks", rows, shown, _NOTE.format(study=settings.study))
-    panels = [figures.panel(*drawn) for drawn in zip(settings.drawn, lenses, psfs, strict=True)]
+    texts = rounded(rows, {"": ".1f", "seeds": "d"})
+    publish(csv, md, "Other tasks", rows, texts, _NOTE.format(study=settings.study))
+    panels = [figures.panel(*arguments) for arguments in zip(settings.drawn, lenses, psfs, strict=True)]
     figures.compare_psfs(figure, panels)

@@ -1,4 +1,4 @@
-"""The page of a lens' tolerances: what built lenses lose, by which errors, and the tolerances to be quoted."""
+"""Page on the tolerances of a lens: losses of built lenses, the errors that cause them, tolerances to quote."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,12 +8,12 @@ import pandas
 
 from tasklens.report.publish import right_aligned, rounded
 
-POINTS = (1.0, 3.0)  # losses of accuracy up to which a built lens passes
-_SHOWN = 10  # errors by displacement
+POINTS = (1.0, 3.0)  # largest losses of accuracy with which a built lens passes
+_SHOWN = 10  # errors with the largest displacement
 
 
 def distribution(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Summarise built lenses: accuracies and losses [%, points], yields [%], spots [um] and MTF, and how many failed.
+    """Summarise built lenses: accuracies [%], loss [points], yields [%], spots [um], MTF, and number of failures.
 
     Args:
         rows: the design, then the built lenses, as `production.built_lenses` returns them.
@@ -43,19 +43,19 @@ def markdown(
 
     Args:
         rows: the design and the built lenses.
-        errors: a row per error, as the stage `production` writes them.
-        images: number of images by which each lens is measured.
+        errors: a row per error, as written by the stage `production`.
+        images: number of images on which each lens is measured.
     """
-    found = distribution(rows)
-    failed = f" {found['failed']} of them let no light through to some field." if found["failed"] else ""
+    stats = distribution(rows)
+    failed = f" {stats['failed']} of them let no light through to some field." if stats["failed"] else ""
     summary = (
-        f"{found['built']} lenses were built in simulation to {grade.replace('_', ' ')}, focused by their MTF, and "
+        f"{stats['built']} lenses were built in simulation to {grade.replace('_', ' ')}, focused by their MTF, and "
         f"measured by the classifier of the design on {images} images at nine fields. The design has "
-        f"{found['accuracy_design']:.1f} %, they have {found['accuracy']:.1f} % (95 of 100 more than "
-        f"{found['accuracy_5th']:.1f} %). {found['yield_1']:.0f} % lose at most one point, {found['yield_3']:.0f} % at "
-        f"most three.{failed} The RMS spot is {found['rms_um_design']:.1f} um in the design and {found['rms_um']:.1f} "
-        f"um in the median, the MTF at a quarter of Nyquist's frequency {found['mtf_design']:.2f} and "
-        f"{found['mtf']:.2f}."
+        f"{stats['accuracy_design']:.1f} %, they have {stats['accuracy']:.1f} % (95 of 100 more than "
+        f"{stats['accuracy_5th']:.1f} %). {stats['yield_1']:.0f} % lose at most one point, {stats['yield_3']:.0f} % at "
+        f"most three.{failed} The RMS spot is {stats['rms_um_design']:.1f} um in the design and {stats['rms_um']:.1f} "
+        f"um in the median, the MTF at a quarter of Nyquist's frequency {stats['mtf_design']:.2f} and "
+        f"{stats['mtf']:.2f}."
     )
     frame = pandas.DataFrame(errors)
     worst = frame.sort_values("moved_um", ascending=False)[:_SHOWN][

@@ -1,4 +1,4 @@
-"""The table of built lenses: what each design loses in manufacture, and whether task-driven ones lose less."""
+"""Table of built lenses: accuracy that each design loses in manufacture, task-driven designs against baselines."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,17 +32,17 @@ _ANSWERS = {HOLDS: "tolerates less", FAILS: "tolerates more"}
 
 
 def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
-    """Return a row per lens: means over seeds of `tolerance_page.distribution`; failures and built lenses are summed.
+    """Return a row per lens: `tolerance_page.distribution`, mean over seeds; sums of failures and of built lenses.
 
     Args:
         lenses: files of built lenses by (lens, seed).
     """
-    found: dict[str, list[dict[str, float]]] = {}
+    distributions: dict[str, list[dict[str, float]]] = {}
     for (lens, _), path in lenses.items():
         rows = [{str(k): v for k, v in row.items()} for row in read_table(path).to_dict("records")]
-        found.setdefault(lens, []).append(distribution(rows))
+        distributions.setdefault(lens, []).append(distribution(rows))
     table = []
-    for lens, by_seed in found.items():
+    for lens, by_seed in distributions.items():
         frame = pandas.DataFrame(by_seed)
         total = frame[["failed", "built"]].sum().astype(int).to_dict()
         elements, _, design = lens.partition("-")
@@ -53,7 +53,7 @@ def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
 def compare(
     lenses: Mapping[tuple[str, int], Path], pairs: Sequence[tuple[str, str]], seeds: Sequence[int]
 ) -> pandas.DataFrame:
-    """Compare what lenses lose with what their baselines lose.
+    """Compare the losses in manufacture of lenses with those of their baselines.
 
     Args:
         lenses: files of built lenses by (lens, seed).
@@ -66,40 +66,42 @@ def compare(
     for lens, baseline in pairs:
         by_seed = []
         for seed in seeds:
-            lost = [_lost(lenses[name, seed]) for name in (lens, baseline)]
-            by_seed.append(lost[0] - lost[1])
-        columns = numpy.stack([resampled_means(each[:, None], seed=2 + k)[:, 0] for k, each in enumerate(by_seed)], 1)
-        means = resampled_over_seeds(columns, numpy.array([each.mean() for each in by_seed]))
+            losses = [_lost(lenses[name, seed]) for name in (lens, baseline)]
+            by_seed.append(losses[0] - losses[1])
+        columns = numpy.stack(
+            [resampled_means(values[:, None], seed=2 + k)[:, 0] for k, values in enumerate(by_seed)], 1
+        )
+        means = resampled_over_seeds(columns, numpy.array([values.mean() for values in by_seed]))
         low, high = interval(means)
-        difference = float(numpy.mean([each.mean() for each in by_seed]))
+        difference = float(numpy.mean([values.mean() for values in by_seed]))
         rows.append((lens, baseline, difference, low, high, p_value(means, len(seeds))))
-    found = pandas.DataFrame(rows, columns=["lens", "baseline", "difference", "low", "high", "p_holm"])
-    found["p_holm"] = holm(found["p_holm"].tolist())
-    numbers = found[["difference", "low", "high", "p_holm"]].to_numpy(float).tolist()
-    told = [verdict(d, low, high, p, len(seeds), over="built lenses") for d, low, high, p in numbers]
-    found["verdict"] = [_ANSWERS.get(answer, answer) for answer, _ in told]
-    found["reason"] = [reason for _, reason in told]
-    return found
+    table = pandas.DataFrame(rows, columns=["lens", "baseline", "difference", "low", "high", "p_holm"])
+    table["p_holm"] = holm(table["p_holm"].tolist())
+    numbers = table[["difference", "low", "high", "p_holm"]].to_numpy(float).tolist()
+    verdicts = [verdict(d, low, high, p, len(seeds), over="built lenses") for d, low, high, p in numbers]
+    table["verdict"] = [_ANSWERS.get(answer, answer) for answer, _ in verdicts]
+    table["reason"] = [reason for _, reason in verdicts]
+    return table
 
 
 def _lost(path: Path) -> numpy.ndarray:
-    """Return what each built lens loses [points]."""
+    """Return the accuracy that each built lens loses [points]."""
     accuracy = read_table(path)["accuracy"].to_numpy(float)
     return accuracy[0] - accuracy[1:]
 
 
 def make(settings: BuiltContents, built_lenses: Sequence[Path], csv: Path, md: Path, compared_csv: Path) -> None:
-    """Write the table and the comparison as CSV, and both as Markdown; the files are those of `lens_keys`."""
+    """Write the table and the comparison as CSV, and both as Markdown; `built_lenses` are the files of `lens_keys`."""
     lenses = dict(zip(settings.lens_keys, built_lenses, strict=True))
     rows = collect(lenses)
-    compared = compare(lenses, settings.pairs, settings.seeds)
+    comparison = compare(lenses, settings.pairs, settings.seeds)
     over = ", and over seeds" if len(settings.seeds) > 1 else ""
     digits = {"": ".1f", "mtf": ".2f", "failed": "d", "built": "d", "seeds": "d"}
     note = _NOTE.format(
         study=settings.study, grade=settings.grade.replace("_", " "), built=settings.built, images=settings.images
     )
-    if len(compared):
-        shown = rounded(compared, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3g"})
-        note += f"\n\n{_QUESTION.format(over=over)}\n\n{shown.to_markdown(index=False, disable_numparse=True)}"
+    if len(comparison):
+        texts = rounded(comparison, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3g"})
+        note += f"\n\n{_QUESTION.format(over=over)}\n\n{texts.to_markdown(index=False, disable_numparse=True)}"
     publish(csv, md, "Built lenses", rows, rounded(rows, digits), note)
-    compared.to_csv(compared_csv, index=False)
+    comparison.to_csv(compared_csv, index=False)

@@ -7,9 +7,9 @@ for "more accurate", stated beforehand for "at least as accurate" (non-inferiori
     holds           if the difference is above minus the margin,
     does not hold   if it is below,
 
-each significantly at 5 % after Holm's correction for all lenses and classifiers of the same claim and table; with fewer
-than five seeds it suggests the difference instead. Otherwise it is undecided, and the reason says within how many
-points the two are.
+each significantly at 5 % after Holm's correction for all lenses and classifiers of the same claim and table. With fewer
+than five seeds the verdict only suggests the difference. Otherwise the claim is undecided, and the reason gives the
+points within which the two lenses agree.
 """
 
 import math
@@ -53,7 +53,7 @@ def verdict(
         p_holm: corrected p-value of a difference of minus the margin.
         seeds: number of seeds.
         margin: margin of the claim [points].
-        over: what is resampled beside seeds.
+        over: name of the resampled units other than seeds.
     """
     above = low > -margin
     if p_holm >= 1 - bootstrap.CONFIDENCE or not (above or high < -margin):
@@ -87,9 +87,9 @@ def advantage(
 ) -> tuple[pandas.DataFrame, numpy.ndarray]:
     """Compute the advantage of a claim [points], and the lower bounds of its means over images.
 
-    For a claim about two lenses it is the difference of their accuracies, without bound. For a claim that a design
-    fails, it is half of the sum of sharp accuracy and chance, minus the accuracy; its bound is 50 % minus the energy in
-    the PSF window.
+    For a claim about two lenses, the advantage is the difference of their accuracies, without bound. For a claim that a
+    design fails, it is half of the sum of sharp accuracy and chance, minus the accuracy; its bound is 50 % minus the
+    energy in the PSF window.
 
     Args:
         baselines: strongest baseline by seed.
@@ -119,17 +119,17 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     baselines = [
         {seed: measurements.strongest_baseline(claim, seed) for seed in claims.seeds} for claim in claims.claims
     ]
-    found = [advantage(*pair, measurements) for pair in zip(claims.claims, baselines, strict=True)]
-    if not found:
+    advantages = [advantage(*pair, measurements) for pair in zip(claims.claims, baselines, strict=True)]
+    if not advantages:
         return pandas.DataFrame(columns=COLUMNS)
-    for claim, (frame, _) in zip(claims.claims, found, strict=True):
-        predictions.same_images(found[0][0], frame, f"{claim.lens} with {claim.classifier}")
-    values = numpy.stack([frame.to_numpy() for frame, _ in found])  # claim, image, seed
+    for claim, (frame, _) in zip(claims.claims, advantages, strict=True):
+        predictions.same_images(advantages[0][0], frame, f"{claim.lens} with {claim.classifier}")
+    values = numpy.stack([frame.to_numpy() for frame, _ in advantages])  # claim, image, seed
     count, images, seeds = values.shape
     resampled = bootstrap.resampled_means(values.transpose(1, 0, 2).reshape(images, count * seeds))
     rows = []
     for k, (claim, baseline) in enumerate(zip(claims.claims, baselines, strict=True)):
-        least = found[k][1]
+        least = advantages[k][1]
         observed = numpy.maximum(values[k].mean(0), least)
         by_seed = numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least)
         means = bootstrap.resampled_over_seeds(by_seed, observed)
@@ -141,13 +141,13 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     table["p_holm"] = table.groupby(["table", "claim"])["p_holm"].transform(
         lambda family: bootstrap.holm(family.tolist())
     )
-    judged = zip(*(table[c].tolist() for c in ("difference", "low", "high", "p_holm")), claims.claims, strict=True)
-    table[["verdict", "reason"]] = [verdict(d, low, high, p, seeds, claim.margin) for d, low, high, p, claim in judged]
+    numbers = zip(*(table[c].tolist() for c in ("difference", "low", "high", "p_holm")), claims.claims, strict=True)
+    table[["verdict", "reason"]] = [verdict(d, low, high, p, seeds, claim.margin) for d, low, high, p, claim in numbers]
     return table
 
 
 def _named(baselines: Iterable[str]) -> str:
-    """Name the baseline of all seeds; or each one, the most frequent first, with its number of seeds."""
+    """Name the baseline of all seeds, or each baseline with its number of seeds, most frequent first."""
     counts = Counter(baselines)
     if len(counts) == 1:
         return next(iter(counts))
@@ -169,9 +169,9 @@ def make(
 ) -> None:
     """Write the verdicts as CSV and Markdown."""
     rows = collect(claims, Measurements.of_claims(claims, lenses, metrics, predictions))
-    shown = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3f"})
+    texts = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3f"})
     margin = max((claim.margin for claim in claims.claims), default=0.0)
     words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
     note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
-    publish(csv, md, "Verdicts on the paper's claims", rows, shown, note)
+    publish(csv, md, "Verdicts on the paper's claims", rows, texts, note)

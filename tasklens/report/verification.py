@@ -1,7 +1,7 @@
 """Verification of a finished study: limits and optima of the lenses, and reproduced accuracies.
 
 All test images are classified again with the stored weights and the cached PSFs (stage `reproduce`, a job per
-measurement). The predictions are compared with those and with the metrics of fine-tuning, and with the tables.
+measurement). The new predictions are compared with the predictions and metrics of fine-tuning, and with the tables.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ DIFFERENT = 1e-3  # largest fraction of captures classified differently; on the 
 
 @dataclass(frozen=True)
 class Failure:
-    """A failed check: the lens, the limit, and the value found."""
+    """A failed check: lens, seed, limit, and the actual value."""
 
     lens: str
     seed: str
@@ -41,7 +41,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Findings:
-    """Results: failures; violated limits of lenses that are not constrained; numbers of lenses and measurements."""
+    """Results: failures, violated limits of unconstrained lenses, and numbers of lenses and measurements."""
 
     failures: list[Failure]
     unconstrained: list[Failure]
@@ -61,17 +61,17 @@ def verify(
     failures: list[Failure] = []
     unconstrained: list[Failure] = []
     for lens, seed in product(contents.lenses, contents.seeds):
-        found = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
-        (failures if lens in contents.constrained else unconstrained).extend(found)
+        lens_failures = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
+        (failures if lens in contents.constrained else unconstrained).extend(lens_failures)
         if lens in contents.supervised:
             failures += _optimum_failures(lens, seed, measurements.lens_file(lens, seed))
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):
-        anew = predictions.read(reproduced[lens, classifier, seed])
-        accuracy[lens, classifier, seed] = sum(predictions.accuracy_by_field(anew)) / anew.shape[1]
+        correct = predictions.read(reproduced[lens, classifier, seed])
+        accuracy[lens, classifier, seed] = sum(predictions.accuracy_by_field(correct)) / correct.shape[1]
         failures += [
             Failure(lens, str(seed), f"{classifier}: {what}", f"{share:.4f} of the captures differ")
-            for what, share in differences(anew, lens, classifier, seed, measurements).items()
+            for what, share in differences(correct, lens, classifier, seed, measurements).items()
             if not share <= DIFFERENT
         ]
     for table in contents.tables:
@@ -80,42 +80,46 @@ def verify(
 
 
 def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], contents: VerificationContents) -> list[Failure]:
-    violated = violated_limits(content, contents.efl_mm[lens], contents.efl_tolerance)
-    found = [Failure(lens, str(seed), limit, f"margin {value:.4g}") for limit, value in violated.items()]
+    violations = violated_limits(content, contents.efl_mm[lens], contents.efl_tolerance)
+    failures = [Failure(lens, str(seed), limit, f"margin {value:.4g}") for limit, value in violations.items()]
     if "diverged" in content.get("origin", {}):
-        found.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
-    return found
+        failures.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
+    return failures
 
 
 def _optimum_failures(lens: str, seed: int, content: Mapping[str, Any]) -> list[Failure]:
-    found = optimum(content)
-    if found is None or found.reached:
+    test = optimum(content)
+    if test is None or test.reached:
         return []
-    return [Failure(lens, str(seed), "not converged: a step within the limits lowers the loss", str(found))]
+    return [Failure(lens, str(seed), "not converged: a step within the limits lowers the loss", str(test))]
 
 
 def violated_limits(content: Mapping[str, Any], efl_mm: float, efl_tolerance: float) -> dict[str, float]:
-    """Return negative margins [mm, or a fraction] by limit: those in a lens file, and that of the specified EFL."""
+    """Return negative margins [mm, or a fraction] by limit, from a lens file and for the specified EFL."""
     worst = content["worst_margin"]
-    missed = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # relative error of the power, as in designs
-    margins = [*content["margins"].items(), (worst["limit"], worst["value"]), ("efl_tolerance", efl_tolerance - missed)]
+    efl_error = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # relative error of the power, as in designs
+    margins = [
+        *content["margins"].items(),
+        (worst["limit"], worst["value"]),
+        ("efl_tolerance", efl_tolerance - efl_error),
+    ]
     return {limit: value for limit, value in margins if not value >= -ROUNDING}
 
 
 def differences(
-    anew: pandas.DataFrame, lens: str, classifier: str, seed: int, measurements: Measurements
+    reproduced: pandas.DataFrame, lens: str, classifier: str, seed: int, measurements: Measurements
 ) -> dict[str, float]:
-    """Compute the fractions of captures in which stored files differ from the reproduced predictions `anew`.
+    """Compute the fractions of captures for which stored files differ from the predictions `reproduced`.
 
-    Stored predictions are compared by capture, metrics by the mean over fields of the difference in accuracy.
+    Stored predictions are compared by capture, metrics by the absolute difference in accuracy, mean over fields.
     """
     stored = measurements.correct(lens, classifier, seed)
-    alike = stored.index.equals(anew.index) and stored.columns.equals(anew.columns)
+    same_captures = stored.index.equals(reproduced.index) and stored.columns.equals(reproduced.columns)
     rows = read_table(measurements.metrics[lens, classifier, seed])
     metrics = rows[rows["metric"] == "accuracy"].set_index("field")["value"].to_numpy()
-    by_field = pandas.Series(predictions.accuracy_by_field(anew)).sub(pandas.Series(metrics)).abs()
+    by_field = pandas.Series(predictions.accuracy_by_field(reproduced)).sub(pandas.Series(metrics)).abs()
     return {
-        "stored predictions": float((stored != anew).to_numpy().mean()) if alike else 1.0,
+        "stored predictions": float((stored != reproduced).to_numpy().mean()) if same_captures else 1.0,
         "metrics": float(by_field.mean(skipna=False) / 100),
     }
 
@@ -128,9 +132,9 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
         lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
         classifier = row.get("classifier", contents.classifiers[0])
         name = classifier if sharp else names.measured(classifier, contents.restored)
-        anew = sum(accuracy[lens, name, seed] for seed in contents.seeds) / len(contents.seeds)
-        if not abs(row["accuracy"] - anew) <= 100 * DIFFERENT:
-            value = f"{row['accuracy']:.2f} % in the table, {anew:.2f} % from the weights"
+        reproduced = sum(accuracy[lens, name, seed] for seed in contents.seeds) / len(contents.seeds)
+        if not abs(row["accuracy"] - reproduced) <= 100 * DIFFERENT:
+            value = f"{row['accuracy']:.2f} % in the table, {reproduced:.2f} % from the weights"
             failures.append(Failure(lens, ", ".join(map(str, contents.seeds)), f"{name}: {contents.name}", value))
     return failures
 
@@ -144,17 +148,17 @@ def run(
     tables: Sequence[Path],
     verdicts: Path,
 ) -> None:
-    """Print the verdicts and the results; exits with status 1 if there are failures.
+    """Print the verdicts and the results; exit with status 1 if there are failures.
 
     Args:
         lenses, metrics, predictions, reproduced: files of the keys of `settings`.
         tables: CSV files of `settings.tables`.
     """
-    measured = (dict(zip(settings.measured_keys, paths, strict=True)) for paths in (metrics, predictions, reproduced))
-    found_metrics, stored, anew = measured
-    measurements = Measurements(dict(zip(settings.lens_keys, lenses, strict=True)), found_metrics, stored)
-    names_of_tables = (contents.name for contents in settings.tables)
-    findings = verify(settings, measurements, anew, dict(zip(names_of_tables, tables, strict=True)))
+    files = (dict(zip(settings.measured_keys, paths, strict=True)) for paths in (metrics, predictions, reproduced))
+    metric_files, prediction_files, reproduced_files = files
+    measurements = Measurements(dict(zip(settings.lens_keys, lenses, strict=True)), metric_files, prediction_files)
+    table_names = (contents.name for contents in settings.tables)
+    findings = verify(settings, measurements, reproduced_files, dict(zip(table_names, tables, strict=True)))
     print(verdicts.read_text())
     print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet
     if findings.failures:
@@ -162,7 +166,7 @@ def run(
 
 
 def summary(findings: Findings) -> str:
-    """Return a line per failure, `failed` or `unconstrained`, and one with the numbers of checks."""
+    """Return a line per failure (`failed` or `unconstrained`), and a line with the numbers of checks."""
     lines = [f"unconstrained: {failure}" for failure in findings.unconstrained]
     lines += [f"failed: {failure}" for failure in findings.failures]
     count = f"{findings.lenses} lenses and {findings.measurements} measurements: {len(findings.failures)} failures"

@@ -9,19 +9,19 @@ import pandas
 from tasklens.optics.tolerancing.allocation import YIELD
 from tasklens.optics.tolerancing.yields import KEPT_MTF, Tolerances
 
-_GROWTH = (1.1, 1.25, 1.5, 2.0)  # of the mean RMS spot, up to which a lens passes
-_KEPT = (0.95, 0.9, 0.8, 0.6)  # of the mean MTF, from which a lens passes
-_SHOWN = 10  # errors by displacement
+_GROWTH = (1.1, 1.25, 1.5, 2.0)  # largest ratios of the mean RMS spot to the design's with which a lens passes
+_KEPT = (0.95, 0.9, 0.8, 0.6)  # smallest ratios of the mean MTF to the design's with which a lens passes
+_SHOWN = 10  # errors with the largest displacement
 _QUALITIES = {"rms_um": "RMS spot, mean of the fields [um]", "worst_rms_um": "RMS spot, worst field [um]", "mtf": "MTF"}
 
 
 def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, Any]:
-    """Return the numbers: of the design and built lenses, yields [%], errors by displacement, allotted tolerances.
+    """Return the figures of the design and built lenses, yields [%], errors by displacement, allotted tolerances.
 
     Args:
-        tolerances: what was measured.
+        tolerances: measurements of the design and of built lenses.
         grade: name of the grade.
-        frequency: that of the MTF [cycles/mm].
+        frequency: frequency of the MTF [cycles/mm].
     """
     built = {name: numpy.array([getattr(lens, name) for lens in tolerances.built]) for name in _QUALITIES}
     design = tolerances.design
@@ -51,20 +51,20 @@ def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, A
     }
 
 
-def text(name: str, found: Mapping[str, Any]) -> str:
-    """Return a summary as lines for a terminal."""
+def text(name: str, data: Mapping[str, Any]) -> str:
+    """Format a summary as lines for a terminal."""
     lines = [
-        f"{name}: {found['lenses']} lenses built to {found['grade'].replace('_', ' ')}, each focused; MTF at "
-        f"{found['frequency_per_mm']:.0f} cycles/mm",
+        f"{name}: {data['lenses']} lenses built to {data['grade'].replace('_', ' ')}, each focused; MTF at "
+        f"{data['frequency_per_mm']:.0f} cycles/mm",
         f"  {'':<36}{'design':>9}{'median':>9}{'worst of 95 %':>15}",
     ]
     for key, meaning in _QUALITIES.items():
-        values = (found["design"][key], found["median"][key], found["worst_of_95_percent"][key])
+        values = (data["design"][key], data["median"][key], data["worst_of_95_percent"][key])
         lines.append(f"  {meaning:<36}{values[0]:>9.2f}{values[1]:>9.2f}{values[2]:>15.2f}")
-    by_rms = ", ".join(f"{share:.0f} % up to {factor:g} times" for factor, share in found["yield_by_rms"].items())
-    by_mtf = ", ".join(f"{share:.0f} % keep {100 * kept:.0f} %" for kept, share in found["yield_by_mtf"].items())
+    by_rms = ", ".join(f"{share:.0f} % up to {factor:g} times" for factor, share in data["yield_by_rms"].items())
+    by_mtf = ", ".join(f"{share:.0f} % keep {100 * fraction:.0f} %" for fraction, share in data["yield_by_mtf"].items())
     lines += [f"  yield by RMS spot, of the design's: {by_rms}", f"  yield by MTF, of the design's: {by_mtf}", ""]
-    frame = pandas.DataFrame(found["errors"][:_SHOWN])
+    frame = pandas.DataFrame(data["errors"][:_SHOWN])
     frame["tolerance"] = frame["tolerance"].map("{:.4g}".format)
     frame["moved_um"] = frame["moved_um"].map("{:.2f}".format)
     headings = {"moved_um": "moves rays by [um]"}

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 
 class Benchmark(NamedTuple):
-    """Duration [s] and largest memory [MB] of a job; 0 MB where it was too short to be measured."""
+    """Duration [s] and largest memory [MB] of a job; 0 MB if it was too short to be measured."""
 
     seconds: float
     memory_mb: float
 
 
 def read(path: Path) -> Benchmark | None:
-    """Read the benchmark of a job; None where there is none, or where the job was killed meanwhile."""
+    """Read the benchmark of a job; None if there is none, or if the job was killed while it ran."""
     if not path.exists():
         return None
     with open(path, newline="") as file:
@@ -25,12 +25,12 @@ def read(path: Path) -> Benchmark | None:
 def benchmarks(folder: Path) -> Iterator[tuple[str, Benchmark]]:
     """Yield the rule and the benchmark of each job of a study, from its folder of benchmarks."""
     for path in sorted(folder.rglob("*.tsv")):
-        if found := read(path):
-            yield path.relative_to(folder).parts[0].removesuffix(".tsv"), found
+        if benchmark := read(path):
+            yield path.relative_to(folder).parts[0].removesuffix(".tsv"), benchmark
 
 
 def number(text: str) -> float:
-    """Parse a number of a file; 0 where there is none."""
+    """Parse a number of a file; 0 if the text is not a number."""
     try:
         return float(text)
     except ValueError:

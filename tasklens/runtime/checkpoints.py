@@ -17,7 +17,7 @@ import torch
 from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.runtime.files import FileError, damaged, remove_abandoned, replacing
 
-INTERVAL = 60.0  # least time between writing files [s]
+INTERVAL = 60.0  # least time between two writes of the file [s]
 
 
 class Checkpoint:
@@ -37,7 +37,7 @@ class Checkpoint:
         if path is not None and path.exists():
             try:
                 self.records = torch.load(path, map_location="cpu", weights_only=True)
-            except Exception as error:  # of pickle, zip or torch
+            except Exception as error:  # an error of pickle, zipfile or torch
                 raise damaged(path, f"no checkpoint ({error})") from error
 
     def part(self, name: str, **holders: Any) -> "Part":
@@ -71,14 +71,14 @@ class Checkpoint:
         """Delete the file, after the outputs of the job are complete."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
-            remove_abandoned(self.path)  # of a process that was killed while it wrote
+            remove_abandoned(self.path)  # left by a process that was killed while writing
 
 
 NO_CHECKPOINT = Checkpoint()
 
 
 def _finite(state: object) -> bool:
-    """Return whether all tensors in nested mappings and sequences are finite, since others must not be resumed."""
+    """Return whether all tensors in nested mappings and sequences are finite; no job may resume from others."""
     if isinstance(state, torch.Tensor):
         return bool(torch.isfinite(state).all())
     if isinstance(state, Mapping):
@@ -104,9 +104,9 @@ class Part:
     def save(self, step: int, **state: Any) -> None:
         """Save the state after a step, if it is time and all tensors are finite."""
         if self.checkpoint.due():
-            held = {name: holder.state_dict() for name, holder in self.holders.items()}
-            if _finite(held) and _finite(state):
-                self._remember({"step": step, "state": state, "holders": held})
+            states = {name: holder.state_dict() for name, holder in self.holders.items()}
+            if _finite(states) and _finite(state):
+                self._remember({"step": step, "state": state, "holders": states})
                 self.checkpoint.write()
 
     def finish(self, **result: Any) -> None:

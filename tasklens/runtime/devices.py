@@ -1,4 +1,4 @@
-"""Devices of jobs: a GPU that no other job of ours on this machine uses, or the CPU."""
+"""Devices of jobs: a GPU that no other job of this user on this machine uses, or the CPU."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,9 +16,10 @@ _locked: dict[str, FileLock] = {}  # by GPU; a lock is released when its process
 
 
 def claim() -> torch.device:
-    """Claim a GPU for this process, waiting until one is free; repeated calls return the same; without GPUs the CPU.
+    """Claim a GPU for this process, and wait until one is free; without GPUs, return the CPU.
 
-    Parallel jobs of Snakemake are distributed over the visible GPUs, and wait if there are more jobs than GPUs.
+    Repeated calls return the same GPU. Parallel jobs of Snakemake are distributed over the visible GPUs, and wait if
+    there are more jobs than GPUs.
     """
     (device,) = claim_several(1)
     if device != CPU:
@@ -26,32 +27,32 @@ def claim() -> torch.device:
     return device
 
 
-def claim_several(wanted: int) -> list[torch.device]:
-    """Claim `wanted` GPUs, for a process group; without GPUs the CPU.
+def claim_several(number: int) -> list[torch.device]:
+    """Claim several GPUs, for a process group; without GPUs, return the CPU as often.
 
     Raises:
         InputError: fewer GPUs are visible.
     """
     count = torch.cuda.device_count()
     if count == 0:
-        return wanted * [CPU]
-    if wanted > count:
-        raise InputError(f"{wanted} processes need a GPU each; visible are {count}: lower `processes`")
-    if wanted > 1:  # two groups that claim GPUs at once could deadlock
+        return number * [CPU]
+    if number > count:
+        raise InputError(f"{number} processes need a GPU each; visible are {count}: lower `processes`")
+    if number > 1:  # two groups that claim GPUs at the same time could deadlock
         wait_until(lambda: _lock("several"), "another process group, which claims GPUs")
-    found: list[torch.device] = []
+    gpus: list[torch.device] = []
 
     def claimed() -> bool:
-        found.clear()
+        gpus.clear()
         for index in range(count):
-            if len(found) < wanted and _lock(str(torch.cuda.get_device_properties(index).uuid)):
-                found.append(torch.device("cuda", index))
-        return len(found) == wanted
+            if len(gpus) < number and _lock(str(torch.cuda.get_device_properties(index).uuid)):
+                gpus.append(torch.device("cuda", index))
+        return len(gpus) == number
 
-    wait_until(claimed, f"{wanted} of {count} GPUs, which other jobs of yours hold")
-    if wanted > 1:
+    wait_until(claimed, f"{number} of {count} GPUs, which other jobs of yours hold")
+    if number > 1:
         _locked.pop("several").release()
-    return found
+    return gpus
 
 
 def send(tensor: Tensor, device: torch.device) -> Tensor:
@@ -61,7 +62,7 @@ def send(tensor: Tensor, device: torch.device) -> Tensor:
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """Let torch compute with one thread: sums of several differ in the last digit, and images then in a level."""
+    """Make torch use one thread: sums over several threads differ in the last digit, and then images by a level."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -71,7 +72,7 @@ def single_thread() -> Iterator[None]:
 
 
 def random_state() -> dict[str, Tensor]:
-    """Return the states of torch's random numbers, on the CPU and on the GPU if one is used."""
+    """Return the states of torch's random number generators: of the CPU, and of the GPU if one is used."""
     state = {"cpu": torch.get_rng_state()}
     if torch.cuda.is_initialized():
         state["gpu"] = torch.cuda.get_rng_state()
@@ -79,7 +80,7 @@ def random_state() -> dict[str, Tensor]:
 
 
 def set_random_state(state: Mapping[str, Tensor]) -> None:
-    """Set the states of torch's random numbers to those that `random_state` returned."""
+    """Set torch's random number generators to the states that `random_state` returned."""
     torch.set_rng_state(state["cpu"])
     if "gpu" in state and torch.cuda.is_available():
         torch.cuda.set_rng_state(state["gpu"])
@@ -93,8 +94,8 @@ def half_precision(device: torch.device) -> torch.autocast:
 def _lock(name: str) -> bool:
     """Try to lock a name; return whether this process now holds the lock.
 
-    Locks are in the user's home, where nobody else can put a link, and which containers and jobs with a TMPDIR of their
-    own have in common. Between users, whoever runs the jobs gives out the GPUs: Snakemake's resource `gpu`, a cluster.
+    Locks are in the user's home: nobody else can put a link there, and containers and jobs with their own TMPDIR share
+    it. Between users, Snakemake's resource `gpu` or the cluster distributes the GPUs.
     """
     if name in _locked:
         return True

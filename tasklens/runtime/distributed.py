@@ -1,4 +1,4 @@
-"""Process groups started by `torchrun`, which train one network, each process on its share of every batch."""
+"""Process groups started by `torchrun`: they train one network, each process on its share of every batch."""
 
 import os
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ class ProcessGroup:
         """Return the slice of the `batch` images of a step for this process.
 
         Raises:
-            InputError: shares of different size, whose mean gradient would not be that of the batch.
+            InputError: shares differ in size; the mean of their gradients would not be that of the batch.
         """
         if batch % self.size:
             raise InputError(
@@ -62,7 +62,7 @@ def process_group() -> Iterator[ProcessGroup]:
     """Join the process group started by `torchrun`, each process with its own GPU; without it, yield a single process.
 
     Raises:
-        InputError: the machine has GPUs, but fewer than processes.
+        InputError: the machine has GPUs, but fewer than the group has processes.
     """
     if "WORLD_SIZE" not in os.environ:
         yield ProcessGroup(device=claim())
@@ -72,9 +72,9 @@ def process_group() -> Iterator[ProcessGroup]:
         raise InputError(
             f"processes: a classifier's {os.environ['WORLD_SIZE']} processes need a GPU each, this machine has {count}"
         )
-    waiting = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
+    timeout = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
     backends = "cpu:gloo,cuda:nccl" if count else "gloo"
-    torch.distributed.init_process_group(backends, timeout=waiting)
+    torch.distributed.init_process_group(backends, timeout=timeout)
     try:
         rank, size = torch.distributed.get_rank(), torch.distributed.get_world_size()
         # The first process claims the GPUs of all processes: otherwise two groups could deadlock.

@@ -1,4 +1,4 @@
-"""Atomic writing of files, under a temporary name that is renamed; and reading."""
+"""Read files, and write them atomically: under a temporary name, then renamed."""
 
 import glob
 import io
@@ -32,10 +32,10 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def number(value: object, where: str) -> float:
-    """Convert a value of a file to a finite number, also text such as 1e-4, which YAML does not parse as a number.
+    """Convert a value of a file to a finite number; text such as 1e-4, which YAML leaves as text, is a number too.
 
     Raises:
-        FileError: another value; the message begins with `where`.
+        FileError: the value is not a finite number; the message begins with `where`.
     """
     text = value if isinstance(value, str) else repr(value)
     if not _NUMBER.fullmatch(text):
@@ -47,16 +47,16 @@ def number(value: object, where: str) -> float:
 
 def positive(value: object, where: str) -> float:
     """Convert a value of a file to a positive number as `number` does; raises FileError."""
-    found = number(value, where)
-    if not found > 0:
+    result = number(value, where)
+    if not result > 0:
         raise FileError(f"{where}: expected a positive number, found {value!r}; correct it")
-    return found
+    return result
 
 
 def read_bytes(path: Path, most: int = 100_000_000) -> bytes:
     """Read a file of at most `most` bytes; raises FileError for a folder, a pipe or a larger file."""
     size = path.stat().st_size
-    if not path.is_file():  # to read a pipe would take for ever
+    if not path.is_file():  # reading a pipe would block forever
         raise FileError(f"{path}: is a {'folder' if path.is_dir() else 'pipe or device'}; expected a file")
     if size > most:
         raise FileError(f"{path}: has {size / 1e6:.0f} MB; expected a file of at most {most / 1e6:.0f} MB")
@@ -64,10 +64,10 @@ def read_bytes(path: Path, most: int = 100_000_000) -> bytes:
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file that a job wrote, ten times as fast as `yaml_files.read` where libyaml is there.
+    """Read a YAML file that a job wrote, ten times as fast as `yaml_files.read` if libyaml is installed.
 
     Raises:
-        FileError: it is damaged.
+        FileError: the file is damaged.
     """
     import yaml
 
@@ -81,10 +81,10 @@ def read_yaml(path: Path) -> Any:
 
 
 def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
-    """Read a CSV file that a job wrote; `options` are of `pandas.read_csv`.
+    """Read a CSV file that a job wrote; `options` are passed to `pandas.read_csv`.
 
     Raises:
-        FileError: it is cut off, or no table.
+        FileError: the file is cut off, or no table.
     """
     import pandas
 
@@ -93,7 +93,7 @@ def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
         raise damaged(path, "cut off")
     try:
         return pandas.read_csv(io.StringIO(text), **options)
-    except ValueError as error:  # of pandas too
+    except ValueError as error:  # errors of pandas are ValueErrors too
         raise damaged(path, f"no table ({str(error).splitlines()[0]})") from None
 
 
@@ -106,17 +106,17 @@ def read_json(path: Path) -> Any:
 
 
 def damaged(path: Path, what: str) -> FileError:
-    """Return the error of a result that is not what a job writes."""
+    """Return the error for a damaged result file; `what` is wrong with it."""
     return FileError(f"{path}: {what}; delete it and run again")
 
 
 def temporary_of(path: Path) -> Path:
-    """Return the temporary path at which this process writes `path`, and no other one."""
+    """Return the temporary path for `path` that only this process uses."""
     return path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.part")
 
 
 def resumable_of(path: Path) -> Path:
-    """Return the temporary path at which `path` is written by one process after the other."""
+    """Return the temporary path for `path` that successive processes share, to continue the file."""
     return path.with_name(f".{path.name}.part")
 
 
@@ -124,14 +124,14 @@ def resumable_of(path: Path) -> Path:
 def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `path` when the block ends, and removed when it raises.
 
-    The file is on the disk before it has its name, so that it is complete or absent after a loss of power too.
-    Temporary files that killed processes of this machine have left are removed.
+    The file is flushed to disk before it is renamed: even after a power failure it is either complete or absent.
+    Temporary files left by killed processes of this machine are removed.
 
     Args:
-        temporary: in place of a name of this process alone.
+        temporary: temporary path; None: that of `temporary_of`.
 
     Raises:
-        OSError: what an operation of the block raises; it names `path` where the system names none.
+        OSError: an operation of the block failed; the error names `path` if the system names no file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_abandoned(path)
@@ -145,27 +145,27 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
     except OSError as error:
         if error.filename is not None:
             raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # of writing: no space is left, for instance
+        raise OSError(error.errno, error.strerror, str(path)) from error  # a failed write, for example on a full disk
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def remove_abandoned(path: Path) -> None:
-    """Remove the temporary files of `path` that killed processes of this machine have left."""
-    begin = f".{path.name}.{socket.gethostname()}-"
-    for other in path.parent.glob(f"{glob.escape(begin)}*.part"):
-        number = other.name.removeprefix(begin).removesuffix(".part")
-        if number.isdigit() and (int(number) == os.getpid() or not psutil.pid_exists(int(number))):
+    """Remove the temporary files of `path` left by killed processes of this machine."""
+    prefix = f".{path.name}.{socket.gethostname()}-"
+    for other in path.parent.glob(f"{glob.escape(prefix)}*.part"):
+        pid = other.name.removeprefix(prefix).removesuffix(".part")
+        if pid.isdigit() and (int(pid) == os.getpid() or not psutil.pid_exists(int(pid))):
             other.unlink(missing_ok=True)
 
 
 def _synchronise(path: Path, mode: int) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
-    opened = os.open(path, mode)
+    """Flush a file, or the entries of a folder, to disk."""
+    descriptor = os.open(path, mode)
     try:
-        os.fsync(opened)
+        os.fsync(descriptor)
     finally:
-        os.close(opened)
+        os.close(descriptor)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -175,7 +175,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: Mapping[str, Any]) -> None:
-    """Write a safetensors file; metadata are one JSON text, since the order of several entries is random."""
+    """Write a safetensors file; metadata is one JSON string, since safetensors orders several entries randomly."""
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 
@@ -185,20 +185,20 @@ def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: M
             save_file(contiguous, temporary, {"json": json.dumps(metadata)})
         except SafetensorError as error:
             raise FileError(f"{path}: cannot be written ({error}); make room, and run again") from None
-        temporary.chmod(path.parent.stat().st_mode & 0o666)  # safetensors shuts out everybody but the owner
+        temporary.chmod(path.parent.stat().st_mode & 0o666)  # safetensors lets only the owner read it
 
 
 @contextmanager
 def writing_array(
     path: Path, shape: tuple[int, ...], dtype: str, begun: bool = False
 ) -> Iterator["numpy.memmap[Any, Any]"]:
-    """Yield a mapped array of a .npy file to write, for arrays larger than memory.
+    """Yield a writable memory map of a .npy file, for arrays larger than memory.
 
     Args:
         begun: continue the temporary file of a killed process, and keep its values.
 
     Raises:
-        FileError: too little disk space, or another process that writes it, before the block.
+        FileError: before the block: too little disk space, or another process is writing the file.
     """
     import numpy
 
@@ -208,14 +208,14 @@ def writing_array(
             free = shutil.disk_usage(temporary.parent).free  # on a full disk, writing to the map kills the process
             if free < size:
                 raise FileError(f"{path}: needs {size / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
-        mapped = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
-        yield mapped
-        mapped.flush()
+        array = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
+        yield array
+        array.flush()
 
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Let no other process write `path` while the block runs; raises FileError where one does."""
+    """Let no other process write `path` while the block runs; raises FileError if one does."""
     from filelock import FileLock
 
     from tasklens.runtime.locks import acquire
@@ -250,7 +250,7 @@ def map_array(path: Path) -> "torch.Tensor":
 
 
 def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]:
-    """Read tensors and metadata of a safetensors file; tensors are mapped, not copied.
+    """Read tensors and metadata of a safetensors file; tensors are memory-mapped, not copied.
 
     Raises:
         FileError: the file is not complete.

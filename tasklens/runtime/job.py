@@ -19,7 +19,7 @@ from tasklens.runtime.files import remove_abandoned
 from tasklens.runtime.progress_file import progress_file
 
 Paths = str | Sequence[str]
-JOB = "settings of a job"  # context of their validation
+JOB = "settings of a job"  # context of the validation of settings
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt(3)
 
 
@@ -32,24 +32,24 @@ def run(
     log: Path,
     group: Sequence[str] = (),
 ) -> None:
-    """Call the function of a job; a checkpoint that it takes is removed when the outputs are complete.
+    """Call the function of a job; its checkpoint is removed when the outputs are complete.
 
     Args:
-        function: `package.module.function`; its first parameter is the settings, the others are named as the files, and
-            `checkpoint` if a killed job is resumed.
+        function: `package.module.function`; its first parameter is the settings, the others are named like the files;
+            a parameter `checkpoint` lets a killed job resume.
         settings: JSON of the settings; their class is the annotation of the first parameter.
         code: digest of the code of the function.
         inputs: input files by name; one, several, or none if the parameter may be None. A file that no rule waits for
             may be missing.
         outputs: output files by name.
         log: results/<study>/logs/<label>.log.
-        group: command that starts a process group, whose processes call this function without it.
+        group: command that starts a process group; its processes call this function without `group`.
     """
     folder, label = place(log)
     name = label.replace("/", "-", 1)
     key = _digest(function, settings, code, *_states(inputs))
     checkpoint = _checkpoint_path(key, folder / "checkpoints" / name)
-    if "RANK" in os.environ:  # a process of a group: the one that started it has the lock, the first one reports
+    if "RANK" in os.environ:  # a process of a group: its parent holds the lock, and the first process reports
         with progress_file(str(folder), label) if os.environ["RANK"] == "0" else nullcontext():
             _call(function, settings, inputs, outputs, checkpoint)
         return
@@ -71,23 +71,26 @@ def _call(
     with _imported(function) as call:
         kinds = get_type_hints(call)
         parameters = list(signature(call).parameters)
-        typed = kinds[parameters[0]].model_validate_json(settings, context=JOB)
+        job_settings = kinds[parameters[0]].model_validate_json(settings, context=JOB)
         arguments: dict[str, Any] = {name: _paths(paths, kinds[name]) for name, paths in inputs.items()}
         arguments |= {name: Path(path) for name, path in outputs.items()}
         if "checkpoint" in parameters:
             arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
-        call(typed, **arguments)
+        call(job_settings, **arguments)
 
 
 @contextmanager
 def reporting_errors(log: Path | None) -> Iterator[None]:
-    """End the program after the block: status 2 and one line for a user error, else 0; with `log` for standard error.
+    """End the program after the block: with status 2 and one line for a user error, else with status 0.
 
-    It keeps freed memory, and ends without freeing every object, which takes longer than some jobs; all files are
-    complete then.
+    Freed memory stays with the process. The program ends without freeing every object, since that takes longer than
+    some jobs; all files are complete by then.
+
+    Args:
+        log: file for standard error; None: standard error stays as it is.
     """
     _keep_memory()
-    if log is not None and "RANK" not in os.environ:  # a process of a group has the log of the one that started it
+    if log is not None and "RANK" not in os.environ:  # a process of a group inherits the log of its parent
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
             os.dup2(file.fileno(), sys.stderr.fileno())
@@ -108,32 +111,32 @@ def reporting_errors(log: Path | None) -> Iterator[None]:
 
 
 def user_error(error: Exception) -> str | None:
-    """Return what to tell a user of an error that is of the input or of the machine; None for all others."""
+    """Return the message for an error of the input or of the machine; None for any other error."""
     if isinstance(error, InputError | FloatingPointError):
         return str(error)
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {(error.strerror or 'cannot be used').lower()}"
-    kinds = {kind.__name__ for kind in type(error).__mro__}  # Python's, torch's, or that of a GPU; without torch
+    kinds = {kind.__name__ for kind in type(error).__mro__}  # by name, so that torch is not imported for its error
     if {"MemoryError", "OutOfMemoryError"} & kinds or "can't allocate memory" in str(error):
         return f"not enough memory ({error}); run fewer jobs at once, or lower batch_size"
     return None
 
 
 def place(log: Path) -> tuple[Path, str]:
-    """Return the folder of the results of a study, and the label of a job, from its log."""
+    """Return the results folder of a study and the label of a job, from the path of the job's log."""
     parts = log.with_suffix("").parts
-    logs = parts.index("logs", 2)  # behind results/<study>
+    logs = parts.index("logs", 2)  # after results/<study>
     return Path(*parts[:logs]), "/".join(parts[logs + 1 :])
 
 
 def _paths(paths: Paths, kind: Any) -> Path | list[Path] | None:
-    """Return input files as the annotation of their parameter has them: several, one, or None."""
-    listed = [Path(path) for path in ([paths] if isinstance(paths, str) else paths)]
+    """Convert input files to the type of their parameter: several paths, one, or None."""
+    files = [Path(path) for path in ([paths] if isinstance(paths, str) else paths)]
     if get_origin(kind) is Sequence:
-        return listed
-    if len(listed) == 1 or (not listed and type(None) in get_args(kind)):
-        return listed[0] if listed else None
-    raise TypeError(f"expected one file, got {len(listed)}")
+        return files
+    if len(files) == 1 or (not files and type(None) in get_args(kind)):
+        return files[0] if files else None
+    raise TypeError(f"expected one file, got {len(files)}")
 
 
 def _states(inputs: Mapping[str, Paths]) -> Iterator[str]:
@@ -155,8 +158,8 @@ def _digest(*parts: str) -> str:
 def _imported(function: str) -> Iterator[Callable[..., Any]]:
     """Import the function `package.module.function`, and yield it.
 
-    Garbage is not collected while it is imported, nor looked for among what was imported while it runs: collections of
-    hundreds of thousands of objects, none of them garbage, take a fifth of the time of an import.
+    The garbage collector is off during the import, and skips the imported objects while the function runs: to search
+    hundreds of thousands of objects, none of them garbage, takes a fifth of the time of an import.
     """
     module, _, name = function.rpartition(".")
     gc.disable()
@@ -172,10 +175,10 @@ def _imported(function: str) -> Iterator[Callable[..., Any]]:
 
 
 def _keep_memory() -> None:
-    """Let freed memory stay with the process.
+    """Keep freed memory in the process.
 
-    Page faults of new arrays otherwise take a fifth of the time of a training with images of 64 pixels, and half of
-    that of an evaluation or a design with 224.
+    Otherwise page faults of new arrays take a fifth of the time of a training with 64-pixel images, and half of the
+    time of an evaluation or a design with 224-pixel images.
     """
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):  # glibc

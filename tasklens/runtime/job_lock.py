@@ -16,15 +16,15 @@ from tasklens.runtime.locks import acquire, wait_until
 
 @contextmanager
 def alone(path: Path, key: str, outputs: Iterable[Path]) -> Iterator[bool]:
-    """Let no other process run a job while the block runs; waits for one that does.
+    """Let no other process run a job while the block runs; wait for one that already does.
 
     Args:
-        path: path of the lock; beside it the last process that had it leaves its name, as JSON.
+        path: path of the lock; the last process that held it leaves its host and id in a JSON file of the same name.
         key: digest of what the job computes.
         outputs: outputs of the job.
 
     Yields:
-        Whether there is work: not if the process that was waited for has computed the same, and its outputs are there.
+        True if there is work; false if this process waited for another that computed the same, and its outputs exist.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     lock, record = FileLock(path), path.with_suffix(".json")
@@ -34,12 +34,12 @@ def alone(path: Path, key: str, outputs: Iterable[Path]) -> Iterator[bool]:
         wait_until(lambda: acquire(lock), f"process {other.get('pid')} on {other.get('host')}, which runs this job")
     try:
         done = waited and _read(record).get("done") == key and all(output.exists() for output in outputs)
-        mine = {"pid": os.getpid(), "host": socket.gethostname()}
+        process = {"pid": os.getpid(), "host": socket.gethostname()}
         if not done:
-            write_text(record, json.dumps(mine))
+            write_text(record, json.dumps(process))
         yield not done
-        if not done:  # not reached by a job that fails or is killed, beside whose outputs older ones may lie
-            write_text(record, json.dumps(mine | {"done": key}))
+        if not done:  # not reached if the job fails or is killed: older outputs may exist then
+            write_text(record, json.dumps(process | {"done": key}))
     finally:
         lock.release()
 

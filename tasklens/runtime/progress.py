@@ -5,14 +5,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-# Is given the label, the step (counted from 1), the number of steps and the values of every step.
+# Called at every step with the label, the step (counted from 1), the number of steps and the values.
 Listener = Callable[[str, int, int, Mapping[str, float]], None]
 _listeners: list[tuple[Listener, bool]] = []
 
 
 @contextmanager
 def reporting_to(listener: Listener, lines: bool = False) -> Iterator[None]:
-    """Report progress to `listener`, in place of lines on standard error or, with `lines`, beside them."""
+    """Report progress to `listener`, instead of lines on standard error or, with `lines`, in addition to them."""
     _listeners.append((listener, lines))
     try:
         yield
@@ -42,6 +42,6 @@ class Progress:
             return
         self.written = now
         remaining = (now - self.start) / (step - self.first + 1) * max(0, self.total - step)
-        shown = "".join(f"  {name} {value:.4g}" for name, value in values.items())
-        line = f"{self.label}  step {step}/{self.total}{shown}  remaining {remaining:.0f} s"
+        text = "".join(f"  {name} {value:.4g}" for name, value in values.items())
+        line = f"{self.label}  step {step}/{self.total}{text}  remaining {remaining:.0f} s"
         print(line, file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
-"""Progress file of a running job, results/<study>/progress/<label>.json, which whoever shows a run reads.
+"""Progress file of a running job, results/<study>/progress/<label>.json, for programs that show a run.
 
-Its keys: `host`, `pid`, `started` and `updated` [s since 1970]; once there are steps, of the present phase `phase`,
+Keys: `host`, `pid`, `started` and `updated` [s since 1970]; after the first step also `phase`, and for this phase
 `step`, `total`, `values` and `remaining_s`.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 from tasklens.runtime.files import temporary_of
 from tasklens.runtime.progress import reporting_to
 
-_INTERVAL_S = 1.0  # least time between two writings
+_INTERVAL_S = 1.0  # least time between two writes
 
 
 def _path(folder: str, label: str) -> Path:
@@ -24,7 +24,7 @@ def _path(folder: str, label: str) -> Path:
 
 
 def read(folder: str, label: str) -> Mapping[str, Any] | None:
-    """Read how far a job is; None where it has not begun to say, or has ended."""
+    """Read the progress of a job; None if it has not reported yet, or has ended."""
     try:
         return json.loads(_path(folder, label).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -33,7 +33,7 @@ def read(folder: str, label: str) -> Mapping[str, Any] | None:
 
 @contextmanager
 def progress_file(folder: str, label: str) -> Iterator[None]:
-    """Keep the progress file of the job that this process runs while the block runs; its log has progress lines too."""
+    """Keep the progress file of this process' job up to date during the block; the log has progress lines too."""
     path = _path(folder, label)
     path.parent.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"host": socket.gethostname(), "pid": os.getpid(), "started": time.time()}

@@ -1,4 +1,4 @@
-"""Reading of YAML files that people write: what is no YAML, or is not what it seems, is refused; no torch here."""
+"""Read YAML files written by users; invalid YAML, and values that YAML would misread, are errors; no torch here."""
 
 import re
 from pathlib import Path
@@ -8,10 +8,10 @@ import yaml
 
 from tasklens.runtime.files import FileError, read_bytes
 
-_LARGEST = 10_000_000  # bytes; ours have some thousands
-_NODES = 1_000_000  # with aliases written out: a few lines of them can stand for more than fits into the memory
+_LARGEST = 10_000_000  # bytes; our own files have a few thousand
+_NODES = 1_000_000  # with aliases expanded: a few lines of aliases can stand for more nodes than fit into memory
 _INTEGER = "tag:yaml.org,2002:int"
-_LONGEST_INTEGER = 1000  # characters; Python neither reads nor shows decimals of more than 4300
+_LONGEST_INTEGER = 1000  # characters; Python neither reads nor prints decimals of more than 4300 digits
 _OTHER_BASE = re.compile(r"[-+]?(0[0-7_]+|[0-9_]+(:[0-5]?[0-9])+)")  # 05 is octal, 1:30 sexagesimal
 
 
@@ -19,8 +19,8 @@ def read(path: Path) -> Any:
     """Read a YAML file.
 
     Raises:
-        FileError: no regular file, no UTF-8, no YAML, keys that stand twice, numbers of other bases, or too much; the
-            message has line and column.
+        FileError: no regular file, no UTF-8, no valid YAML, too large, duplicate keys, or numbers in other bases; the
+            message gives line and column.
     """
     text = _text(path)
     try:
@@ -37,7 +37,7 @@ def read(path: Path) -> Any:
         raise FileError(f"{path}: keys within keys, too many of them") from None
     except FileError:
         raise
-    except ValueError as error:  # a number of thousands of digits, or a date that is none
+    except ValueError as error:  # a number with thousands of digits, or an invalid date
         raise FileError(f"{path}: not valid YAML: {error}") from None
 
 
@@ -55,15 +55,15 @@ def _place(path: Path, mark: yaml.Mark | None) -> str:
 
 
 def _why(error: yaml.YAMLError) -> str:
-    found = getattr(error, "problem", None) or str(error).splitlines()[0]
-    if found.startswith("but "):
-        found = f"{getattr(error, 'context', '')}, {found}"
-    return "a tab; indent by spaces" if r"'\t'" in found else found
+    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+    if problem.startswith("but "):
+        problem = f"{getattr(error, 'context', '')}, {problem}"
+    return "a tab; indent by spaces" if r"'\t'" in problem else problem
 
 
 def _check(node: yaml.Node, path: Path) -> None:
-    """Refuse keys that stand twice, numbers of other bases, and aliases that stand for too much or hold themselves."""
-    sizes: dict[int, int] = {}  # nodes below a node, by its identity; 0 while they are counted
+    """Reject duplicate keys, numbers in other bases, and aliases that contain themselves or expand too far."""
+    sizes: dict[int, int] = {}  # number of nodes below a node, by its id; 0 while they are counted
 
     def count(node: yaml.Node) -> int:
         if id(node) in sizes:
@@ -71,20 +71,20 @@ def _check(node: yaml.Node, path: Path) -> None:
                 raise FileError(f"{_place(path, node.start_mark)}: holds itself; write it out")
             return sizes[id(node)]
         sizes[id(node)] = 0
-        below: list[yaml.Node] = []
+        children: list[yaml.Node] = []
         if isinstance(node, yaml.MappingNode):
             _check_keys(node, path)
-            below = [each for pair in node.value for each in pair]
+            children = [child for pair in node.value for child in pair]
         elif isinstance(node, yaml.SequenceNode):
-            below = node.value
+            children = node.value
         elif node.tag == _INTEGER and len(node.value) > _LONGEST_INTEGER:
             raise FileError(f"{_place(path, node.start_mark)}: not valid YAML: a number of {len(node.value)} digits")
         elif isinstance(node, yaml.ScalarNode) and _is_plain_integer(node) and _OTHER_BASE.fullmatch(node.value):
-            found = yaml.safe_load(node.value)
+            value = yaml.safe_load(node.value)
             raise FileError(
-                f"{_place(path, node.start_mark)}: YAML reads {node.value} as {found}; write {found}, or another number"
+                f"{_place(path, node.start_mark)}: YAML reads {node.value} as {value}; write {value}, or another number"
             )
-        sizes[id(node)] = 1 + sum(map(count, below))
+        sizes[id(node)] = 1 + sum(map(count, children))
         if sizes[id(node)] > _NODES:
             raise FileError(f"{_place(path, node.start_mark)}: stands for more than {_NODES} values; write fewer")
         return sizes[id(node)]

@@ -1,1 +1,1 @@
-"""Captures of a whole sensor, through PSFs that change over the field."""
+"""Captures of a whole sensor with PSFs that vary over the field."""

@@ -1,16 +1,16 @@
-"""Captures of a whole sensor: a PSF that changes over the field, without seams.
+"""Captures of a whole sensor with a PSF that varies smoothly over the field.
 
-Light of the pixel q is spread by the PSF h_q of its field, which is blended from those h_n at the nodes n of a grid:
+The PSF h_q of its field spreads the light of pixel q. It is interpolated between the PSFs h_n at the nodes n of a grid:
 
     capture(p) = sum_q h_q(p - q) image(q),   h_q = sum_n w_n(q) h_n
                = sum_n (h_n * (w_n image))(p)
 
-The weights w_n are bilinear between nodes: continuous, with sum 1, and zero beyond the neighbours of the node. So a
-capture is a sum of convolutions of small tiles, by FFT. A star shows the PSF of its field.
+The weights w_n are bilinear between nodes: continuous, with sum 1, and zero beyond the neighbours of the node. A
+capture is therefore a sum of FFT convolutions of small tiles. The capture of a point source is the PSF of its field.
 
-A PSF is the sum of a core on pixels and a halo, the light beside the window of the core, on larger pixels. Light that
-leaves the frame is reflected at its edge, as if the scene went on as its mirror image; light beside both windows
-returns as a uniform veil. So a capture has the sum of its image.
+A PSF is the sum of a core on sensor pixels and a halo on larger pixels. The halo is the light outside the core window.
+Light that leaves the frame is reflected at its edge, as if the scene continued as its mirror image; light outside both
+windows returns as a uniform veil. A capture therefore has the same total light as its image.
 """
 
 from dataclasses import dataclass
@@ -30,17 +30,17 @@ from tasklens.runtime.errors import InputError
 
 @dataclass(frozen=True)
 class FieldPsfs:
-    """PSFs over the quadrant x, y >= 0 of a sensor of H x W pixels; the other quadrants are its mirror images.
+    """PSFs over the quadrant x, y >= 0 of a sensor of H x W pixels; the other quadrants are mirror images.
 
     Attributes:
         shape: H and W.
         y: (Y,) distances of the nodes from the centre [pixels], from 0 to (H - 1) / 2.
         x: (X,) the same, to (W - 1) / 2.
-        core: (Y, X, 3, K, K) light in the window, K odd; rows along y, columns along x.
-        halo: (Y, X, 3, M, M) light beside it, on pixels `halo_pixel` times as wide, M odd; None: there is none.
-        halo_pixel: width of a pixel of the halo [pixels].
-        source: (H, W, 2) point (x, y) of the image that each pixel shows, in units of half its width and height from
-            its centre; None: no distortion.
+        core: (Y, X, 3, K, K) light inside the core window, K odd; rows along y, columns along x.
+        halo: (Y, X, 3, M, M) light outside the core window, on pixels `halo_pixel` times as wide, M odd; None: no halo.
+        halo_pixel: width of a halo pixel [pixels].
+        source: (H, W, 2) point (x, y) of the image that each pixel samples, from the image centre, in units of half
+            the image width and height; None: no distortion.
         illumination: (H, W) relative illumination; None: uniform.
     """
 
@@ -55,21 +55,21 @@ class FieldPsfs:
 
     @property
     def margin(self) -> int:
-        """Distance [pixels] that light can go beyond the frame."""
+        """Largest distance [pixels] of light beyond the frame."""
         halo = 0 if self.halo is None else self.halo_pixel * (self.halo.shape[-1] // 2)
         return max(halo, self.core.shape[-1] // 2)
 
 
 def blend(image: Tensor, psfs: FieldPsfs, linear: bool = True) -> Tensor:
-    """Render the capture (3, H, W) of an image (3, H, W); differentiable in the image and in core and halo of the PSFs.
+    """Render the capture (3, H, W) of an image (3, H, W); differentiable in the image and in the core and halo of PSFs.
 
-    For the gradient nothing is kept but the image: each row of tiles is convolved once more.
+    To save memory, the backward pass keeps only the image and convolves each row of tiles again.
 
     Args:
-        linear: whether the image is linear light; else it is sRGB values, which are decoded for the illumination.
+        linear: whether the image is linear light; if not, its sRGB values are decoded to apply the illumination.
 
     Raises:
-        InputError: the image has another shape, or is smaller than light can go beyond its edge.
+        InputError: the image has another shape, or is smaller than the margin of the PSFs.
     """
     height, width = psfs.shape
     if image.shape != (3, height, width):
@@ -107,12 +107,12 @@ def _grown(canvas: Tensor, margin: int) -> Tensor:
 def _folded(canvas: Tensor, margin: int) -> Tensor:
     """Reflect the first and the last `margin` rows of (3, n, m) at the edges of the frame between them."""
     before, frame, after = canvas.split((margin, canvas.shape[1] - 2 * margin, margin), 1)
-    beside = frame.shape[1] - margin
-    return frame + F.pad(before.flip(1), (0, 0, 0, beside)) + F.pad(after.flip(1), (0, 0, beside, 0))
+    rest = frame.shape[1] - margin
+    return frame + F.pad(before.flip(1), (0, 0, 0, rest)) + F.pad(after.flip(1), (0, 0, rest, 0))
 
 
 class _Hat(NamedTuple):
-    """Weights of a node along an axis: its index, the first pixel with a weight, and the weights from there on."""
+    """Weights of a node along an axis: node index, first pixel with a weight, and the weights from that pixel."""
 
     node: int
     first: int
@@ -120,41 +120,41 @@ class _Hat(NamedTuple):
 
 
 def _hats(half: Tensor, pixels: int, length: int, step: int) -> list[_Hat]:
-    """Return the weights along an axis of `pixels` pixels, for `length` pixels that are `step` times as wide.
+    """Return the weights along an axis of `pixels` sensor pixels, for `length` pixels `step` times as wide.
 
     Args:
-        half: distances of the nodes from the centre.
+        half: distances of the nodes from the centre [sensor pixels].
     """
     node = torch.cat([-half[1:].flip(0), half]) + (pixels - 1) / 2
-    position = (torch.arange(length) * step + (step - 1) / 2).clamp(max=pixels - 1.0)  # of the centres of the pixels
-    beside = torch.cat([node[:1] - 1, node, node[-1:] + 1])
+    position = (torch.arange(length) * step + (step - 1) / 2).clamp(max=pixels - 1.0)  # pixel centres
+    neighbours = torch.cat([node[:1] - 1, node, node[-1:] + 1])
     hats = []
-    for index, (left, at, right) in enumerate(zip(beside, node, beside[2:], strict=False)):
-        weights = torch.minimum((position - left) / (at - left), (right - position) / (right - at))
-        covered = (weights > 0).nonzero()[:, 0].tolist()
-        if covered:  # a hat may lie between the centres of two large pixels
-            hats.append(_Hat(index, covered[0], weights[covered].float()))
+    for index, (left, centre, right) in enumerate(zip(neighbours, node, neighbours[2:], strict=False)):
+        weights = torch.minimum((position - left) / (centre - left), (right - position) / (right - centre))
+        indices = (weights > 0).nonzero()[:, 0].tolist()
+        if indices:  # a hat may lie between the centres of two large pixels
+            hats.append(_Hat(index, indices[0], weights[indices].float()))
     return hats
 
 
 def _convolve(image: Tensor, quadrant: Tensor, psfs: FieldPsfs, step: int) -> Tensor:
     """Spread the light of an image (3, h, w) by core or halo (Y, X, 3, K, K), to (3, h + K - 1, w + K - 1).
 
-    The pixels of both are `step` times as wide as those of the sensor.
+    The pixels of both are `step` times as wide as sensor pixels.
     """
     _, height, width = image.shape
     reach = quadrant.shape[-1] - 1
     columns = _hats(psfs.x, psfs.shape[1], width, step)
     widest = max(len(hat.weights) for hat in columns)
     canvas = image.new_zeros(3, height + reach, width + widest + reach)
-    image = F.pad(image, (0, widest))  # tiles may end beyond the frame, where there is no light
+    image = F.pad(image, (0, widest))  # tiles may extend beyond the frame, where there is no light
     centre = len(psfs.y) - 1
     for hat in _hats(psfs.y, psfs.shape[0], height, step):
         kernels = quadrant[abs(hat.node - centre)]
         rows = image[:, hat.first : hat.first + len(hat.weights)] * hat.weights[:, None]
         kernels = kernels.flip(-2) if hat.node < centre else kernels
         if torch.is_grad_enabled() and (rows.requires_grad or kernels.requires_grad):
-            strip = checkpoint(_strip, rows, columns, kernels, use_reentrant=False)  # its import takes a second
+            strip = checkpoint(_strip, rows, columns, kernels, use_reentrant=False)  # importing it takes a second
         else:
             strip = _strip(rows, columns, kernels)
         canvas[:, hat.first : hat.first + strip.shape[1]] += strip
@@ -167,8 +167,8 @@ def _strip(rows: Tensor, columns: list[_Hat], quadrant: Tensor) -> Tensor:
     kernels = torch.cat([quadrant[1:].flip(0, -1), quadrant])
     height = rows.shape[1] + reach
     strip = rows.new_zeros(3, height, rows.shape[2] + reach)
-    for width, same in groupby(columns, lambda hat: _fast_size(len(hat.weights) + reach)):
-        hats = list(same)
+    for width, group in groupby(columns, lambda hat: _fast_size(len(hat.weights) + reach)):
+        hats = list(group)
         weights = pad_sequence([hat.weights for hat in hats], batch_first=True)
         tiles = torch.stack([rows[..., hat.first : hat.first + weights.shape[1]] for hat in hats])
         size = _fast_size(height), width

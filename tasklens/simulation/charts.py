@@ -1,4 +1,4 @@
-"""A resolution chart: Siemens stars at the centre and in the corners, line pairs of several frequencies between."""
+"""A resolution chart: Siemens stars at the centre and in the corners, line pairs of several frequencies in between."""
 
 import math
 
@@ -6,17 +6,17 @@ import torch
 from torch import Tensor
 
 _SPOKES = 24  # pairs
-_RADIUS = 0.18  # of a star, in heights of the chart
+_RADIUS = 0.18  # radius of a star, in chart heights
 _PLACES = ((0.0, 0.0), (-0.31, -0.31), (-0.31, 0.31), (0.31, -0.31), (0.31, 0.31))  # of stars, height and width
-PERIODS = (2, 3, 4, 6, 8)  # of the line pairs [pixels]
-_BARS = 4  # pairs of each period
-_OVERSAMPLING = 4  # of the drawing, against aliasing
+PERIODS = (2, 3, 4, 6, 8)  # periods of the line pairs [pixels]
+_BARS = 4  # line pairs per period
+_OVERSAMPLING = 4  # samples per pixel, against aliasing
 
 
 def resolution_chart(height: int, width: int) -> Tensor:
-    """Return a chart (3, H, W) in black and white, each pixel the mean of the part that it covers.
+    """Return a black-and-white chart (3, H, W); each pixel is the mean over its area.
 
-    Between the stars are groups of line pairs, upright and lying, of the periods `PERIODS` from the centre outward.
+    Groups of vertical and horizontal line pairs lie between the stars, with `PERIODS` in order from the centre.
     """
     fine = height * _OVERSAMPLING, width * _OVERSAMPLING
     y, x = ((torch.arange(n) + 0.5) / _OVERSAMPLING - n / _OVERSAMPLING / 2 for n in fine)
@@ -32,10 +32,10 @@ def resolution_chart(height: int, width: int) -> Tensor:
 
 
 def _bars(chart: Tensor, x: Tensor, y: Tensor, side: int, start: float) -> None:
-    """Draw groups of line pairs one after the other along x, on one side of the centre from |x| = start."""
+    """Draw groups of line pairs in sequence along x, on one side of the centre, from |x| = start."""
     for period in PERIODS:
         length = math.ceil(_BARS * period / 2) * 2
-        at = side * x - start
-        dark = (at >= 0) & (at < length) & (torch.remainder(at, period) < period / 2)
+        position = side * x - start
+        dark = (position >= 0) & (position < length) & (torch.remainder(position, period) < period / 2)
         chart[(y.abs() < 16)[:, None] & dark[None]] = 0
         start += length + 8

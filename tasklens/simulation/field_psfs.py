@@ -1,10 +1,10 @@
-"""PSFs over a whole sensor, traced where they are needed to blend them.
+"""PSFs over a whole sensor, traced at the nodes of a grid for `blend`.
 
 The lens is rotationally symmetric, and so are its PSFs: one quadrant of the sensor is traced, the others are its mirror
-images. The nodes are as dense as the PSF changes: from one to the next, half of the light moves by at most
-`_MOTION` pixels relative to the chief ray, as rays along a radius say. Towards the corner that may take a node
-every ten pixels, where about the axis one in twenty is enough. The nodes are a grid, so that a column has its largest
-density of all rows.
+images. The node spacing follows the change of the PSF: between neighbouring nodes, half of the light moves by at most
+`_MOTION` pixels relative to the chief ray, measured with rays along a radius. Near the corner this may need a node
+every ten pixels; near the axis, one in twenty is enough. The nodes form a grid, so each column has the
+largest density that any of its rows needs.
 """
 
 import math
@@ -25,40 +25,40 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
 from tasklens.simulation.blend import FieldPsfs
 
-_MOTION = 0.4  # of the light between nodes [pixels]
-_NEAREST = 8.0  # nodes [pixels]
-_FARTHEST = 0.02  # nodes, in distances from centre to corner: so far vignetting changes little
-_CORE = 75  # width of the window of the core [pixels]
-_HALO, _HALO_PIXEL = 101, 4  # width of the window of the halo [its pixels], and of these [pixels]
-_AT_ONCE = 4  # fields that are traced at once, in the cache
-_RADII = 129  # at which a lens is traced to learn how it changes over the field
-_NEGLIGIBLE = 1e-6  # part of the light
-_NOMINAL = 0.02  # by which the diagonal of a sensor is larger than that of its pixels: 1080 x 1920 of 1.8 um on 4 mm
+_MOTION = 0.4  # of the light between neighbouring nodes [pixels]
+_NEAREST = 8.0  # minimum node spacing [pixels]
+_FARTHEST = 0.02  # maximum node spacing, as a fraction of centre to corner: vignetting changes little
+_CORE = 75  # width of the core window [pixels]
+_HALO, _HALO_PIXEL = 101, 4  # width of the halo window [halo pixels], and of a halo pixel [pixels]
+_AT_ONCE = 4  # fields traced at once, so that they fit in the cache
+_RADII = 129  # radii at which the change of the PSF over the field is measured
+_NEGLIGIBLE = 1e-6  # fraction of the light
+_NOMINAL = 0.02  # a sensor's diagonal may exceed that of its pixels by this: 1080 x 1920 of 1.8 um on 4 mm
 
 
 def pitch_on_sensor(view: View, shape: tuple[int, int]) -> float:
-    """Return the pixel pitch [um] at which an image of H x W pixels fills the sensor, whatever its aspect.
+    """Return the pixel pitch [um] at which an image of H x W pixels fills the sensor, for any aspect ratio.
 
-    That is the pitch of the view if the image has the sensor's number of pixels on the diagonal, or up to 2 % less;
-    else the one that makes the diagonal of the image that of the sensor, which is twice the largest field.
+    It is the pitch of the view if the image has the sensor's number of pixels on the diagonal, or up to 2 % fewer; if
+    not, the pitch at which the image diagonal equals the sensor diagonal (twice the largest field).
     """
     filling = 2e3 * float(view.radii.max()) / math.hypot(*shape)
     return view.pixel_pitch if 1 <= filling / view.pixel_pitch <= 1 + _NOMINAL else filling
 
 
 class _Map:
-    """Fields by distance from the centre of the sensor: as a pinhole camera, or with the distortion of the lens.
+    """Map from distance to the sensor centre to field: as in a pinhole camera, or with the distortion of the lens.
 
     Args:
         radius: largest distance [mm].
 
     Attributes:
         heights: distances [mm].
-        fields: distances [mm] of the fields from the axis that are imaged there.
-        image_scale: distance of a field's paraxial image over that of the field.
+        fields: distances [mm] from the axis of the fields imaged at these heights.
+        image_scale: ratio of the distances of a field's paraxial image and of the field.
 
     Raises:
-        InputError: a chief ray does not reach the sensor, or another one reaches the same point.
+        InputError: a chief ray does not reach the sensor, or two chief rays reach the same point.
     """
 
     def __init__(self, lens: Lens, view: View, radius: float, distortion: bool):
@@ -66,22 +66,22 @@ class _Map:
         self.image_scale = float(image_scale(lens.detached(), view))
         self.fields = self.heights / self.image_scale
         farthest = radius / self.image_scale * (1.25 if distortion else 1)
-        tried = torch.linspace(0, farthest, 2 * _RADII, dtype=torch.float64)
-        chief = chief_rays(lens, along_y(view, tried))
-        found = chief.y[:, 0, 0]
-        rising = chief.valid[:, 0, 0] & (torch.diff(found, prepend=found[:1] - 1) > 0)
-        usable = int(rising.int().cumprod(0).sum())
-        reached = found[:usable] if distortion else self.image_scale * tried[:usable]
-        if not usable or reached[-1] < radius * (1 - 1e-9):
+        trial_fields = torch.linspace(0, farthest, 2 * _RADII, dtype=torch.float64)
+        chief = chief_rays(lens, along_y(view, trial_fields))
+        image_heights = chief.y[:, 0, 0]
+        rising = chief.valid[:, 0, 0] & (torch.diff(image_heights, prepend=image_heights[:1] - 1) > 0)
+        count = int(rising.int().cumprod(0).sum())
+        heights = image_heights[:count] if distortion else self.image_scale * trial_fields[:count]
+        if not count or heights[-1] < radius * (1 - 1e-9):
             raise InputError(
-                f"the lens has an image up to {float(reached.max()) if usable else 0:.3f} mm from the axis, and the "
+                f"the lens has an image up to {float(heights.max()) if count else 0:.3f} mm from the axis, and the "
                 f"image to simulate has corners at {radius:.3f} mm; expected a smaller pixel pitch or a smaller image"
             )
         if distortion:
-            self.fields = interpolate(self.heights, reached, tried[:usable])
+            self.fields = interpolate(self.heights, heights, trial_fields[:count])
 
     def scale(self, height: Tensor) -> Tensor:
-        """Return field over height at distances `height` [mm] from the centre."""
+        """Return the ratio field / height at distances `height` [mm] from the centre."""
         safe = height.clamp(min=float(self.heights[1]))
         return self.at(safe, self.fields) / safe
 
@@ -91,14 +91,14 @@ class _Map:
 
 
 def interpolate(x: Tensor, knots: Tensor, values: Tensor) -> Tensor:
-    """Interpolate linearly between values (N,) at rising knots (N,), constant outside; differentiable in both."""
+    """Interpolate linearly between values (N,) at increasing knots (N,), constant outside; differentiable in both."""
     upper = torch.searchsorted(knots.detach(), x.detach().contiguous()).clamp(1, len(knots) - 1)
     low, high = knots[upper - 1], knots[upper]
     return torch.lerp(values[upper - 1], values[upper], ((x - low) / (high - low)).clamp(0, 1))
 
 
 def along_y(view: View, radius: Tensor) -> View:
-    """Return the view with fields at `radius` (F,) [mm] on +y."""
+    """Return the view with fields at `radius` (F,) [mm] along +y."""
     return replace(view, fields=torch.stack([torch.zeros_like(radius), radius], -1))
 
 
@@ -111,91 +111,91 @@ def trace_field_psfs(
     distortion: bool = False,
     illumination: bool = False,
 ) -> FieldPsfs:
-    """Trace the PSFs of a lens over a sensor of H x W pixels, centred on its axis; differentiable in the lens.
+    """Trace the PSFs of a lens over a sensor of H x W pixels, centred on the axis; differentiable in the lens.
 
-    Its relative illumination, on request, has no derivatives. PSFs are centred on the chief ray, and normalised to the
+    The optional relative illumination has no derivatives. PSFs are centred on the chief ray, and normalised to the
     light that is not vignetted.
 
     Args:
         pixel_pitch: pixel pitch [um].
-        rays: pupil points of each PSF and colour.
+        rays: number of pupil points for each PSF and colour.
         distortion: whether the lens distorts the image.
-        illumination: whether the capture is darker where the lens gives less light.
+        illumination: whether the relative illumination of the lens darkens the capture.
 
     Raises:
-        InputError: the lens has tilted surfaces, or no image at the corners of the sensor.
+        InputError: the lens has tilted surfaces, or does not form an image at the corners of the sensor.
     """
     if lens.pose is not None:
         raise InputError("lens with shifted or tilted surfaces: expected a rotationally symmetric one")
     half = [(pixels - 1) / 2 for pixels in shape]
-    mapped = _Map(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
-    y, x = _nodes(lens, view, half, pixel_pitch, mapped)
+    field_map = _Map(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
+    y, x = _nodes(lens, view, half, pixel_pitch, field_map)
     pupil = sobol_disc(rays, seed=0)
     halo_size = 2 * min(_HALO // 2, min(shape) // _HALO_PIXEL) + 1
     core, halo = [], []
     progress = Progress("PSFs over the sensor", len(y))
     for step, row in enumerate(y, 1):
         points = torch.stack([x, row.expand_as(x)], -1) * (pixel_pitch / 1e3)
-        at = replace(view, fields=points * mapped.scale(points.norm(dim=-1))[:, None])
-        parts = [replace(at, fields=fields) for fields in at.fields.split(_AT_ONCE)]
-        each = [_core_and_halo(lens, part, pupil, pixel_pitch, halo_size) for part in parts]
-        core.append(torch.cat([found[0] for found in each]))
-        halo.append(torch.cat([found[1] for found in each]))
+        row_view = replace(view, fields=points * field_map.scale(points.norm(dim=-1))[:, None])
+        parts = [replace(row_view, fields=fields) for fields in row_view.fields.split(_AT_ONCE)]
+        pairs = [_core_and_halo(lens, part, pupil, pixel_pitch, halo_size) for part in parts]
+        core.append(torch.cat([pair[0] for pair in pairs]))
+        halo.append(torch.cat([pair[1] for pair in pairs]))
         progress(step)
-    beside = torch.stack(halo)
-    halo.clear()  # a third of the memory
-    negligible = bool(beside.detach().sum((-2, -1)).amax() < _NEGLIGIBLE)
-    source = bright = None
+    halos = torch.stack(halo)
+    halo.clear()  # frees a third of the memory
+    negligible = bool(halos.detach().sum((-2, -1)).amax() < _NEGLIGIBLE)
+    source = brightness = None
     if distortion or illumination:
         rows, columns = ((torch.arange(n) - h) * (pixel_pitch / 1e3) for n, h in zip(shape, half, strict=True))
         radius = torch.hypot(rows[:, None].double(), columns.double())
         if distortion:
             unit = torch.stack(torch.broadcast_tensors(columns / (shape[1] / 2), rows[:, None] / (shape[0] / 2)), -1)
-            scale = mapped.image_scale * mapped.scale(radius)
+            scale = field_map.image_scale * field_map.scale(radius)
             source = (unit * (1e3 / pixel_pitch) * scale[..., None]).float()
         if illumination:
-            known = relative_illumination(lens.detached(), along_y(view, mapped.fields.detach()))
-            bright = mapped.at(radius, known).float()
-    return FieldPsfs(shape, y, x, torch.stack(core), None if negligible else beside, _HALO_PIXEL, source, bright)
+            values = relative_illumination(lens.detached(), along_y(view, field_map.fields.detach()))
+            brightness = field_map.at(radius, values).float()
+    return FieldPsfs(shape, y, x, torch.stack(core), None if negligible else halos, _HALO_PIXEL, source, brightness)
 
 
 def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_size: int) -> tuple[Tensor, Tensor]:
     """Trace the PSFs (F, 3, K, K) and (F, 3, M, M) of the fields of a view."""
     rays, chief = trace_fields(lens, view, pupil), chief_rays(lens, view)
     centre = torch.stack([chief.x[:, 0, 0], chief.y[:, 0, 0]], -1)
-    passed = (~rays.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / len(pupil))[..., None, None]
+    transmission = (~rays.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / len(pupil))[..., None, None]
     offset = torch.stack([rays.x, rays.y], -1) - centre[:, None, None]
     inside = offset.detach().abs().amax(-1) <= (_CORE // 2) * pitch / 1e3  # all four pixels of such a ray
-    lost = RayStatus.VIGNETTED
-    within = replace(rays, status=rays.status.masked_fill(~inside, lost))
-    core = psf(within, centre, pitch, _CORE) / passed
+    vignetted = RayStatus.VIGNETTED
+    core_rays = replace(rays, status=rays.status.masked_fill(~inside, vignetted))
+    core = psf(core_rays, centre, pitch, _CORE) / transmission
     if not bool((rays.valid & ~inside).any()):
         return core.float(), core.new_zeros(*core.shape[:2], halo_size, halo_size).float()
-    beside = replace(rays, status=rays.status.masked_fill(inside, lost))
-    return core.float(), (psf(beside, centre, pitch * _HALO_PIXEL, halo_size) / passed).float()
+    halo_rays = replace(rays, status=rays.status.masked_fill(inside, vignetted))
+    return core.float(), (psf(halo_rays, centre, pitch * _HALO_PIXEL, halo_size) / transmission).float()
 
 
-def _nodes(lens: Lens, view: View, half: list[float], pitch: float, mapped: _Map) -> list[Tensor]:
+def _nodes(lens: Lens, view: View, half: list[float], pitch: float, field_map: _Map) -> list[Tensor]:
     """Return the distances of the nodes from the centre [pixels], along y and along x."""
-    radius = mapped.heights * (1e3 / pitch)
-    at = along_y(view, mapped.fields.detach())
-    rays, chief = trace_fields(lens.detached(), at, sobol_disc(256, seed=0)), chief_rays(lens.detached(), at)
+    radius = field_map.heights * (1e3 / pitch)
+    radial = along_y(view, field_map.fields.detach())
+    rays, chief = trace_fields(lens.detached(), radial, sobol_disc(256, seed=0)), chief_rays(lens.detached(), radial)
     offset = torch.stack([rays.x - chief.x, rays.y - chief.y], -1) * (1e3 / pitch)
     between = radius.diff()
-    moved = offset.diff(dim=0).norm(dim=-1) / between[:, None, None]  # along the radius, a pixel of the field
-    turned = offset[1:].norm(dim=-1) / radius[1:, None, None]  # across it the PSF is turned about the axis
+    motion = offset.diff(dim=0).norm(dim=-1) / between[:, None, None]  # along the radius, per pixel of field
+    turn = offset[1:].norm(dim=-1) / radius[1:, None, None]  # across the radius, the PSF rotates about the axis
     valid = rays.valid[1:] & rays.valid[:-1]
-    rate = torch.maximum(*(torch.where(valid, v, torch.nan).flatten(1).nanmedian(-1).values for v in (moved, turned)))
+    rate = torch.maximum(*(torch.where(valid, v, torch.nan).flatten(1).nanmedian(-1).values for v in (motion, turn)))
     farthest = max(_NEAREST, _FARTHEST * math.hypot(*half))
     density = (rate.nan_to_num() / _MOTION).clamp(1 / farthest, 1 / _NEAREST)
-    found = []
-    for own, other in (half, half[::-1]):
-        position = torch.linspace(0, own, 8 * _RADII, dtype=torch.float64)
-        crossed = (radius[1:] >= position[:, None]) & (
-            radius[:-1] <= torch.hypot(position, position.new_tensor(other))[:, None]
+    nodes = []
+    for extent, other_extent in (half, half[::-1]):
+        position = torch.linspace(0, extent, 8 * _RADII, dtype=torch.float64)
+        on_line = (radius[1:] >= position[:, None]) & (
+            radius[:-1] <= torch.hypot(position, position.new_tensor(other_extent))[:, None]
         )
-        largest = torch.where(crossed, density, 0).amax(-1)
+        largest = torch.where(on_line, density, 0).amax(-1)
         count = torch.cat([position[:1], torch.cumsum((largest[1:] + largest[:-1]) / 2 * position[1], 0)])
-        wanted = torch.linspace(0, float(count[-1]), math.ceil(float(count[-1])) + 1, dtype=torch.float64)
-        found.append(interpolate(wanted, count, position))
-    return found
+        numbers = torch.linspace(0, float(count[-1]), math.ceil(float(count[-1])) + 1, dtype=torch.float64)
+        nodes.append(interpolate(numbers, count, position))
+    return nodes

@@ -1,4 +1,4 @@
-"""An image through a lens, as the whole sensor captures it."""
+"""Capture of an image by the whole sensor, through a lens."""
 
 from typing import Literal
 
@@ -24,21 +24,22 @@ def simulate(
     distortion: bool = False,
     illumination: bool = False,
 ) -> Tensor:
-    """Capture an image (3, H, W) of sRGB values in [0, 1] of any size with the whole sensor: (3, H, W).
+    """Capture an image (3, H, W) of sRGB values in [0, 1] and any size with the whole sensor: (3, H, W).
 
-    The centre of the image is on the axis. Several images through one lens: `trace_field_psfs` once, `capture` each.
+    The centre of the image is on the axis. For several images through one lens, call `trace_field_psfs` once and
+    `capture` for each image.
 
     Args:
         lens: a rotationally symmetric lens.
         view: its fields, focal length, wavelengths and pixel pitch; the largest field is the corner of the sensor.
-        pixel_pitch: pixel pitch [um]; None: the one at which the image fills the sensor (`pitch_on_sensor`).
-        rays: pupil points of each PSF and colour.
-        colour: blur sRGB values ("srgb", as the captures of a study) or "linear" light.
-        distortion: distort the image; otherwise it has the geometry of a pinhole camera.
-        illumination: darken the image by the relative illumination; otherwise exposure makes up for it.
+        pixel_pitch: pixel pitch [um]; None: the pitch at which the image fills the sensor (`pitch_on_sensor`).
+        rays: number of pupil points for each PSF and colour.
+        colour: blur sRGB values ("srgb", as in the captures of a study) or "linear" light.
+        distortion: distort the image; if False, it has the geometry of a pinhole camera.
+        illumination: darken the image by the relative illumination; if False, exposure compensates for it.
 
     Raises:
-        InputError: an image of another shape or too small, or a lens without an image at its corners.
+        InputError: the image has a wrong shape or is too small, or the lens forms no image at the corners.
     """
     shape = _size(image)
     pitch = pixel_pitch or pitch_on_sensor(view, shape)
@@ -46,10 +47,10 @@ def simulate(
 
 
 def capture(image: Tensor, psfs: FieldPsfs, colour: Colour = "srgb") -> Tensor:
-    """Capture an image (3, H, W) of sRGB values through traced PSFs; differentiable in both.
+    """Capture an image (3, H, W) of sRGB values with traced PSFs; differentiable in both.
 
     Raises:
-        InputError: an image of another shape, or too small.
+        InputError: the image has a wrong shape, or is too small.
     """
     _size(image)
     if colour == "linear":

@@ -76,6 +76,7 @@ if snakemake_internals.is_main(workflow):
 
 onstart:
     snakemake_internals.terminate_safely()
+    snakemake_internals.limit_no_rate(workflow)
     planned, cores = planned_by_study(), snakemake_internals.cores(workflow)
     found = overwritten(planned)
     if reason := refusals(found):

@@ -1,6 +1,6 @@
 """Third-order aberrations by surface, and field curvature along the real chief rays.
 
-Sign conventions: a positive lens alone has S_I, S_IV and C_I > 0 (undercorrected), and S_V > 0 is a barrel. Third-order
+Sign conventions: a single positive lens has S_I, S_IV and C_I > 0 (undercorrected); S_V > 0 is a barrel. Third-order
 terms refer to the paraxial image plane and to the largest field of the view, rotated onto +y.
 """
 
@@ -22,7 +22,7 @@ class SeidelSums:
 
     W(px, py) = S_I p^4 / 8 + S_II p^2 py / 2 + S_III py^2 / 2 + (S_III + S_IV) p^2 / 4 + S_V py / 2,  p^2 = px^2 + py^2
 
-    and the wavefront of the shortest wavelength less that of the longest, C_I p^2 / 2 + C_II py. A ray misses its
+    The wavefront at the shortest wavelength minus that at the longest is C_I p^2 / 2 + C_II py. A ray misses its
     paraxial image point by (dW / dpx, dW / dpy) / (n' u'), n' u' the last reduced angle of the marginal ray.
 
     Attributes:
@@ -42,15 +42,15 @@ class SeidelSums:
 def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     """Compute the Seidel sums at the middle wavelength, and the colour between the shortest and the longest.
 
-    With the marginal ray (y, u), the chief ray (yb, ub), A = n (c y + u), B = n (c yb + ub), H = B y - A yb, D the
-    difference over the surface, and c = curvature + 2 alpha_2 of its vertex:
+    With the marginal ray (y, u), the chief ray (yb, ub), A = n (c y + u), B = n (c yb + ub), H = B y - A yb, D() the
+    change across the surface, and the vertex curvature c = curvature + 2 alpha_2:
 
         S_I = -A^2 y D(u / n) + a y^4,   S_II = -A B y D(u / n) + a y^3 yb,   S_III = -B^2 y D(u / n) + a y^2 yb^2
         S_IV = -H^2 c D(1 / n),   S_V = -B (B^2 y D(1 / n^2) - (H + B y) yb c D(1 / n)) + a y yb^3
         C_I = A y D(dn / n),   C_II = B y D(dn / n)
 
-    a = D(n) (8 alpha_4 + (1 + k) curvature^3 - c^3) is the r^4 term of the surface less that of the sphere that
-    osculates its vertex, times 8 D(n): with alpha_2 that sphere is not the one of `curvature`.
+    a = D(n) (8 alpha_4 + (1 + k) curvature^3 - c^3) is 8 D(n) times the r^4 term of the surface minus that of the
+    sphere that osculates its vertex. With alpha_2 the curvature of this sphere is not `curvature`.
 
     Source: Welford, Aberrations of Optical Systems (1986), chapters 8 and 10.
     """
@@ -91,33 +91,33 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
         tangential: h' = h cos(i') / cos(i),   n' w' = n w cos(i) / cos(i') - h c_t K / (cos(i) cos(i'))
         sagittal:   h' = h,                    n' w' = n w - h c_s K,           K = n' cos(i') - n cos(i)
 
-    and h + w D over the distance D to the next surface. They start with h = 1 on the first vertex plane and w = 1 over
-    the distance from the object point. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2)) are the
-    curvatures of the surface in and across the meridian, where the chief ray meets it. Differentiable once in the lens:
-    the chief ray is followed with a graph, from its launch point, which moves with the lens, through the intersections
-    that a trace without one has found.
+    h becomes h + w D over the distance D to the next surface. The initial values are h = 1 on the first vertex plane
+    and w = 1 / distance from the object point. c_t = s'' / (1 + s'^2)^(3/2) and c_s = s' / (r sqrt(1 + s'^2)) are the
+    curvatures of the surface in and across the meridian at its intersection with the chief ray. Differentiable once in
+    the lens: a trace without graph computes the intersections, then the chief ray is followed through them with a
+    graph, from its launch point, which moves with the lens.
 
     Returns:
         (F,) and (F,) distances from the image plane to the focus, along z [mm]; negative in front of it, infinite for
-        parallel neighbours, NaN where the chief ray is lost.
+        parallel neighbours, NaN if the chief ray is lost.
 
     Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
     """
-    start, image, behind_each = chief_rays_full(lens, view.in_meridian())
+    start, image, rays_behind = chief_rays_full(lens, view.in_meridian())
     arrives = image.valid[:, 0, 0]
     index = lens.refractive_indices((view.reference,))[:, 0]
     y, z, m, n = (values[arrives, 0, 0] for values in (start.y, start.z, start.m, start.n))
     tangential = sagittal = (torch.ones_like(n), view.object_vergence * n)
-    for i, rays in enumerate(behind_each):
+    for i, rays in enumerate(rays_behind):
         distance = _distance(lens, i, rays.y[arrives, 0, 0], (y, z, m, n))
         y, z = y + distance * m, z + distance * n
         along, across, cosine = _local_curvatures(lens, i, y)
-        before = (n - m * across * y) * cosine
-        behind = torch.sqrt(1 - (index[i] / index[i + 1]) ** 2 * (1 - before.square()))
-        strength = index[i + 1] * behind - index[i] * before
+        cos_before = (n - m * across * y) * cosine
+        cos_behind = torch.sqrt(1 - (index[i] / index[i + 1]) ** 2 * (1 - cos_before.square()))
+        strength = index[i + 1] * cos_behind - index[i] * cos_before
         h, w = _moved(tangential, distance)
-        w = (index[i] * w * before / behind - h * along * strength / (before * behind)) / index[i + 1]
-        tangential = (h * behind / before, w)
+        w = (index[i] * w * cos_before / cos_behind - h * along * strength / (cos_before * cos_behind)) / index[i + 1]
+        tangential = (h * cos_behind / cos_before, w)
         h, w = _moved(sagittal, distance)
         sagittal = (h, (index[i] * w - h * across * cosine * strength) / index[i + 1])
         # Snell's law as vectors: n' D' = n D + K N, with the normal N = (-s', 1) / sqrt(1 + s'^2)
@@ -127,21 +127,22 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
 
     def focus(ray: tuple[Tensor, Tensor]) -> Tensor:
         h, w = _moved(ray, -z / n)
-        lost = torch.full(arrives.shape, torch.nan, dtype=lens.dtype)
-        return lost.masked_scatter(arrives, -h / w * n)
+        distances = torch.full(arrives.shape, torch.nan, dtype=lens.dtype)
+        return distances.masked_scatter(arrives, -h / w * n)
 
     return focus(tangential), focus(sagittal)
 
 
-def _distance(lens: Lens, surface: int, found: Tensor, ray: tuple[Tensor, ...]) -> Tensor:
-    """Compute the distance of a ray (y, z, m, n) to the surface, which it meets at the height `found` [mm].
+def _distance(lens: Lens, surface: int, height: Tensor, ray: tuple[Tensor, ...]) -> Tensor:
+    """Compute the distance along a ray (y, z, m, n) to the surface, which it meets at `height` [mm].
 
-    It meets the tangent there, s + s' (y - found), in the same point; to first order for a changed ray or surface too.
+    The ray meets the tangent at this point, s + s' (y - height), in the same point. To first order this also holds for
+    a changed ray or surface.
     """
     y, z, m, n = ray
-    s, slope, _ = sag(found * found, lens.curvature[surface], lens.conic[surface], lens.alpha[surface])
-    steepness = 2 * found * slope
-    return (s + steepness * (y - found) - z) / (n - steepness * m)
+    s, slope, _ = sag(height * height, lens.curvature[surface], lens.conic[surface], lens.alpha[surface])
+    steepness = 2 * height * slope
+    return (s + steepness * (y - height) - z) / (n - steepness * m)
 
 
 def _moved(ray: tuple[Tensor, Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Ray aiming: launch points from which rays meet a stop inside the lens at given points, differentiable in the lens."""
+"""Ray aiming: launch points of rays that meet a stop inside the lens at target points, differentiable in the lens."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,12 +18,12 @@ from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus
 
-_ROUNDING = 16  # of a ray that is traced in single precision, times its relative precision
+_ROUNDING = 16  # rounding error of a ray in single precision [machine epsilon]
 _NUMBERS = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
 
 
 def stop_is_inside(lens: Lens) -> bool:
-    """Tell whether a refracting surface is in front of the stop; without one the stop is its own entrance pupil."""
+    """Return whether a refracting surface is in front of the stop; otherwise the stop is its own entrance pupil."""
     return any(i < lens.stop for i in lens.refracting_surfaces)
 
 
@@ -33,13 +33,13 @@ def aim(
     """Compute the launch points of rays that meet a stop inside the lens at `pupil` times its radius.
 
     A launch point x solves F(x, p) = r(x, p) - R P = 0, with the point r at which the ray meets the stop surface, the
-    radius R of the stop, the pupil point P, and p all that they depend on; that includes the tangents, which depend on
-    the lens where the object is near. x* is found without a graph; one more Newton step with a graph,
+    radius R of the stop, and the pupil point P. p are all parameters of F, including the tangents, which depend on the
+    lens if the object is near. x* is computed without a graph. One more Newton step with a graph,
     x = x* - (dF/dx)^-1 F(x*, p), makes its derivatives exact by the implicit function theorem,
     dx/dp = -(dF/dx)^-1 dF/dp. Second derivatives are not exact.
 
     Args:
-        lens: the lens. Its apertures are not looked at, but for the radius of the stop.
+        lens: the lens. Its apertures are ignored, except the radius of the stop.
         tangents: (F, 2) direction tangents of the fields as seen from the first vertex.
         vergence: 1 / distance of the object from the first vertex [1/mm].
         pupil: (N, 2) points of the unit disc.
@@ -48,10 +48,11 @@ def aim(
 
     Returns:
         (F, W, N, 2) launch points [mm] on the first vertex plane in double precision, differentiable in the lens,
-        `tangents` and `pupil`; `status` and `lost_at` (F, W, N) as of `Rays`. A ray that no launch point brings to its
-        pupil point is lost by what is in the way, or MISSED at the stop; it starts where the nearest ray does.
+        `tangents` and `pupil`; `status` and `lost_at` (F, W, N) as in `Rays`. A ray is lost if no launch point brings
+        it to its pupil point. Its status is the reason, or MISSED at the stop; its launch point is that of the nearest
+        aimed ray.
     """
-    if lens.dtype != torch.float64:  # or rays on the rim would not pass the stop
+    if lens.dtype != torch.float64:  # otherwise rays on the rim would not pass the stop
         pupil = pupil.double() * (1 - _ROUNDING * torch.finfo(lens.dtype).eps)
     numbers = [getattr(lens, name).double() for name in _NUMBERS]
     lens = replace(lens, **dict(zip(_NUMBERS, numbers, strict=True)))
@@ -85,9 +86,13 @@ class _Solve(torch.autograd.Function):
         detached: dict[str, Any] = {name: value.detach() for name, value in zip(_NUMBERS, numbers, strict=True)}
         lens = replace(lens, **detached)
         tangents, pupil, indices, entrance_pupil = (v.detach() for v in (tangents, pupil, indices, entrance_pupil))
-        found = solve_bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
+        solution = solve_bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
         size = (len(tangents), indices.shape[1], len(pupil))
-        point, status, lost_at = found.point.reshape(*size, 2), found.status.reshape(size), found.lost_at.reshape(size)
+        point, status, lost_at = (
+            solution.point.reshape(*size, 2),
+            solution.status.reshape(size),
+            solution.lost_at.reshape(size),
+        )
         slope = torch.zeros(0, dtype=torch.float64)
         if differentiable:
             along, curved = tangents[:, None, None], stop_is_curved(lens)

@@ -16,11 +16,11 @@ from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus
 
-_DEGREE = 9  # of the polynomial
-_RINGS, _ARMS = 7, 20  # of the rays that it is fitted to
-_STEPS = 4  # with the derivative of the polynomial
-_TOLERANCE = 2e-15  # estimated error behind such a step, over the track
-_BEST_RATIO = 0.1  # smallest ratio of errors behind and before a step that is believed
+_DEGREE = 9  # degree of the polynomial
+_RINGS, _ARMS = 7, 20  # rays that the polynomial is fitted to
+_STEPS = 4  # largest number of steps with the derivative of the polynomial
+_TOLERANCE = 2e-15  # estimated error after such a step / track
+_BEST_RATIO = 0.1  # smallest plausible ratio of the errors after and before a step
 
 
 def solve_bundles(
@@ -28,11 +28,14 @@ def solve_bundles(
 ) -> Solution:
     """Solve for the launch points of all rays (F, W, N), without graph.
 
-    Bundles of few rays are solved ray by ray (`continuation`). Of others a coarse set is, and launch points that are a
-    polynomial P of the pupil point are fitted to it. They start all rays, which steps by the derivative of P bring to
-    the stop, at the price of one trace each:  x <- x - dP r / R,  r the error at the stop and R the radius of the stop.
-    The error behind a step is estimated by how much smaller it was than the one before. What is still too far off is
-    solved ray by ray.
+    Bundles of few rays are solved ray by ray (`continuation`). For larger bundles a coarse set of rays is solved, and a
+    polynomial P of the pupil point is fitted to their launch points. P gives the initial launch points of all rays.
+    Steps with the derivative of P, at the cost of one trace each, bring the rays to their points on the stop:
+
+        x <- x - dP r / R,  r the error at the stop, R the radius of the stop
+
+    The error after a step is estimated from its ratio to the previous error. Rays that are still too far off are solved
+    ray by ray.
 
     Args:
         lens: a lens with its stop inside, in double precision as all arguments.
@@ -45,17 +48,17 @@ def solve_bundles(
     Returns:
         The launch points of F W N rays.
     """
-    every = bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
+    aims = bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
     coarse = _coarse_pupil()
     if len(pupil) <= 2 * len(coarse):
-        return follow(every, every.paraxial)
-    few = bundles(lens, tangents, vergence, coarse, indices, entrance_pupil)
+        return follow(aims, aims.paraxial)
+    coarse_aims = bundles(lens, tangents, vergence, coarse, indices, entrance_pupil)
     size = (len(tangents), indices.shape[1], len(pupil))
-    point, slope = _fit(follow(few, few.paraxial), coarse, pupil, size)
+    point, slope = _fit(follow(coarse_aims, coarse_aims.paraxial), coarse, pupil, size)
     radius, track = lens.semi_diameter[lens.stop], lens.thickness.abs().sum()
     before = torch.zeros(size, dtype=torch.float64)
     for _ in range(_STEPS):
-        at = rays_at_stop(lens, rays_from_object(point, tangents[:, None, None], vergence), indices, every.curved)
+        at = rays_at_stop(lens, rays_from_object(point, tangents[:, None, None], vergence), indices, aims.curved)
         error = torch.stack([at.x, at.y], -1) - pupil * radius
         r = error.norm(dim=-1)
         near = at.valid & (r * (r / before).clamp(_BEST_RATIO, 1) <= _TOLERANCE * track)
@@ -68,8 +71,8 @@ def solve_bundles(
     lost_at = status - 1
     far = (~near).nonzero()[:, 0]
     if len(far):
-        rest = follow(every.part(far), point[far])
-        point[far], status[far], lost_at[far] = rest.point, rest.status, rest.lost_at
+        solution = follow(aims.part(far), point[far])
+        point[far], status[far], lost_at[far] = solution.point, solution.status, solution.lost_at
     return Solution(point, status, lost_at)
 
 
@@ -91,15 +94,15 @@ def bundles(
     )
 
 
-def _fit(known: Solution, coarse: Tensor, pupil: Tensor, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
-    """Fit polynomials to the rays that were aimed, by least squares; a bundle without any gets zeros.
+def _fit(solution: Solution, coarse: Tensor, pupil: Tensor, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    """Fit polynomials to the aimed rays by least squares; a bundle without aimed rays gets zeros.
 
     Returns:
         (F, W, N, 2) launch points at `pupil`, (F, W, N, 2, 2) their derivatives by the pupil point.
     """
     fields, colours, _ = size
-    aimed = (known.status == RayStatus.OK).reshape(fields * colours, -1, 1).double()
-    values = known.point.reshape(fields * colours, -1, 2)
+    aimed = (solution.status == RayStatus.OK).reshape(fields * colours, -1, 1).double()
+    values = solution.point.reshape(fields * colours, -1, 2)
     coefficients = torch.linalg.lstsq(aimed * _powers(coarse)[0], aimed * values).solution
     point, *slopes = ((terms @ coefficients).reshape(*size, 2) for terms in _powers(pupil))
     return point, torch.stack(slopes, -1)
@@ -117,7 +120,7 @@ def _powers(pupil: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _coarse_pupil() -> Tensor:
-    """Return points on rings that are dense towards the rim, and the centre."""
+    """Return points on rings, denser towards the rim, and the centre."""
     radius = torch.sin(torch.arange(1, _RINGS + 1, dtype=torch.float64) * (math.pi / 2 / _RINGS))
     angle = torch.arange(_ARMS, dtype=torch.float64) * (2 * math.pi / _ARMS)
     ring = torch.stack([torch.cos(angle), torch.sin(angle)], -1)

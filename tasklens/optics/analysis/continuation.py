@@ -1,4 +1,4 @@
-"""Launch points of single rays that meet the stop at given points, by Newton's iteration and from the axis outward."""
+"""Launch points of single rays that meet the stop at target points, by Newton's iteration from the axis outward."""
 
 from dataclasses import dataclass, replace
 
@@ -11,21 +11,21 @@ from tasklens.optics.rays import Rays, RayStatus
 from tasklens.optics.tracing.trace import trace
 
 _NEWTON_STEPS = 8
-_TOLERANCE = 1e-11  # error at the stop over the track; the error behind a Newton step is of the order of its square
-_SHORTEST = 1 / 16  # shortest part of the way from the axis that is tried; 1 / 1024 aims no more rays
+_TOLERANCE = 1e-11  # error at the stop / track; the error after a Newton step is of the order of its square
+_SHORTEST = 1 / 16  # shortest step from the axis, as a fraction of the way; 1 / 1024 aims no more rays
 
 
 def rays_at_stop(lens: Lens, rays: Rays, indices: Tensor, curved: bool = True) -> Rays:
-    """Trace rays (..., W, N) through the surfaces in front of the stop, whatever their apertures, to the stop surface.
+    """Trace rays (..., W, N) through the surfaces in front of the stop, ignoring apertures, to the stop surface.
 
     Args:
         lens: a lens with at least one surface in front of its stop.
         rays: rays at the first vertex plane.
         indices: (S + 1, W) refractive indices of the lens.
-        curved: whether to go on from the vertex plane of the stop to its surface, which depends on its curvature.
+        curved: whether to continue from the vertex plane of the stop to its surface, for a curved stop.
 
     Returns:
-        The rays, z from the vertex of the stop, differentiable as `trace` is. A ray that misses a surface or is totally
+        The rays, z from the vertex of the stop, differentiable like `trace`. A ray that misses a surface or is totally
         reflected has its status and stays at its last point.
     """
     stop = lens.stop
@@ -57,13 +57,13 @@ def points_at_stop(
 
 
 def stop_is_curved(lens: Lens) -> bool:
-    """Tell whether the stop surface is not a plane."""
+    """Return whether the stop surface is not a plane."""
     return bool(lens.curvature[lens.stop] != 0) or bool(lens.alpha[lens.stop].any())
 
 
 @dataclass(frozen=True)
 class Aim:
-    """M rays and where they shall meet the stop, detached and in double precision.
+    """M rays and their target points on the stop, detached and in double precision.
 
     Attributes:
         lens: a lens with its stop inside.
@@ -71,7 +71,7 @@ class Aim:
         tangents: (M, 2) direction tangents of the object points as seen from the first vertex.
         vergence: 1 / distance of the object from the first vertex [1/mm].
         targets: (M, 2) points (x, y) on the stop [mm].
-        paraxial: (M, 2) launch points of paraxial optics [mm].
+        paraxial: (M, 2) launch points from paraxial optics [mm].
         curved: whether the stop is curved.
     """
 
@@ -83,24 +83,25 @@ class Aim:
     paraxial: Tensor
     curved: bool
 
-    def part(self, chosen: Tensor) -> "Aim":
-        """Return the rays with the numbers `chosen`."""
-        rays = {name: getattr(self, name)[chosen] for name in ("tangents", "targets", "paraxial")}
-        return replace(self, indices=self.indices[:, chosen], **rays)
+    def part(self, selection: Tensor) -> "Aim":
+        """Return the rays with the indices `selection`."""
+        rays = {name: getattr(self, name)[selection] for name in ("tangents", "targets", "paraxial")}
+        return replace(self, indices=self.indices[:, selection], **rays)
 
     def scaled(self, scale: Tensor) -> "Aim":
-        """Return the rays with tangents and targets times `scale` (M,): nearer to the axis, where rays are paraxial."""
+        """Return the rays with tangents and targets times `scale` (M,), nearer to the axis and so more paraxial."""
         rays = {name: scale[:, None] * getattr(self, name) for name in ("tangents", "targets", "paraxial")}
         return replace(self, **rays)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Launch points of M rays, and what became of those that cannot be aimed.
+    """Launch points of M rays, and the status of each ray.
 
     Attributes:
-        point: (M, 2) launch points [mm]; of a ray that cannot be aimed that of the nearest one on the way to it.
-        status, lost_at: (M,) as of `Rays`: what was in the way, or MISSED at the stop where nothing was.
+        point: (M, 2) launch points [mm]; for a ray that cannot be aimed, the launch point of the nearest aimed ray on
+            the way to it.
+        status, lost_at: (M,) as in `Rays`; for a ray that cannot be aimed the reason, MISSED at the stop if no other.
     """
 
     point: Tensor
@@ -117,41 +118,41 @@ def inverse(matrices: Tensor) -> Tensor:
 def newton(aim: Aim, guess: Tensor) -> tuple[Solution, Tensor]:
     """Solve for the launch points by Newton's iteration from `guess` (M, 2).
 
-    A ray whose error is not halved by a step has failed, and one whose derivative has a determinant that is not
-    positive, as it is in paraxial optics: what lies behind a fold of the pupil is not the solution.
+    A ray fails if a step does not halve its error, or if the determinant of its derivative is not positive. In paraxial
+    optics it is positive; a point beyond a fold of the pupil is not the solution.
 
     Returns:
-        Launch points, statuses of those rays that failed, and (M,) whether the others are solutions.
+        Launch points with the statuses of failed rays, and (M,) whether each ray has converged to its solution.
     """
     tolerance = _TOLERANCE * float(aim.lens.thickness.abs().sum())
-    point, solved = guess.clone(), torch.zeros(len(guess), dtype=torch.bool)
+    point, converged = guess.clone(), torch.zeros(len(guess), dtype=torch.bool)
     status = torch.full((len(guess),), int(RayStatus.MISSED), dtype=torch.int8)
     lost_at = torch.full_like(status, aim.lens.stop)
     active, before = torch.arange(len(guess)), torch.full_like(guess[:, 0], torch.inf)
     for _ in range(_NEWTON_STEPS):
         part = aim.part(active)
         launched, tangents = (v[None, :, None] for v in (point[active], part.tangents))
-        found, derivative, at = points_at_stop(aim.lens, launched, tangents, aim.vergence, part.indices, aim.curved)
-        error, derivative, valid = found[0, :, 0] - part.targets, derivative[0, :, 0], at.valid[0, :, 0]
+        points, derivative, at = points_at_stop(aim.lens, launched, tangents, aim.vergence, part.indices, aim.curved)
+        error, derivative, valid = points[0, :, 0] - part.targets, derivative[0, :, 0], at.valid[0, :, 0]
         size = error.norm(dim=-1)
         near = valid & (size <= tolerance)
         steady = valid & (torch.det(derivative) > 0) & (near | (size < 0.5 * before))
-        solved[active] = near & steady
+        converged[active] = near & steady
         status[active[~valid]], lost_at[active[~valid]] = at.status[0, ~valid, 0], at.lost_at[0, ~valid, 0]
         point[active[steady]] -= (inverse(derivative[steady]) @ error[steady, :, None])[..., 0]
-        left = steady & ~near
-        active, before = active[left], size[left]
+        remaining = steady & ~near
+        active, before = active[remaining], size[remaining]
         if not len(active):
             break
-    return Solution(point, status, lost_at), solved
+    return Solution(point, status, lost_at), converged
 
 
 def follow(aim: Aim, guess: Tensor) -> Solution:
     """Solve for the launch points of all rays that have one.
 
-    Newton's iteration begins at `guess` (M, 2). A ray for which it fails is followed from the axis outward: field and
-    pupil point are scaled by s from 0 to 1, a step in s that fails is halved, and the next launch point predicted by
-    third-order aberrations, x(s) = a s + b s^3, a from paraxial optics and b from the last solution.
+    Newton's iteration begins at `guess` (M, 2). If it fails, the ray is followed from the axis outward: field and pupil
+    point are scaled by s from 0 to 1, a failed step in s is halved, and third-order aberrations predict the next launch
+    point, x(s) = a s + b s^3, with a from paraxial optics and b from the last solution.
     """
     count = len(guess)
     reached, stride = guess.new_zeros(count), guess.new_ones(count)
@@ -160,11 +161,11 @@ def follow(aim: Aim, guess: Tensor) -> Solution:
     lost_at = status - 1
     pending, start = torch.arange(count), guess
     while True:
-        to = (reached[pending] + stride[pending]).clamp(max=1)
-        found, solved = newton(aim.part(pending).scaled(to), start)
-        moved, stuck = pending[solved], pending[~solved]
-        reached[moved], point[moved] = to[solved], found.point[solved]
-        status[stuck], lost_at[stuck] = found.status[~solved], found.lost_at[~solved]
+        fraction = (reached[pending] + stride[pending]).clamp(max=1)
+        solution, converged = newton(aim.part(pending).scaled(fraction), start)
+        moved, stuck = pending[converged], pending[~converged]
+        reached[moved], point[moved] = fraction[converged], solution.point[converged]
+        status[stuck], lost_at[stuck] = solution.status[~converged], solution.lost_at[~converged]
         stride[stuck] /= 2
         pending = pending[(reached[pending] < 1) & (stride[pending] >= _SHORTEST)]
         if not len(pending):

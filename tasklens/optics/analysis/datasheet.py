@@ -1,4 +1,4 @@
-"""Optical figures of a finished lens as plain numbers, for its file and its table."""
+"""Optical figures of a lens as plain numbers, for its file and its table."""
 
 from typing import Any
 
@@ -75,27 +75,27 @@ def _list(value: Any, key: str) -> list:
 
 
 def _odd(value: Any, key: str) -> int:
-    found = number(value, key)
-    if not (found >= 3 and found % 2 == 1):
+    size = number(value, key)
+    if not (size >= 3 and size % 2 == 1):
         raise InputError(f"{key}: expected an odd number of pixels, at least 3, found {value!r}; correct it")
-    return int(found)
+    return int(size)
 
 
 def figures(lens: Lens, view: View, rays: int) -> dict:
     """Compute the optical figures of a lens; each name ends in its unit, a list has one entry per field.
 
     Rays are traced through `rays` pupil points per field and wavelength; `valid_fraction` of them are valid.
-    Energies and MTF are fractions of those that pass the clear apertures: `energy_in_window` is inside the window,
-    `core_radius_um` and `radius_80_um` encircle 50 and 80 % about the chief ray. RMS radii are of the valid rays.
-    `rms_wavefront_waves` is of their optical path differences at the middle wavelength, without piston and tilt.
-    `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at the edge of
-    the pupil and the largest field. A figure about a lost chief ray is NaN.
+    Energies and MTF are fractions of the rays that pass the clear apertures: `energy_in_window` is inside the window,
+    `core_radius_um` and `radius_80_um` encircle 50 and 80 % about the chief ray. RMS radii use the valid rays.
+    `rms_wavefront_waves` is the RMS of their optical path differences at the middle wavelength, without piston and
+    tilt. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at the edge of
+    the pupil and the largest field. A figure that refers to a lost chief ray is NaN.
 
-    For an object at a finite distance there are `object_distance_mm`, `magnification` and `working_f_number` too, and
-    Airy radius and cut-off are at that F-number. Angles are those at the centre of the entrance pupil.
+    An object at a finite distance adds `object_distance_mm`, `magnification` and `working_f_number`, and Airy radius
+    and cut-off refer to that F-number. Angles are measured at the centre of the entrance pupil.
 
     Raises:
-        InputError: the radius of the stop is not positive and finite; or the lens has no real image of the object.
+        InputError: the radius of the stop is not positive and finite, or the lens forms no real image of the object.
     """
     check_stop(lens)
     lens = lens.detached()
@@ -129,7 +129,7 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
 
 
 def seidel_by_surface(lens: Lens, view: View) -> dict[str, list[float]]:
-    """Compute the contributions of the surfaces to each Seidel sum and to the colour [um]."""
+    """Compute the contributions of the surfaces to the Seidel sums and to the chromatic aberrations [um]."""
     return {name: (1e3 * values.detach()).tolist() for name, values in vars(seidel_sums(lens, view)).items()}
 
 
@@ -147,7 +147,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)
     mtf_tangential, mtf_sagittal = geometric_mtf(traced, view.directions, quarter_and_half)
     focus_tangential, focus_sagittal = field_curvature(lens, view)
-    found = {
+    columns = {
         "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
         "valid_fraction": traced.valid.double().mean((1, 2)),
         "energy_in_window": inside.sum((1, 2)).double() / passing(traced),
@@ -167,5 +167,5 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     }
     about_chief = ("rms_chief_ray_um", "core_radius_um", "radius_80_um", "distortion_percent")
     lost = ~chief_ray.valid[:, 0, 0]
-    found |= {name: torch.where(lost, torch.nan, found[name]) for name in about_chief}
-    return {name: values.tolist() for name, values in found.items()}
+    columns |= {name: torch.where(lost, torch.nan, columns[name]) for name in about_chief}
+    return {name: values.tolist() for name, values in columns.items()}

@@ -2,15 +2,16 @@
 
 U(x, y) = (1 / lambda) sum_i w_i sqrt(pi |J_i|) i^t_i exp(2 pi i (L_i + n' (l_i (x - x_i) + m_i (y - y_i))) / lambda)
 
-Ray i carries the fraction w_i of the energy, L_i is its optical path from the object to its point
-(x_i, y_i) of the image plane, n' the index there, and J_i the determinant of d(n' l, n' m) / d(pupil x, y). This is the
-integral of Debye and Wolf over the directions of the rays, in which each small area of the pupil is a plane wave. Its
-energy is that of the rays, and for short wavelengths it is the geometric spot.
+Ray i carries the fraction w_i of the energy. L_i is its optical path from the object to its point (x_i, y_i) on the
+image plane, n' is the index there, and J_i the determinant of d(n' l, n' m) / d(pupil x, y). This is the integral of
+Debye and Wolf over the directions of the rays; each small area of the pupil is a plane wave. Its energy equals that of
+the rays, and for short wavelengths it tends to the geometric spot.
 
-A rim that is given up bends the wavefront so far that several rays have one direction. By the method of stationary
-phase each has i^t more, with t the number of principal curvatures of the wavefront that diverge (0, 1 or 2).
+A strongly aberrated rim bends the wavefront so far that several rays have the same direction. By the method of
+stationary phase each gets a factor i^t, with t the number (0, 1 or 2) of principal curvatures of the wavefront that
+diverge.
 
-Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves in Focal Regions (1986), on both.
+Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves in Focal Regions (1986), for both.
 """
 
 import math
@@ -27,10 +28,10 @@ from tasklens.optics.view import View
 
 _LEAST_SAMPLES = 4  # samples of the irradiance per pixel and direction
 _SHIFT = 1e-5  # change of a pupil point in the differences for J
-_MARGIN = 8.0  # distance from the points [wavelength / aperture] beyond which rays are left out
-_LEAST_RINGS = 24  # of pupil points
-_BLOCK = 4096  # rays at a time, which bounds the memory
-_COARSE = 6  # rings that show where the rays are
+_MARGIN = 8.0  # distance from the points beyond which rays are ignored [wavelength / aperture]
+_LEAST_RINGS = 24  # least number of rings of pupil points
+_BLOCK = 4096  # rays processed at a time, to limit memory
+_COARSE = 6  # rings of a first trace that locates the rays
 
 
 def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: Tensor) -> Tensor:
@@ -40,7 +41,7 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
         x, y: (X,) and (Y,) coordinates on the image plane [mm].
 
     Returns:
-        Irradiance for an energy of 1 of all launched rays; lost ones lack in it.
+        Irradiance for a total energy of 1 of the launched rays; the energy of lost rays is missing.
     """
     wavelength = 1e-3 * view.wavelengths[channel]
     coarse = _waves(lens, view, field, channel, _COARSE, 4 * _COARSE)
@@ -65,7 +66,7 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
 def diffraction_psf(lens: Lens, view: View, centre: Tensor) -> Tensor:
     """Compute the PSFs (F, W, K, K) of a lens with diffraction; rows along y, columns along x.
 
-    As `psf` distributes rays, the irradiance is distributed over the nearest pixels: PSF(p) is its integral with
+    The irradiance is distributed over the nearest pixels, like the rays in `psf`: PSF(p) is its integral times
     tri((p_x - x) / L) tri((p_y - y) / L). The sum is the energy inside the window.
 
     Args:
@@ -112,24 +113,24 @@ class _Waves:
         return max([*spans, 1e-6])
 
     def near(self, x: Tensor, y: Tensor, beyond: float) -> "_Waves":
-        """Return the waves of rays that land at most `beyond` [mm] outside these points; of one at least.
+        """Return the waves of rays that land at most `beyond` [mm] outside these points; at least one wave.
 
-        The others have no light here, and their phase is not resolved.
+        Other waves contribute no light here, and their phase is not resolved.
         """
         dx, dy = (torch.maximum(p.min() - v, v - p.max()).clamp(min=0) for p, v in ((x, self.x), (y, self.y)))
         outside = torch.maximum(dx, dy)
         return self.chosen(outside <= outside.min().clamp(min=beyond)) if len(outside) else self
 
-    def chosen(self, which: Tensor) -> "_Waves":
-        """Return some of the waves."""
-        return _Waves(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+    def chosen(self, mask: Tensor) -> "_Waves":
+        """Return the waves that `mask` selects."""
+        return _Waves(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
 
 
 def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: int) -> _Waves:
     """Trace rays through the points of a quadrature on the whole disc, `arms` of them on each ring."""
     half, share = gauss_quadrature(rings, arms // 2)
     pupil, weight = torch.cat([half, half * torch.tensor([-1.0, 1.0])]), torch.cat([share, share]) / 2
-    # Shifted towards the centre, so that few rays are lost by it; where one is, its wave is left out.
+    # Shifts point to the centre, so that few shifted rays are lost; the wave of such a ray is left out.
     shifts = -_SHIFT * torch.where(pupil < 0, -1.0, 1.0)
     points = torch.cat([pupil, pupil + shifts * torch.tensor([1.0, 0.0]), pupil + shifts * torch.tensor([0.0, 1.0])])
     wavelengths = (view.wavelengths[channel],)

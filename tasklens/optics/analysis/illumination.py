@@ -10,17 +10,17 @@ from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 
-_RINGS, _ARMS = 24, 64  # of the half pupil: error at rounding for a smooth bundle, a few 1e-3 for a vignetted one
+_RINGS, _ARMS = 24, 64  # on the half pupil: error at rounding for a smooth bundle, a few 1e-3 for a vignetted one
 
 
 def relative_illumination(lens: Lens, view: View) -> Tensor:
-    """Compute the illuminance (F,) of fields over that on the axis, at the middle wavelength; zero for a lost field.
+    """Compute the illuminance (F,) of fields relative to the axis, at the middle wavelength; zero for a lost field.
 
     E / E0 = A / A0,  A = integral over the pupil of |d(l, m) / d(px, py)| over the valid rays
 
-    A is the area that the bundle covers in the plane of the direction cosines behind the lens, less vignetted rays. It
-    does not depend on how the pupil is parametrised: the pupil points are those of the real stop, at which rays are
-    aimed, so that a lens whose entrance pupil grows with the field is as bright as it is.
+    A is the area of the bundle in the plane of the direction cosines behind the lens, without vignetted rays. It does
+    not depend on the parametrisation of the pupil. Pupil points are points of the real stop, at which rays are aimed,
+    so the result includes an entrance pupil that grows with the field.
 
     Source: Rimmer 1986, Proc. SPIE 655, 99.
     """

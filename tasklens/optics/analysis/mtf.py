@@ -17,8 +17,8 @@ def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) 
     MTF(f) = |(1 / N) sum_i exp(-2 pi i f s_i)|  over the N rays of all wavelengths that pass the clear apertures
 
     s is the coordinate of a ray along the field (tangential: the lines of the grating lie across the field) or across
-    it (sagittal). Rays lost otherwise add nothing to the sum but count in N: the MTF then begins below one, and no
-    contrast is gained by losing them. It includes neither diffraction nor pixels, and is not meaningful near
+    it (sagittal). Other lost rays add nothing to the sum but count in N: the MTF then begins below one, and losing
+    rays does not increase contrast. It includes neither diffraction nor pixels, and is not meaningful near
     `diffraction_cutoff` and beyond.
 
     Args:
@@ -46,13 +46,13 @@ def geometric_mtf(rays: Rays, directions: Tensor, frequencies: Sequence[float]) 
 def mean_mtf(psf: Tensor) -> Tensor:
     """Compute the mean over fields, colours, directions and frequencies of the MTF of PSFs (F, W, K, K).
 
-    Frequencies are those up to half of Nyquist's, a quarter of a cycle per pixel. Light outside the window counts as
-    light without contrast.
+    Frequencies go up to half of Nyquist's, a quarter of a cycle per pixel. Light outside the window counts as light
+    without contrast.
     """
     side = 2 * psf.shape[-1]
     frequency = torch.hypot(torch.fft.fftfreq(side)[:, None], torch.fft.fftfreq(side))
-    passed = (frequency > 0) & (frequency <= _HALF_NYQUIST)
-    return torch.fft.fft2(psf, (side, side)).abs()[..., passed].mean()
+    in_band = (frequency > 0) & (frequency <= _HALF_NYQUIST)
+    return torch.fft.fft2(psf, (side, side)).abs()[..., in_band].mean()
 
 
 def diffraction_cutoff(f_number: float, wavelength: float) -> float:

@@ -54,12 +54,12 @@ def rays_from_object(point: Tensor, tangents: Tensor, vergence: float) -> Rays:
 
 
 def check_in_front(lens: Lens, view: View, rays: Rays) -> None:
-    """Check that object points are in front of the first lens surface, which may be hollow, with the object in it.
+    """Check that object points are in front of the first lens surface; the object may be inside a hollow surface.
 
     The surface extends to its clear aperture; without one, to the outermost of the launched rays.
 
     Raises:
-        InputError: a point of the object is in the glass, or beside it.
+        InputError: a point of the object is in the glass or next to it.
     """
     first = next(iter(lens.refracting_surfaces), 0)
     surface = lens.surfaces[first]
@@ -76,10 +76,10 @@ def check_in_front(lens: Lens, view: View, rays: Rays) -> None:
 
 
 def object_path(lens: Lens, view: View, rays: Rays) -> Tensor:
-    """Compute the distance (F, W, N) of launched rays from their object point, less that of the first vertex [mm].
+    """Compute the distance (F, W, N) of launched rays from their object point, minus that of the first vertex [mm].
 
     With the launch point p, the direction E of the ray through the first vertex, and c = 1 / its distance from the
-    object point, a sum without cancellation that is the path of a plane wave, p.E, at c = 0:
+    object point, it is a sum without cancellation; at c = 0 it is the path of a plane wave, p.E:
 
         (2 p.E + c p.p) / (1 + sqrt(1 + 2 c p.E + c^2 p.p))
     """
@@ -93,10 +93,11 @@ def object_path(lens: Lens, view: View, rays: Rays) -> Tensor:
 
 
 def image_scale(lens: Lens, view: View) -> Tensor:
-    """Compute the ratio k of the paraxial image of a field, k f T, to the one at infinity, f T; so is the F-number.
+    """Compute the ratio k of a paraxial image height, k f T, to that for an object at infinity, f T.
 
-    k = (1 + z v) phi / a,  a the reduced angle -n' u' behind the lens of the paraxial ray from the axis of the object
-    to a height of 1 on the first vertex plane, and the power phi the same for an object at infinity.
+    k = (1 + z v) phi / a,  a the reduced angle -n' u' behind the lens of the paraxial ray from the axial object point
+    to a height of 1 on the first vertex plane, and the power phi the same angle for an object at infinity. k is also
+    the ratio of the F-numbers.
 
     Raises:
         InputError: the lens forms no real image of the object.
@@ -117,7 +118,7 @@ def magnification(lens: Lens, view: View) -> float:
 
 
 def _convergence(lens: Lens, view: View) -> Tensor:
-    """Compute -n' u' of the paraxial ray from the axis of the object to a height of 1 [1/mm]; raises InputError."""
+    """Compute -n' u' of the paraxial ray from the axial object point to a height of 1 [1/mm]; raises InputError."""
     index = lens.refractive_indices((view.reference,))[:, 0]
     one = torch.ones((), dtype=lens.dtype)
     heights, angles = paraxial_ray(*powers_and_spaces(lens, index), one, index[0] * view.object_vergence * one)

@@ -43,7 +43,7 @@ def vertex_curvature(lens: Lens) -> Tensor:
 
 
 def powers_and_spaces(lens: Lens, indices: Tensor) -> tuple[Tensor, Tensor]:
-    """Compute what paraxial rays need of a lens with refractive indices (S + 1,) before it and behind each surface.
+    """Compute the powers and spaces of a lens, with refractive indices (S + 1,) before it and behind each surface.
 
     Returns:
         (S,) powers of the surfaces, (n' - n) (c + 2 alpha_2) [1/mm]; (S,) reduced spaces behind them, t / n [mm].
@@ -55,8 +55,8 @@ def paraxial_ray(power: Tensor, space: Tensor, height: Tensor, reduced_angle: Te
     """Trace paraxial rays through all surfaces: n' u' = n u - y phi, y_next = y + n' u' t / n'.
 
     Args:
-        power, space: (S, ...) powers phi of the surfaces, and reduced spaces behind them, of which the last is not
-            used; of more than one lens if they broadcast with the rays.
+        power, space: (S, ...) powers phi of the surfaces, and reduced spaces behind them; the last space is not used.
+            They may be of several lenses if they broadcast with the rays.
         height: y [mm] at the first vertex, any shape.
         reduced_angle: n u in front of the lens, of the same shape.
 
@@ -81,7 +81,7 @@ def paraxial(lens: Lens, wavelength: float) -> Paraxial:
     height, angle = heights[-1, 0], angles[-1, 0]
     a, b = heights[lens.stop]
     # A ray through the centre of the stop has a y0 + b u0 = 0 and crosses the axis at z = -y0 / u0 = b / a.
-    # Behind the lens the same ray, (y0, n u0) = (b, -a) and so of n u = -1 at the stop, crosses it at -y / u.
+    # Behind the lens this ray, scaled to (y0, n u0) = (b, -a) so that n u = -1 at the stop, crosses the axis at -y / u.
     chief_height, chief_angle = (b * v[-1, 0] - a * v[-1, 1] for v in (heights, angles))
     chief_slope = chief_angle / n[-1]
     radius = lens.semi_diameter[lens.stop]

@@ -14,7 +14,7 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 
-_RIM = 16  # rays of each field that show whether an object is in front of the lens
+_RIM = 16  # rays per field for the test whether an object is in front of the lens
 
 
 def sobol_disc(count: int, seed: int) -> Tensor:
@@ -53,7 +53,7 @@ def gauss_quadrature(rings: int, arms: int) -> tuple[Tensor, Tensor]:
 def check_stop(lens: Lens) -> None:
     """Check that the stop lets light through and limits it; raises InputError.
 
-    Every ray of a stop of radius 0 is the chief ray: the lens would be perfect.
+    With a stop of radius 0 every ray is the chief ray, and any lens seems perfect.
     """
     radius = float(lens.semi_diameter[lens.stop].detach())
     if not 0 < radius < math.inf:
@@ -64,7 +64,7 @@ def check_stop(lens: Lens) -> None:
 
 
 def check_object(lens: Lens, view: View) -> None:
-    """Check that the object is in front of the lens, and that this forms a real image of it; raises InputError."""
+    """Check that the object is in front of the lens, and that the lens forms a real image of it; raises InputError."""
     launch_fields(lens, view, rim(_RIM))
     image_scale(lens, view)
 
@@ -72,17 +72,17 @@ def check_object(lens: Lens, view: View) -> None:
 def launch_fields(lens: Lens, view: View, pupil: Tensor, wavelengths: tuple[float, ...] | None = None) -> Rays:
     """Launch the bundles of all fields that fill the stop, at the first vertex plane.
 
-    A stop in front of the lens, or on its first surface, is its own entrance pupil. Rays are aimed at a stop inside:
-    each meets its surface at (x, y) = pupil point times radius of the stop, at every field and wavelength.
+    A stop in front of the lens, or on its first surface, is its own entrance pupil. Rays are aimed at a stop inside the
+    lens: each meets its surface at (x, y) = pupil point times radius of the stop, at every field and wavelength.
 
     Args:
         lens: the lens.
-        view: fields, and where the object is.
+        view: fields and object distance.
         pupil: (N, 2) points of the unit disc.
         wavelengths: W wavelengths [um]; None: those of the view.
 
     Returns:
-        Rays of shape (F, W, N). Those that cannot be aimed are lost.
+        Rays of shape (F, W, N). Rays that cannot be aimed are lost.
 
     Raises:
         InputError: the stop has no radius, or an infinite one; or the object is in the lens.

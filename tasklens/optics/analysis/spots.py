@@ -1,7 +1,7 @@
 """Rays on the image plane: chief rays, spots, ray fans, distortion, clear apertures and PSFs.
 
 Lost rays are NaN in a spot diagram and left out of an RMS. Energies are fractions of the light that passes the clear
-apertures, as in a PSF (`passing`): vignetted rays are left out, and rays lost otherwise are outside every radius.
+apertures, as in a PSF (`passing`): vignetted rays are left out, and other lost rays are outside every radius.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from tasklens.optics.rays import Rays, passing
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
-_LIGHT = 64  # rays per field that tell whether any light arrives
+_LIGHT = 64  # rays per field for the test whether any light arrives
 _RIM = 64  # number of marginal rays for semi-diameters
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays
@@ -30,7 +30,7 @@ def trace_fields(lens: Lens, view: View, pupil: Tensor) -> Rays:
 
 
 def trace_fields_full(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, list[Rays]]:
-    """Trace rays as `trace_fields` does; return also those behind every surface, z from its vertex, without graph."""
+    """Trace rays as `trace_fields` does; return also rays behind every surface, z from its vertex, without graph."""
     rays = launch_fields(lens, view, pupil)
     return trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
 
@@ -41,7 +41,7 @@ def chief_rays(lens: Lens, view: View) -> Rays:
 
 
 def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, Rays, list[Rays]]:
-    """Trace rays as `chief_rays` does; return them as launched, on the image plane, and behind every surface."""
+    """Trace rays as `chief_rays` does; return them at launch, on the image plane, and behind every surface."""
     rays = launch_fields(lens, view, _CENTRE, (view.reference,))
     return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference,)))
 
@@ -60,9 +60,9 @@ def chief_points(lens: Lens, view: View) -> Tensor:
 def distortion(fields: Tensor, chief: Tensor) -> Tensor:
     """Compute the distortion (F,) h / h0 - 1: a fraction, negative for a barrel, zero on the axis.
 
-    h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis, for an object at a finite
-    distance times its `image_scale`, h the component of the chief ray's point `chief` (F, 2) along it [mm]: an inverted
-    image has a distortion near -2, not near 0.
+    h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis; for an object at a finite
+    distance multiply `fields` by `image_scale`. h is the component of the chief ray's point `chief` (F, 2) along it
+    [mm]: an inverted image has a distortion near -2, not near 0.
     """
     squared = fields.square().sum(-1)
     off_axis = squared > 0
@@ -70,7 +70,7 @@ def distortion(fields: Tensor, chief: Tensor) -> Tensor:
 
 
 def centroid(rays: Rays) -> Tensor:
-    """Compute the polychromatic centroids (F, 2) of the valid rays [mm]; zero where no ray is valid."""
+    """Compute the polychromatic centroids (F, 2) of the valid rays [mm]; zero if no ray is valid."""
     weight = rays.valid.to(rays.x.dtype)
     total = weight.sum((1, 2)).clamp(min=1)
     return torch.stack([(weight * v).sum((1, 2)) / total for v in (rays.x, rays.y)], -1)
@@ -89,9 +89,9 @@ def distances(rays: Rays, centre: Tensor) -> Tensor:
 
 
 def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
-    """Compute sqrt(mean(r^2)), (F,), of the valid rays about `centre` (F, 2) [mm]; infinite where no ray is valid.
+    """Compute sqrt(mean(r^2)), (F,), of the valid rays about `centre` (F, 2) [mm]; infinite if no ray is valid.
 
-    Lost rays are left out, so it is to be read together with the valid fraction.
+    Lost rays are left out, so report it together with the valid fraction.
     """
     squared = torch.where(rays.valid, distances(rays, centre).square(), 0.0)
     count = rays.valid.sum((1, 2))
@@ -104,8 +104,8 @@ def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tens
     It is infinite if too few rays are valid. The core of a PSF is 50 % about the image point of the chief ray.
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
-    needed = torch.ceil(fraction * passing(rays) * (1 - 1e-12)).long()  # 0.1 x 30 is 3.0000000000000004
-    return ordered.gather(1, needed.clamp(min=1)[:, None] - 1)[:, 0]
+    count = torch.ceil(fraction * passing(rays) * (1 - 1e-12)).long()  # 0.1 x 30 is 3.0000000000000004
+    return ordered.gather(1, count.clamp(min=1)[:, None] - 1)[:, 0]
 
 
 @dataclass(frozen=True)
@@ -150,9 +150,9 @@ def evaluation_psf(lens: Lens, view: View, rays: int, diffraction: bool = False)
     They are normalised to the rays that are not vignetted: vignetted light does not count as outside the window.
     """
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
-    passed = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)
+    transmission = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)
     centre = chief_points(lens, view)
     grid = (
         diffraction_psf(lens, view, centre) if diffraction else psf(traced, centre, view.pixel_pitch, view.kernel_size)
     )
-    return grid / passed[..., None, None]
+    return grid / transmission[..., None, None]

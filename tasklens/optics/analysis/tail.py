@@ -1,7 +1,7 @@
 """Energy in the tail of a PSF, and encircled energy.
 
-Distances are from the image point of the chief ray, on which the cached PSFs are centred. All energies are fractions of
-the light that passes the clear apertures.
+Distances are measured from the image point of the chief ray, the centre of the cached PSFs. All energies are fractions
+of the light that passes the clear apertures.
 """
 
 import torch
@@ -30,8 +30,8 @@ def encircled_energy(rays: Rays, centre: Tensor, radii: Tensor) -> Tensor:
         radii: (R,) for all fields, or (F, R) [mm].
     """
     ordered = distances(rays, centre).flatten(1).sort(1).values
-    wanted = radii.expand(len(ordered), -1).contiguous()
-    return torch.searchsorted(ordered, wanted, right=True).double() / passing(rays)[:, None]
+    limits = radii.expand(len(ordered), -1).contiguous()
+    return torch.searchsorted(ordered, limits, right=True).double() / passing(rays)[:, None]
 
 
 def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
@@ -39,23 +39,23 @@ def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
 
     Returns:
         A row per field: `core_radius_um` and `radius_80_um` encircle 50 % and 80 % of the light, `tail_energy` is the
-        fraction outside 3 core radii (NaN where the core is infinite), `outside_window` that outside the square PSF
-        window, `rms_um` the RMS distance of the valid rays.
-        And rows (field, radius_um, fraction) of the encircled energy.
+        fraction outside 3 core radii (NaN if the core is infinite), `outside_window` the fraction outside the square
+        PSF window, `rms_um` the RMS distance of the valid rays.
+        Rows (field, radius_um, fraction) of the encircled energy.
     """
     traced, centre = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_points(lens, view)
     core = encircled_energy_radius(traced, centre, 0.5)
     offset = torch.stack([traced.x, traced.y], -1) - centre[:, None, None]
     inside = traced.valid & (offset.abs().amax(-1) < view.kernel_size * view.pixel_pitch / 2e3)
     tail_energy = 1 - encircled_energy(traced, centre, TAIL * core[:, None])[:, 0]
-    found = {
+    figures = {
         "core_radius_um": 1e3 * core,
         "radius_80_um": 1e3 * encircled_energy_radius(traced, centre, 0.8),
         "tail_energy": torch.where(core.isfinite(), tail_energy, torch.nan),
         "outside_window": 1 - inside.sum((1, 2)).double() / passing(traced),
         "rms_um": 1e3 * rms_spot_radius(traced, centre),
     }
-    columns = {name: values.tolist() for name, values in found.items()}
+    columns = {name: values.tolist() for name, values in figures.items()}
     by_field = [
         {"field": field} | {name: values[field] for name, values in columns.items()} for field in range(len(core))
     ]

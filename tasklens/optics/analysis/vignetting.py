@@ -1,4 +1,4 @@
-"""A clear aperture that stops the outermost rays of the outer fields, as in most lenses of phones."""
+"""A clear aperture that stops the outermost rays of the outer fields, as in most phone lenses."""
 
 from dataclasses import replace
 
@@ -14,16 +14,17 @@ _RAYS = 4096  # rays per field and colour for an aperture
 
 
 def smallest_aperture(heights: Tensor, weight: Tensor, axial: Tensor, loss: float) -> Tensor:
-    """Compute the smallest clear radius that passes the beam on the axis, and all but a part `loss` of any other's.
+    """Compute the smallest clear radius that passes the axial beam, and all but a fraction `loss` of any other beam.
 
     Args:
         heights: (F, W, N) distances of rays from the axis [mm]; infinite for a lost ray.
-        weight: (N,) shares of the light of a field and colour; their sum is 1.
-        axial: distances of rays of the beam on the axis [mm].
+        weight: (N,) fractions of the light of a field and colour; their sum is 1.
+        axial: distances of the rays of the axial beam from the axis [mm].
+        loss: largest fraction of the light of a field that is stopped.
     """
     ordered, order = heights.flatten(1).sort(-1)
-    passed = weight.repeat(heights.shape[1])[order].cumsum(-1) / heights.shape[1]
-    enough = (passed < 1 - loss).sum(-1, keepdim=True)
+    energy = weight.repeat(heights.shape[1])[order].cumsum(-1) / heights.shape[1]
+    enough = (energy < 1 - loss).sum(-1, keepdim=True)
     return torch.maximum(ordered.gather(-1, enough).max(), axial.max())
 
 
@@ -34,7 +35,7 @@ def heights_at(lens: Lens, view: View, pupil: Tensor, surface: int) -> Tensor:
 
 
 def clip(lens: Lens, view: View, surface: int, loss: float) -> Lens:
-    """Return the lens with the smallest clear aperture of a surface that stops no more than `loss` of any field."""
+    """Return the lens with the smallest clear aperture of a surface that stops at most `loss` of any field."""
     heights = heights_at(lens, view, torch.cat([sobol_disc(_RAYS, seed=0), OUTLINE]), surface)
     weight = torch.full((_RAYS,), 1 / _RAYS, dtype=heights.dtype)
     semi_diameter = lens.semi_diameter.clone()

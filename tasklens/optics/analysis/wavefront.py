@@ -2,12 +2,12 @@
 
 Conventions:
 
-- The exit pupil is paraxial, at the middle wavelength: the point of the axis where the image of the stop lies.
-- The reference sphere has its centre on the image plane, by default where the chief ray of each wavelength meets it (as
-  in Optiland), and goes through the exit pupil's point on the axis. Where this lies behind the image plane, so does the
-  sphere; where it is at infinity, the sphere is a plane.
-- W is the optical path of the chief ray from the object to the sphere less that of the ray: it is zero for the chief
-  ray and positive where the wavefront is ahead of the sphere, as that of `seidel_sums`.
+- The exit pupil is paraxial, at the middle wavelength: the point on the axis at which the image of the stop lies.
+- The reference sphere has its centre on the image plane, by default at the image point of the chief ray of each
+  wavelength (as in Optiland), and passes through the centre of the exit pupil. If the exit pupil is behind the image
+  plane, so is the sphere; if it is at infinity, the sphere is a plane.
+- W is the optical path of the chief ray from the object to the sphere minus that of the ray: it is zero for the chief
+  ray and positive if the wavefront is ahead of the sphere, as in `seidel_sums`.
 """
 
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of the chief ray
 
 @dataclass(frozen=True)
 class Wavefront:
-    """The wavefront of F fields and W wavelengths on its reference spheres; NaN where a ray is lost.
+    """The wavefront of F fields and W wavelengths on its reference spheres; NaN for lost rays.
 
     Attributes:
         opd: (F, W, N) optical path difference W of each ray [waves of its wavelength].
         towards: (F, W, N, 2) direction cosines, x and y, of the sphere's normal at the ray, along the light: for a
-            pupil in front of the image it leads to the centre. They are the pupil of a diffraction integral.
+            pupil in front of the image it points to the centre. They are the pupil of a diffraction integral.
         centre: (F, W, 2) centre (x, y) of the sphere on the image plane [mm].
         curvature: (F, W) 1 / radius of the sphere [1/mm], positive for an exit pupil in front of the image plane.
     """
@@ -49,9 +49,9 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
 
     W = (L_chief - L) / wavelength,  L = n s + path - n' t
 
-    s is the path of the ray from its object point to where it is launched (`object_path`), `path` leads from there to
-    the point d of the image plane, relative to the centre, and t back along the direction D to the sphere of the radius
-    R = 1 / c:
+    s is the path of the ray from its object point to its launch point (`object_path`). `path` leads from there to the
+    point d on the image plane, relative to the centre. t is the distance back along the direction D to the sphere of
+    radius R = 1 / c:
 
     t - R = d.D + c q / (1 + sqrt(1 + c^2 q)),  q = (d.D)^2 - d.d
 
@@ -60,7 +60,7 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
         view: fields and wavelengths.
         pupil: (N, 2) points of the stop, the unit disc.
         centre: (F, 2) or (F, W, 2) centres of the spheres [mm]; by default the chief ray's image point at each
-            wavelength. `chief_points`, those at the middle wavelength, make lateral colour a tilt.
+            wavelength. With `chief_points`, at the middle wavelength, lateral colour is a tilt.
 
     Returns:
         The wavefront; NaN for lost rays, for all rays of a field and wavelength whose chief ray is lost, for rays that
@@ -77,9 +77,9 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
         centre = centre[:, None].expand(-1, len(view.wavelengths), -1)
     vergence = paraxial(lens, view.reference).pupil_vergence
     curvature = vergence / torch.sqrt(1 + vergence**2 * centre.square().sum(-1))
-    behind, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
+    distance, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
     phase = indices[0, :, None] * object_path(lens, view, start)
-    length = phase + rays.path - indices[-1, :, None] * behind
+    length = phase + rays.path - indices[-1, :, None] * distance
     waves = (length[..., :1] - length) / (1e-3 * torch.tensor(view.wavelengths, dtype=lens.dtype)[:, None])
     valid = meets & meets[..., :1]
     waves, towards = torch.where(valid, waves, torch.nan), torch.where(valid[..., None], towards, torch.nan)

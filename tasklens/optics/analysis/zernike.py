@@ -13,7 +13,7 @@ import math
 import torch
 from torch import Tensor
 
-_WEAKEST = 1e-8  # least eigenvalue, over the largest, of normal equations that determine all coefficients
+_WEAKEST = 1e-8  # smallest ratio of the least to the largest eigenvalue of normal equations that can be solved
 
 
 def noll_orders(index: int) -> tuple[int, int]:
@@ -51,8 +51,7 @@ def _radial(n: int, m: int) -> list[int]:
 def zernike_coefficients(opd: Tensor, pupil: Tensor, count: int) -> Tensor:
     """Fit the coefficients (..., count) of Z_1 .. Z_count by least squares over the valid points, in the unit of `opd`.
 
-    Over a bundle that is vignetted the terms are not orthogonal: a coefficient depends on `count` there. Differentiable
-    in `opd`.
+    Over a vignetted bundle the terms are not orthogonal, so a coefficient depends on `count`. Differentiable in `opd`.
 
     Args:
         opd: (..., N) optical path differences, as from `wavefront`; NaN where a ray is lost.
@@ -60,7 +59,7 @@ def zernike_coefficients(opd: Tensor, pupil: Tensor, count: int) -> Tensor:
         count: number of coefficients.
 
     Returns:
-        The coefficients; NaN where the valid points do not determine them.
+        The coefficients; NaN if the valid points do not determine them.
     """
     terms, valid = zernike(pupil.to(opd.dtype), count), ~opd.isnan()
     weight = valid.to(opd.dtype)
@@ -73,10 +72,10 @@ def zernike_coefficients(opd: Tensor, pupil: Tensor, count: int) -> Tensor:
 
 
 def rms_wavefront_error(opd: Tensor, pupil: Tensor, removed: int = 3) -> Tensor:
-    """Compute the RMS (...) over the valid points of what is left without Z_1 .. Z_removed, in the unit of `opd`.
+    """Compute the RMS (...) over the valid points after removing Z_1 .. Z_removed, in the unit of `opd`.
 
-    removed = 0: about the chief ray's path; 1: without piston, the standard deviation; 3: without tilt too, about the
-    image point that fits best; 4: also refocused. Shapes and NaN as in `zernike_coefficients`.
+    removed = 0: relative to the chief ray's path; 1: without piston, the standard deviation; 3: also without tilt,
+    relative to the best-fitting image point; 4: also refocused. Shapes and NaN as in `zernike_coefficients`.
     """
     valid = ~opd.isnan()
     rest = torch.where(valid, opd, 0.0)
@@ -85,8 +84,8 @@ def rms_wavefront_error(opd: Tensor, pupil: Tensor, removed: int = 3) -> Tensor:
         rest = rest - coefficients @ zernike(pupil.to(opd.dtype), removed).mT
     squared = torch.where(valid, rest, 0.0).square().sum(-1)
     count = valid.sum(-1)
-    found = torch.where(count > 0, torch.sqrt(squared / count.clamp(min=1)), torch.nan)
-    return torch.where(coefficients.isnan().any(-1), torch.nan, found) if removed else found
+    rms = torch.where(count > 0, torch.sqrt(squared / count.clamp(min=1)), torch.nan)
+    return torch.where(coefficients.isnan().any(-1), torch.nan, rms) if removed else rms
 
 
 def strehl_ratio(rms: Tensor) -> Tensor:

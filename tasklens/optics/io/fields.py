@@ -13,43 +13,44 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 
-_ANGLES = torch.arange(0.5, 85.0, 0.5, dtype=torch.float64)  # of the search for a field by its image height [degrees]
+_ANGLES = torch.arange(0.5, 85.0, 0.5, dtype=torch.float64)  # search grid for a field by its image height [degrees]
 _FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
 
 
-def largest_tangent(shown: Prescription, efl: float, pupil_z: float, wavelength: float) -> float:
+def largest_tangent(prescription: Prescription, efl: float, pupil_z: float, wavelength: float) -> float:
     """Compute the tangent of the largest field angle of a prescription; zero if its only field is the axis.
 
-    Of an object height it is that of the chief ray, h / (distance to the entrance pupil); of a paraxial image height
-    h / (f k), with k of `image_scale`; of a real image height that of the chief ray that arrives there.
+    For an object height h it is the tangent of the chief ray, h / (distance to the entrance pupil). For a paraxial
+    image height it is h / (f k), with k from `image_scale`. For a real image height it is the tangent of the chief ray
+    that arrives there.
 
     Raises:
-        InputError: the prescription has no fields, or such as need a near object, or no chief ray arrives.
+        InputError: the prescription has no fields, or fields that need a near object, or no chief ray arrives.
     """
-    if shown.fields is None:
+    if prescription.fields is None:
         raise InputError(f"has neither a spec nor fields; {_FIELD}")
-    kind, points = shown.fields
-    near = math.isfinite(shown.object_distance_mm)
+    kind, points = prescription.fields
+    near = math.isfinite(prescription.object_distance_mm)
     if kind == "angle_deg":
         return max(math.hypot(*(math.tan(math.radians(angle)) for angle in point)) for point in points)
     height = max(math.hypot(*point) for point in points)
-    view = View(torch.zeros(1, 2, dtype=torch.float64), efl, (wavelength,), 1.0, 3, 1 / shown.object_distance_mm)
+    view = View(torch.zeros(1, 2, dtype=torch.float64), efl, (wavelength,), 1.0, 3, 1 / prescription.object_distance_mm)
     if kind == "object_height_mm" and near:
-        return height / (shown.object_distance_mm + pupil_z)
+        return height / (prescription.object_distance_mm + pupil_z)
     if kind == "paraxial_image_height_mm":
-        return height / (efl * abs(float(image_scale(shown.lens, view))))
+        return height / (efl * abs(float(image_scale(prescription.lens, view))))
     if kind == "real_image_height_mm":
-        return _tangent_of_image_height(shown.lens, view, height) if height else 0.0
+        return _tangent_of_image_height(prescription.lens, view, height) if height else 0.0
     raise InputError(f"fields by {kind.replace('_', ' ')} and an object at infinity have no angle; {_FIELD}")
 
 
 def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
     """Compute the tangent of the least field whose chief ray meets the image plane at `height` [mm].
 
-    Clear apertures are left out: they may stop the ray, which is another matter than where it goes.
+    Clear apertures are ignored: they may stop the ray, but do not change its path.
 
     Raises:
-        InputError: no chief ray arrives there.
+        InputError: no chief ray arrives at this height.
     """
     at_stop = torch.arange(len(lens.media)) == lens.stop
     unclipped = replace(lens, semi_diameter=torch.where(at_stop, lens.semi_diameter, math.inf))
@@ -64,7 +65,9 @@ def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
         return float(beyond(torch.tensor([tangent], dtype=torch.float64))[0])
 
     low = 0.0
-    for tangent in torch.tan(torch.deg2rad(_ANGLES)).tolist():  # no further than needed: a near object is not that wide
+    for tangent in torch.tan(
+        torch.deg2rad(_ANGLES)
+    ).tolist():  # no further than needed: a near object may not be that wide
         excess = beyond_at(tangent)
         if excess >= 0:
             return float(brentq(beyond_at, low, tangent))

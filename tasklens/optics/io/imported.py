@@ -1,4 +1,4 @@
-"""Imported lenses: size, stop and focus are set by the specification, all else by their file."""
+"""Imported lenses: the specification sets size, stop and focus; the file sets the rest."""
 
 import math
 from dataclasses import replace
@@ -21,8 +21,8 @@ from tasklens.study.lens_entries import ImportedLens
 def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
     """Read a lens and fit it to a specification.
 
-    It is scaled to the focal length of `view`, its stop set to the F-number, and refocused for the object of `view`.
-    Its clear apertures are scaled with it and vignette.
+    The lens is scaled to the focal length of `view`, its stop is set to the F-number, and it is refocused for the
+    object of `view`. Its clear apertures are scaled with it and vignette.
 
     Args:
         settings: file of the lens.
@@ -38,23 +38,23 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
         FileError: the file cannot be read, or its lens does not fit the specification.
     """
     name = str(settings.file)
-    found = read(settings)
+    source = read(settings)
     try:
-        found.lens.refractive_indices(view.wavelengths)
+        source.lens.refractive_indices(view.wavelengths)
     except ValueError as error:
         raise FileError(f"{name}: {error}") from None
-    efl = float(paraxial(found.lens, view.reference).efl)
+    efl = float(paraxial(source.lens, view.reference).efl)
     if not 0 < efl < math.inf:
         raise FileError(f"{name}: a lens with a focal length of {efl:.4g} mm forms no image")
     scale = view.efl / efl
-    lens = found.lens.scaled(scale)
+    lens = source.lens.scaled(scale)
     lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, ("f_number", f_number), view.reference)
     _check_light(lens, view, f_number, name)
     focused = refocused(lens, view, rays)
     return focused, {
         "file": name,
         "file_efl_mm": efl,
-        "file_object_distance_mm": None if math.isinf(found.object_distance_mm) else found.object_distance_mm,
+        "file_object_distance_mm": None if math.isinf(source.object_distance_mm) else source.object_distance_mm,
         "scale": scale,
         "image_plane_shift_mm": float(focused.thickness[-1] - lens.thickness[-1]),
     }
@@ -68,7 +68,7 @@ def read(settings: ImportedLens) -> Prescription:
 
 
 def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
-    """Check that the beam on the axis, which fills the stop, and all chief rays are not lost; raises FileError."""
+    """Check that no ray of the axial beam, which fills the stop, and no chief ray is lost; raises FileError."""
     on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
     beam = trace_fields(lens, on_axis, rim(64))
     if not beam.valid.all():

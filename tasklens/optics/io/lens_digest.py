@@ -1,4 +1,4 @@
-"""Digest of the prescription in a lens file, beside the figures that were computed of it; no torch here."""
+"""Digest of the prescription in a lens file, stored with its figures; this module does not import torch."""
 
 import hashlib
 import json
@@ -18,6 +18,6 @@ def digest(content: Mapping[str, Any]) -> str:
 
 
 def check(content: Mapping[str, Any], path: Path) -> None:
-    """Raise FileError where the prescription was changed after its figures were computed."""
+    """Raise FileError if the prescription was changed after its figures were computed."""
     if KEY in content and content[KEY] != digest(content):
         raise damaged(path, "its prescription was changed after its figures")

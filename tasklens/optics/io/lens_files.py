@@ -1,4 +1,4 @@
-"""Lens files of both kinds, our YAML and Zemax's .zmx, with the specification that figures need."""
+"""Lens files, our YAML and Zemax's .zmx, with the specification that figures need."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,15 +30,15 @@ _AXIS_DEG = 1.0  # field of view of a specification whose only field is the axis
 
 @dataclass(frozen=True)
 class LensFile:
-    """A lens from a file, as it is used.
+    """A lens from a file, with the requested changes.
 
     Attributes:
         prescription: as in the file.
-        lens: the lens at the F-number that is asked for, and in focus as in the file; one in focus for a near object is
-            refocused if another distance is asked for and it has no `spec`.
+        lens: the lens at the requested F-number, focused as in the file. A lens without `spec` that is focused for a
+            near object is refocused if another distance is requested.
         view: fields, wavelengths, pixels and object distance.
-        content: what a YAML file says besides: spec, origin, figures, margins.
-        remarks: what was assumed or changed, in words.
+        content: other content of a YAML file: spec, origin, figures, margins.
+        remarks: assumptions and changes, in words.
     """
 
     prescription: Prescription
@@ -58,38 +58,38 @@ def read(
 ) -> LensFile:
     """Read a lens with its specification.
 
-    The specification is that in a lens.yaml of ours. For any other lens it is made from the file: the field up to its
-    largest one, the F-number of its stop, its wavelengths, and the distance of its object. Pixels, and what the file
-    does not have, are the defaults of a study, which `remarks` say.
+    A lens.yaml of ours contains the specification. For any other lens it is derived from the file: its largest field,
+    the F-number of its stop, its wavelengths, and the distance of its object. Pixels, and values that the file does not
+    have, are the defaults of a study; `remarks` list them.
 
     Args:
         path: a lens.yaml or a .zmx file.
         catalogues: glass catalogues (.agf, or our YAML) of a .zmx file.
         object_distance_mm: distance of the object in front of the first vertex [mm], or infinity; None: as in the file.
         configuration: of a .zmx file with several; None: the one in which it was saved.
-        wavelengths_um: wavelengths in place of those of the file, the middle one the reference [um].
+        wavelengths_um: wavelengths that replace those of the file; the middle one is the reference [um].
         changes: keys of `Spec` that differ from the file: field_of_view_deg, f_number, pixel_pitch_um, kernel_size.
 
     Raises:
         InputError: an object distance that is not positive.
-        FileError: a file that is no lens, or that says nothing of its field; or an object in the lens.
+        FileError: the file is not a lens or has no field, or the object is in the lens.
     """
     _check_distance(object_distance_mm)
-    shown, content = read_prescription(path, catalogues, configuration)
+    source, content = read_prescription(path, catalogues, configuration)
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
         wavelengths = tuple(positive(value, "wavelengths_um") for value in wavelengths_um or ())
         spec = Spec.model_validate(changes)
         changes = {key: getattr(spec, key) for key in changes}
-        distance = shown.object_distance_mm if object_distance_mm is None else object_distance_mm
+        distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if "spec" in content:
-            used = _specified(shown, content, changes, wavelengths, 1 / distance, str(path))
+            lens_file = _specified(source, content, changes, wavelengths, 1 / distance, str(path))
         else:
-            check_stop(shown.lens)
-            used = derived(shown, changes, wavelengths, 1 / distance)
-        if used.view.object_vergence:
-            check_object(used.lens, used.view)
-        return replace(used, remarks=(*shown.remarks, *used.remarks, *_dark(used)))
+            check_stop(source.lens)
+            lens_file = derived(source, changes, wavelengths, 1 / distance)
+        if lens_file.view.object_vergence:
+            check_object(lens_file.lens, lens_file.view)
+        return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_dark(lens_file)))
     except ValidationError as error:
         raise FileError(f"{path}: {'; '.join(problems(error, Spec))}") from None
     except FileError:
@@ -107,10 +107,10 @@ def _check_distance(distance: float | None) -> None:
 
 
 def _specified(
-    shown: Prescription, content: dict, changes: dict, wavelengths: tuple[float, ...], vergence: float, name: str
+    source: Prescription, content: dict, changes: dict, wavelengths: tuple[float, ...], vergence: float, name: str
 ) -> LensFile:
-    """Return a lens with the specification of its file, changed."""
-    lens, view = shown.lens, view_of(shown.lens, content, name)
+    """Return a lens with the changed specification of its file."""
+    lens, view = source.lens, view_of(source.lens, content, name)
     wavelengths = wavelengths or view.wavelengths
     if changes:
         own = {key: value for key, value in content["spec"].items() if key in Spec.model_fields}
@@ -119,16 +119,16 @@ def _specified(
     view = replace(view, wavelengths=wavelengths, object_vergence=vergence)
     lens.refractive_indices(wavelengths)
     remarks = []
-    near = shown.object_distance_mm
+    near = source.object_distance_mm
     if math.isfinite(near) and vergence != 1 / near:
         remarks.append(f"object at {near:g} mm in the file: taken to {_distance(vergence)}, without new focus")
-    return LensFile(shown, lens, view, content, tuple(remarks))
+    return LensFile(source, lens, view, content, tuple(remarks))
 
 
 def read_prescription(
     path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None
 ) -> tuple[Prescription, dict]:
-    """Read the prescription of a lens from either kind of file, and what a YAML file says besides; raises FileError."""
+    """Read the prescription of a lens from either kind of file, and the content of a YAML file; raises FileError."""
     suffix = path.suffix.lower()
     if suffix == ".zmx":
         return zemax.read(path, catalogues, configuration), {}
@@ -137,23 +137,23 @@ def read_prescription(
     raise FileError(f"{path}: expected a lens file, .yaml or .zmx")
 
 
-def write(path: Path, found: Prescription, notes: Mapping[str, Any]) -> None:
-    """Write a lens as YAML with `notes`, or by the suffix .zmx for Zemax, which needs fields and wavelengths.
+def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
+    """Write a lens as YAML with `notes`, or as a .zmx file for Zemax, which needs fields and wavelengths.
 
     Raises:
-        FileError: another suffix, or a lens that the format cannot hold.
+        FileError: another suffix, or a lens that the format does not support.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
-        own = prescription.to_dict(found)
-        prescription.write(path, found, {key: value for key, value in notes.items() if key not in own})
+        own = prescription.to_dict(data)
+        prescription.write(path, data, {key: value for key, value in notes.items() if key not in own})
     elif path.suffix.lower() == ".zmx":
-        zemax.write(path, found)
+        zemax.write(path, data)
     else:
         raise FileError(f"{path}: expected .yaml, or .zmx for Zemax")
 
 
 def _changed(lens: Lens, efl: float, own: dict, changes: dict, wavelengths: tuple[float, ...]) -> tuple[Lens, View]:
-    """Return the lens and its view with changes of its own values; the focal length stays."""
+    """Return the lens and its view with changed values; the focal length stays."""
     values = own | changes
     if "field_of_view_deg" in changes:
         values["diagonal_mm"] = 2 * efl * math.tan(math.radians(min(changes["field_of_view_deg"], 149.0)) / 2)
@@ -167,36 +167,36 @@ def _changed(lens: Lens, efl: float, own: dict, changes: dict, wavelengths: tupl
     return lens, view
 
 
-def derived(shown: Prescription, changes: dict, wavelengths: tuple[float, ...], vergence: float) -> LensFile:
-    """Make the specification of a lens that has none from its prescription.
+def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...], vergence: float) -> LensFile:
+    """Derive the specification of a lens without one from its prescription.
 
     Args:
-        shown: the prescription.
+        source: the prescription.
         changes: values of `Spec` that differ from it.
-        wavelengths: wavelengths in place of those of the prescription, or none.
+        wavelengths: wavelengths that replace those of the prescription; may be empty.
         vergence: 1 / distance of the object [1/mm].
 
     Raises:
-        InputError: it forms no image, or has no field.
+        InputError: the lens forms no image, or has no field.
     """
     remarks = []
-    if not wavelengths and shown.wavelengths_um:
-        wavelengths = _with_reference(shown.wavelengths_um, shown.primary or 0)
+    if not wavelengths and source.wavelengths_um:
+        wavelengths = _with_reference(source.wavelengths_um, source.primary or 0)
     elif not wavelengths:
         wavelengths = Spec.model_fields["wavelengths_um"].default
         remarks.append(f"no wavelengths in the file: taken as {', '.join(map(str, wavelengths))} um (--wavelengths)")
     reference = wavelengths[len(wavelengths) // 2]
-    first_order = paraxial(shown.lens, reference)
+    first_order = paraxial(source.lens, reference)
     efl = float(first_order.efl)
     if not 0 < efl < math.inf:
         raise InputError(f"a lens with a focal length of {efl:.4g} mm forms no image")
     own: dict[str, Any] = {"f_number": efl / float(2 * first_order.entrance_pupil_radius)}
     tangent = 1.0
     if "field_of_view_deg" not in changes:
-        tangent = largest_tangent(shown, efl, float(first_order.entrance_pupil_z), reference)
+        tangent = largest_tangent(source, efl, float(first_order.entrance_pupil_z), reference)
         own["field_of_view_deg"] = math.degrees(2 * math.atan(tangent)) if tangent else _AXIS_DEG
         own["diagonal_mm"] = 2 * efl * math.tan(math.radians(own["field_of_view_deg"]) / 2)
-    lens, view = _changed(shown.lens, efl, own, changes, wavelengths)
+    lens, view = _changed(source.lens, efl, own, changes, wavelengths)
     if not tangent:
         view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
         remarks.append("no field but the axis in the file (--field-of-view)")
@@ -204,13 +204,13 @@ def derived(shown: Prescription, changes: dict, wavelengths: tuple[float, ...], 
         pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} of them"
         remarks.append(f"no pixels in the file: taken as {pixels} (--pixel-pitch, --kernel-size)")
     view = replace(view, object_vergence=vergence)
-    near = shown.object_distance_mm
+    near = source.object_distance_mm
     if math.isfinite(near) and vergence != 1 / near:
         focused = refocused(lens, view, _RAYS)
         shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
         remarks.append(f"object at {near:g} mm in the file: refocused for {_distance(vergence)}, by {shift:.1f} um")
         lens = focused
-    return LensFile(shown, lens, view, {}, tuple(remarks))
+    return LensFile(source, lens, view, {}, tuple(remarks))
 
 
 def _distance(vergence: float) -> str:
@@ -218,23 +218,23 @@ def _distance(vergence: float) -> str:
 
 
 def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:
-    """Return wavelengths from the longest to the shortest, but with the primary one, the reference, in the middle."""
+    """Sort wavelengths from the longest to the shortest, but with the primary one, the reference, in the middle."""
     others = sorted((w for i, w in enumerate(wavelengths) if i != primary), reverse=True)
     middle = len(wavelengths) // 2
     return (*others[:middle], wavelengths[primary], *others[middle:])
 
 
-def _dark(used: LensFile) -> list[str]:
-    """Return a remark if the chief ray of some fields, or all their light, does not arrive."""
-    view = used.view.in_reference()
-    chief = chief_rays(used.lens, view).valid[:, 0, 0]
-    light = lit(used.lens, view)
+def _dark(lens_file: LensFile) -> list[str]:
+    """Return remarks on fields whose chief ray, or all of whose light, does not arrive."""
+    view = lens_file.view.in_reference()
+    chief = chief_rays(lens_file.lens, view).valid[:, 0, 0]
+    light = lit(lens_file.lens, view)
     remarks = []
-    for arrives, what in ((light, "no light arrives"), (chief | ~light, "the chief ray does not arrive")):
+    for arrives, loss in ((light, "no light arrives"), (chief | ~light, "the chief ray does not arrive")):
         if not arrives.all():
             angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))
             count = int((~arrives).sum())
             remarks.append(
-                f"{what} at {count} of {len(light)} fields, from {angle:.1f} degrees on: clear apertures stop it"
+                f"{loss} at {count} of {len(light)} fields, from {angle:.1f} degrees on: clear apertures stop it"
             )
     return remarks

@@ -1,4 +1,4 @@
-"""Lens prescriptions, and their YAML files, which restore every float64 exactly."""
+"""Lens prescriptions and their YAML files, which preserve every float64 exactly."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,18 +26,18 @@ _ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # the most terms of Zema
 
 @dataclass(frozen=True)
 class Prescription:
-    """A lens with its aperture, fields, wavelengths and object distance; None where the file has none.
+    """A lens with its aperture, fields, wavelengths and object distance; None if the file has none.
 
     Attributes:
-        lens: the lens; the semi-diameter of its stop follows from `aperture`, if there is one.
+        lens: the lens; `aperture`, if there is one, determines the semi-diameter of its stop.
         title: title of the file.
         comments: one per surface.
-        aperture: one of `APERTURES` and its value; None where the stop's semi-diameter itself is given.
+        aperture: one of `APERTURES` and its value; None if the file has the semi-diameter of the stop instead.
         fields: one of `FIELDS` and the points (x, y).
         wavelengths_um: wavelengths in the order of the file [um].
         primary: index of the reference wavelength.
         object_distance_mm: distance from the object, which is in focus, to the first surface [mm].
-        remarks: what was assumed when the file was read, in words.
+        remarks: assumptions made when the file was read, in words.
     """
 
     lens: Lens
@@ -116,31 +116,31 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
     if not surfaces:
         raise FileError(f"{name}: surfaces: expected at least one")
     stop = _index(_part(content, "stop", int, name), len(surfaces), f"{name}: stop")
-    read = [_surface(surface, f"{name}: surface {i}") for i, surface in enumerate(surfaces)]
-    if not read[stop]["semi_diameter"] > 0:
+    rows = [_surface(surface, f"{name}: surface {i}") for i, surface in enumerate(surfaces)]
+    if not rows[stop]["semi_diameter"] > 0:
         raise FileError(
             f"{name}: surface {stop}: semi_diameter: the radius of the stop: expected a positive number, "
             f"found {surfaces[stop]['semi_diameter']!r}; correct it, or name another stop"
         )
-    orders = max((j for surface in read for j in surface if isinstance(j, int)), default=0)
+    orders = max((j for surface in rows for j in surface if isinstance(j, int)), default=0)
     media = []
     for i, surface in enumerate(surfaces):
         medium = surface["medium"]
         if medium != AIR.name and (not isinstance(medium, str) or medium not in materials):
-            known = ", ".join([AIR.name, *materials])
-            raise FileError(f"{name}: surface {i}: unknown medium {medium!r}; the file defines {known}")
+            names = ", ".join([AIR.name, *materials])
+            raise FileError(f"{name}: surface {i}: unknown medium {medium!r}; the file defines {names}")
         media.append(AIR if medium == AIR.name else materials[medium])
-    check_order(media, [surface["thickness"] for surface in read], name)
+    check_order(media, [surface["thickness"] for surface in rows], name)
 
     def tensor(values: list) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float64)
 
     lens = Lens(
-        curvature=tensor([surface["curvature"] for surface in read]),
-        conic=tensor([surface["conic"] for surface in read]),
-        alpha=tensor([[surface.get(j, 0.0) for j in range(1, orders + 1)] for surface in read]),
-        thickness=tensor([surface["thickness"] for surface in read]),
-        semi_diameter=tensor([surface["semi_diameter"] for surface in read]),
+        curvature=tensor([surface["curvature"] for surface in rows]),
+        conic=tensor([surface["conic"] for surface in rows]),
+        alpha=tensor([[surface.get(j, 0.0) for j in range(1, orders + 1)] for surface in rows]),
+        thickness=tensor([surface["thickness"] for surface in rows]),
+        semi_diameter=tensor([surface["semi_diameter"] for surface in rows]),
         media=tuple(media),
         stop=stop,
     )
@@ -150,9 +150,12 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
 
 
 def check_order(media: Sequence[Material], thickness: Sequence[float], where: str, first: int = 0) -> None:
-    """Refuse glass of negative thickness, air of negative thickness between two glasses, and glass at the image.
+    """Reject glass of negative thickness, air of negative thickness between two glasses, and glass at the image.
 
     Args:
+        media: media behind the surfaces.
+        thickness: distances to the next surface [mm].
+        where: the file, for error messages.
         first: number of the first surface in the file.
 
     Raises:
@@ -161,11 +164,13 @@ def check_order(media: Sequence[Material], thickness: Sequence[float], where: st
     if media[-1] != AIR:
         last = first + len(media) - 1
         raise FileError(f"{where}: surface {last}: {media[-1].name} behind the last surface; expected air, or one more")
-    for i, (medium, found) in enumerate(zip(media, thickness, strict=True)):
-        between = 0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR  # no stop beside it, nor plane
-        if found < 0 and (medium != AIR or between):
+    for i, (medium, distance) in enumerate(zip(media, thickness, strict=True)):
+        between = (
+            0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR
+        )  # next to neither a stop nor the image plane
+        if distance < 0 and (medium != AIR or between):
             surface = f"{where}: surface {first + i}"
-            raise FileError(f"{surface}: thickness: {found:g} mm of {medium.name}; expected 0 or more")
+            raise FileError(f"{surface}: thickness: {distance:g} mm of {medium.name}; expected 0 or more")
 
 
 def _part(content: Mapping[str, Any], key: str, kind: type, where: str) -> Any:
@@ -184,7 +189,7 @@ def _index(value: int, count: int, where: str) -> int:
 
 
 def _surface(surface: object, where: str) -> dict:
-    """Read the numbers of a surface by key, those of alpha_2j by j."""
+    """Read the numbers of a surface by key, alpha_2j by j."""
     if not isinstance(surface, Mapping):
         raise FileError(f"{where}: expected keys and values, found {surface!r}")
     for key in _KEYS:
@@ -204,33 +209,33 @@ def _surface(surface: object, where: str) -> dict:
 
 
 def _use(content: Mapping, name: str) -> dict:
-    """Read aperture, fields, wavelengths and object distance, each if present."""
-    found: dict = {}
+    """Read aperture, fields, wavelengths and object distance if present."""
+    values: dict = {}
     for key, kinds in (("aperture", APERTURES), ("fields", FIELDS)):
         if key in content:
             entry = _part(content, key, Mapping, name)
             if len(entry) != 1 or next(iter(entry)) not in kinds:
                 raise FileError(f"{name}: {key}: expected one of {', '.join(kinds)}, found {entry!r}")
-            found[key] = next(iter(entry.items()))
-    if "aperture" in found:
-        kind, value = found["aperture"]
-        found["aperture"] = kind, positive(value, f"{name}: aperture: {kind}")
-    if "fields" in found:
-        kind, points = found["fields"]
+            values[key] = next(iter(entry.items()))
+    if "aperture" in values:
+        kind, value = values["aperture"]
+        values["aperture"] = kind, positive(value, f"{name}: aperture: {kind}")
+    if "fields" in values:
+        kind, points = values["fields"]
         if not isinstance(points, list) or not all(isinstance(point, list) and len(point) == 2 for point in points):
             raise FileError(f"{name}: fields: expected a list of [x, y], found {points!r}")
-        found["fields"] = kind, tuple(tuple(number(v, f"{name}: fields") for v in point) for point in points)
+        values["fields"] = kind, tuple(tuple(number(v, f"{name}: fields") for v in point) for point in points)
     if "wavelengths_um" in content:
         wavelengths = _part(content, "wavelengths_um", list, name)
-        found["wavelengths_um"] = tuple(positive(value, f"{name}: wavelengths_um") for value in wavelengths)
-        found["primary"] = _index(_part(content, "primary", int, name), len(wavelengths), f"{name}: primary")
+        values["wavelengths_um"] = tuple(positive(value, f"{name}: wavelengths_um") for value in wavelengths)
+        values["primary"] = _index(_part(content, "primary", int, name), len(wavelengths), f"{name}: primary")
     if "object_distance_mm" in content:
-        found["object_distance_mm"] = positive(content["object_distance_mm"], f"{name}: object_distance_mm")
-    return found
+        values["object_distance_mm"] = positive(content["object_distance_mm"], f"{name}: object_distance_mm")
+    return values
 
 
 def write(path: Path, prescription: Prescription, notes: Mapping) -> None:
-    """Write a lens file; `notes` (spec, origin, figures, margins) follow the prescription, figures with its digest."""
+    """Write a lens file; `notes` (spec, origin, figures, margins) follow the prescription; figures get a digest."""
     content = to_dict(prescription) | dict(notes)
     if "figures" in notes:
         content[lens_digest.KEY] = lens_digest.digest(content)
@@ -243,14 +248,14 @@ def read(path: Path) -> tuple[Prescription, dict]:
     return from_dict(content, str(path)), content
 
 
-def with_use(found: Prescription, view: View) -> Prescription:
-    """Return a prescription with the fields [degrees], wavelengths and near object of `view`, where it has none."""
+def with_use(prescription: Prescription, view: View) -> Prescription:
+    """Add the fields [degrees], wavelengths and object distance of `view` to a prescription that lacks them."""
     angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
-    added: dict[str, Any] = {}
-    if found.fields is None:
-        added["fields"] = "angle_deg", tuple((x, y) for x, y in angles)
-    if found.wavelengths_um is None:
-        added |= {"wavelengths_um": tuple(view.wavelengths), "primary": len(view.wavelengths) // 2}
-    if math.isinf(found.object_distance_mm):
-        added["object_distance_mm"] = view.object_distance
-    return replace(found, **added)
+    changes: dict[str, Any] = {}
+    if prescription.fields is None:
+        changes["fields"] = "angle_deg", tuple((x, y) for x, y in angles)
+    if prescription.wavelengths_um is None:
+        changes |= {"wavelengths_um": tuple(view.wavelengths), "primary": len(view.wavelengths) // 2}
+    if math.isinf(prescription.object_distance_mm):
+        changes["object_distance_mm"] = view.object_distance
+    return replace(prescription, **changes)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tasklens.runtime.files import damaged, read_tensors, write_tensors
 
-_ROUNDING = 1e-4  # of sums in float32
+_ROUNDING = 1e-4  # rounding of sums in float32
 
 
 class FieldPsfs(NamedTuple):
@@ -19,17 +19,17 @@ class FieldPsfs(NamedTuple):
     illumination: Tensor
 
 
-def write(path: Path, found: FieldPsfs, notes: Mapping[str, Any]) -> None:
-    """Write PSFs in float32, with notes that have their `fields_mm`."""
-    write_tensors(path, {name: tensor.float() for name, tensor in found._asdict().items()}, notes)
+def write(path: Path, psfs: FieldPsfs, notes: Mapping[str, Any]) -> None:
+    """Write PSFs in float32 with `notes`, which include their `fields_mm`."""
+    write_tensors(path, {name: tensor.float() for name, tensor in psfs._asdict().items()}, notes)
 
 
 def read(path: Path) -> FieldPsfs:
     """Read PSFs.
 
     Raises:
-        FileError: the file is not what `write` writes: a tensor is missing or of another shape, values are not finite,
-            negative, or more energy than arrives.
+        FileError: a tensor is missing or has another shape, values are not finite or negative, or a PSF has an energy
+            above 1.
     """
     tensors, notes = read_tensors(path)
     fields = len(notes.get("fields_mm", ()))

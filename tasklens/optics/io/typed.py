@@ -1,4 +1,4 @@
-"""A lens typed in Python, surface by surface."""
+"""A lens defined in Python, surface by surface."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,15 +22,15 @@ def typed(
     """Return the prescription of a lens from its surfaces.
 
     Args:
-        surfaces: of each surface `radius` or `curvature`, `thickness` to the next one, `material` behind it (name or
+        surfaces: for each surface `radius` or `curvature`, `thickness` to the next one, `material` behind it (name or
             `Material`; air if absent), `conic`, `coefficients` of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter` of its
-            clear aperture, and `stop` of one. Lengths in mm. The thickness of the last one may be absent: 0.
-        f_number: focal length over diameter of the entrance pupil; None: the semi-diameter of the stop is its radius.
+            clear aperture; `stop` at one surface. Lengths in mm. The last thickness is 0 if absent.
+        f_number: focal length / diameter of the entrance pupil; None: the semi-diameter of the stop is its radius.
         library: glasses by name.
         wavelength: wavelength of the F-number [um].
 
     Raises:
-        InputError: a key that is not known or missing, a value that is no number, or not one stop; names the surface.
+        InputError: an unknown or missing key, a value that is not a number, or not exactly one stop; names the surface.
     """
     if not surfaces:
         raise InputError("a lens: expected at least one surface")
@@ -88,12 +88,12 @@ def _real(surface: Mapping[str, Any], key: str, where: str, default: float = 0.0
     """Return the value of a key as a number; radii and clear apertures may be infinite."""
     value = surface.get(key, default)
     try:
-        found = float(value)
+        number = float(value)
     except (TypeError, ValueError):
-        found = math.nan
-    if math.isnan(found) or (math.isinf(found) and key not in ("radius", "semi_diameter")):
+        number = math.nan
+    if math.isnan(number) or (math.isinf(number) and key not in ("radius", "semi_diameter")):
         raise InputError(f"{where}: {key}: expected a number, got {value!r}")
-    return found
+    return number
 
 
 def _medium(material: Material | str | None, library: Library) -> Material:

@@ -1,6 +1,6 @@
 """Zemax lens files (.zmx) of rotationally symmetric sequential lenses of even aspheres.
 
-Supported are standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model
+Supported data: standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model
 glasses, object distance, aperture, fields, wavelengths, title and comments. Data for Zemax's own analyses (vignetting
 factors, weights, solves, coatings, tolerances, merit functions) and apertures of object and image surface are ignored.
 Every other line is an error.
@@ -32,32 +32,33 @@ from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError, replacing
 
 _WAVELENGTHS = 24  # the maximum in Zemax
-_ROUNDING = 1e-6  # of radii in files, relative
+_ROUNDING = 1e-6  # relative rounding of radii in files
 
 
 def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
-    """Compute the radius of the stop [mm] whose paraxial entrance pupil has the diameter D given by `aperture`.
+    """Compute the radius of the stop [mm] whose paraxial entrance pupil has the diameter D of `aperture`.
 
-    D / (2 r) with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is EFL / D.
+    The radius is D / (2 r), with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is
+    EFL / D.
     """
     semi_diameter = lens.semi_diameter.clone()
     semi_diameter[lens.stop] = 1.0
-    found = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
+    first_order = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
     kind, value = aperture
-    diameter = abs(float(found.efl)) / value if kind == "f_number" else value
-    return float(diameter / (2 * found.entrance_pupil_radius.double()))
+    diameter = abs(float(first_order.efl)) / value if kind == "f_number" else value
+    return float(diameter / (2 * first_order.entrance_pupil_radius.double()))
 
 
 def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None) -> Prescription:
     """Read the prescription from a Zemax lens file.
 
-    Glasses are looked up by `Library`, with `catalogues` (.agf or our YAML) and the catalogue that `write` put beside
-    the file.
+    `Library` looks up glasses, in `catalogues` (.agf or our YAML) and in the catalogue that `write` saved next to the
+    file.
 
     A surface vignettes as in Zemax: by a circular or floating aperture, or, if it refracts, by a semi-diameter that is
     fixed or picked up; automatic semi-diameters do not vignette. The radius of the stop follows from the aperture
-    (`stop_radius`, at the primary wavelength), or is its semi-diameter for "float by stop size". Where the stop itself
-    vignettes at less, that is its radius, and the prescription has no aperture.
+    (`stop_radius`, at the primary wavelength), or is its semi-diameter for "float by stop size". If the clear aperture
+    of the stop is smaller, it is the radius, and the prescription has no aperture.
 
     Args:
         path: the file.
@@ -71,21 +72,21 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
     for line in lines:
         if line.keyword == "MODE" and line.words[:1] != ["SEQ"]:
             raise line.error(f"expected a sequential file (SEQ), got {line.text!r}: non-sequential ones are not read")
-    system, blocks, behind = _split(lines, path)
-    chosen = in_configuration(blocks, system, behind, configuration)
+    system, blocks, trailer = _split(lines, path)
+    current = in_configuration(blocks, system, trailer, configuration)
     unit = read_unit(system)
     _check_ends(blocks)
     inner = blocks[1:-1]
     stop = _stop(inner, path)
     library = _library(path, system, catalogues)
     lens, remarks = to_lens(inner, stop, unit, library)
-    # OpticStudio does not have the glasses of the catalogue beside the file.
+    # OpticStudio does not have the glasses of the catalogue next to the file.
     media = (replace(m, zemax="") if m.zemax.startswith(f"{path.stem} ") else m for m in lens.media)
     lens = replace(lens, media=tuple(media))
     check_order(lens.media, lens.thickness.tolist(), str(path), first=1)
     count = system["MNUM"].integer(0) if "MNUM" in system else 1
     if count > 1:
-        remarks.append(f"configuration {chosen} of {count} (--configuration)")
+        remarks.append(f"configuration {current} of {count} (--configuration)")
 
     wavelengths, primary = read_wavelengths(system, path)
     object_distance = read_object_distance(blocks[0].line("DISZ"), unit)
@@ -99,7 +100,9 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
             raise FileError(f"{path}: {error}") from None
     semi_diameter = lens.semi_diameter.clone()
     clear = float(semi_diameter[lens.stop])
-    if "FLAP" not in inner[lens.stop].lines and clear < radius * (1 - _ROUNDING):  # a floating one follows the light
+    if "FLAP" not in inner[lens.stop].lines and clear < radius * (
+        1 - _ROUNDING
+    ):  # a floating aperture follows the light
         radius, aperture = clear, None
     if not 0 < radius < math.inf:
         raise line.error(f"the radius of the stop comes out as {radius} mm, expected a positive number")
@@ -119,12 +122,12 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
 
 
 def _library(path: Path, system: dict[str, Line], catalogues: Sequence[Path]) -> Library:
-    """Return the glasses of a lens file: of the catalogues that it lists, and of the user's; raises FileError."""
-    listed = system["GCAT"].text.upper().split() if "GCAT" in system else []
-    beside = path.with_suffix(".agf")
-    own = [beside] if beside.stem.upper() in listed and beside.exists() else []
-    library = Library([*own, *catalogues], listed)
-    library.check()  # a mistake in a catalogue that is given is one, whether or not a glass of it is needed
+    """Return the glasses of the catalogues that a lens file lists, and of the user's catalogues; raises FileError."""
+    names = system["GCAT"].text.upper().split() if "GCAT" in system else []
+    companion = path.with_suffix(".agf")
+    own = [companion] if companion.stem.upper() in names and companion.exists() else []
+    library = Library([*own, *catalogues], names)
+    library.check()  # an error in a user's catalogue counts even if no glass of it is needed
     return library
 
 
@@ -139,16 +142,16 @@ def _stop(inner: list[Block], path: Path) -> int:
 
 
 def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block], list[Line]]:
-    """Split lines into those of the system, of surfaces (indented), and behind the surfaces.
+    """Split lines into system, surfaces (indented), and lines behind the surfaces.
 
-    Lines of the system are by keyword, those of wavelengths and further fields by keyword and number (WAVM 1 ..).
+    Keys of the system are keywords, with a number for wavelengths and additional fields (WAVM 1 ..).
 
     Raises:
-        FileError: a keyword that may change rays and is not read, or data that are there twice.
+        FileError: an unsupported keyword that may change rays, or duplicate data.
     """
     system: dict[str, Line] = {}
     blocks: list[Block] = []
-    behind: list[Line] = []
+    trailer: list[Line] = []
     for line in lines:
         if line.keyword == "SURF":
             if line.integer(0) != len(blocks):
@@ -165,7 +168,7 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block],
         else:
             if blocks:
                 check_behind(line)
-                behind.append(line)
+                trailer.append(line)
             else:
                 check_system(line)
             if line.keyword in SYSTEM:
@@ -173,17 +176,17 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block],
                 _add(system, f"{line.keyword} {line.integer(0)}" if several else line.keyword, line)
     if len(blocks) < 3:
         raise FileError(f"{path}: expected SURF of an object, a surface and an image at least, found {len(blocks)}")
-    return system, blocks, behind
+    return system, blocks, trailer
 
 
-def _add(found: dict[Any, Line], key: object, line: Line) -> None:
-    if key in found:
-        raise line.error(f"stands in {found[key].where} already; delete one of the lines")
-    found[key] = line
+def _add(lines: dict[Any, Line], key: object, line: Line) -> None:
+    if key in lines:
+        raise line.error(f"stands in {lines[key].where} already; delete one of the lines")
+    lines[key] = line
 
 
 def _check_ends(blocks: list[Block]) -> None:
-    """Check that the object is in air, and that object and image surface are planes; raises FileError."""
+    """Check that the object is in air, and that object and image are planes; raises FileError."""
     first, last = blocks[0], blocks[-1]
     if "STOP" in last.lines or "GLAS" in last.lines or last.line("DISZ").number(0):
         raise last.head.error(
@@ -200,9 +203,9 @@ def _check_ends(blocks: list[Block]) -> None:
 def write(path: Path, prescription: Prescription) -> None:
     """Write a Zemax lens file; `read` restores every number exactly.
 
-    A glass has the name by which OpticStudio knows it. Glasses that it does not know, or whose name means another one
-    in a catalogue that the lens needs too, are written to a catalogue beside the file, of the same name (.agf), which
-    belongs into OpticStudio's folder `Glasscat`.
+    Glasses have their names in OpticStudio. If OpticStudio does not have a glass, or if another catalogue that the lens
+    needs has a different glass of its name, the glass is written to a catalogue of the same name as the file (.agf).
+    Copy this catalogue to OpticStudio's folder `Glasscat`.
 
     Raises:
         FileError: no fields or wavelengths, more wavelengths than Zemax allows, an aperture that does not fit the stop,
@@ -230,9 +233,9 @@ def _lines(prescription: Prescription, name: str, glasses: NamedGlasses) -> list
     aperture = "FLOA"
     if prescription.aperture is not None:
         kind, value = prescription.aperture
-        expected = stop_radius(lens, prescription.aperture, wavelengths[primary])
-        if not math.isclose(radii[lens.stop], expected, rel_tol=1e-9):
-            raise FileError(f"{name}: {kind} {value} asks for a stop of {expected} mm, the lens has {radii[lens.stop]}")
+        radius = stop_radius(lens, prescription.aperture, wavelengths[primary])
+        if not math.isclose(radii[lens.stop], radius, rel_tol=1e-9):
+            raise FileError(f"{name}: {kind} {value} asks for a stop of {radius} mm, the lens has {radii[lens.stop]}")
         aperture = f"ENPD {decimal(value)}" if kind == "entrance_pupil_diameter_mm" else f"FNUM {decimal(value)} 0"
         radii[lens.stop] = math.inf  # Zemax computes it from the aperture
     elif not math.isfinite(radii[lens.stop]):

@@ -1,4 +1,4 @@
-"""Configurations of a Zemax file: what differs from the configuration in which the surfaces were saved."""
+"""Configurations of a Zemax file: differences from the configuration in which the file was saved."""
 
 import math
 from collections import Counter
@@ -10,23 +10,23 @@ from tasklens.optics.io.zemax_keywords import check_configuration, keywords
 from tasklens.optics.io.zemax_surfaces import Block
 from tasklens.runtime.files import FileError
 
-# Operands that change rays or their use (OpticStudio user's guide, "Multi-Configuration Operands"); others are of merit
-# functions, or change neither.
+# Operands that change rays or their use (OpticStudio user's guide, "Multi-Configuration Operands"); others belong to
+# merit functions, or change neither.
 _OPERANDS = keywords(
     "AFOC APDF APDX APDY APER APMN APMX APTP CADX CADY CAOR CATX CATY CATZ CBDX CBDY CBOR CBTX CBTY CBTZ CONN CROR "
     "CRSR CRVT EDVA FLTP GLSS IGNM IGNR MABB MDPG MIND PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PRAM PRES PRWV SATP "
     "SDIA STPS TELE TEMP THIC WAVE XFIE YFIE"
 )
 _WORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "GLSS": "GLAS"}  # operand, and the line of its surface
-_ROUNDING = 1e-9  # of values that are in a file twice, relative
+_ROUNDING = 1e-9  # relative rounding of values that are in a file twice
 
 
 def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequence[Line], number: int | None) -> int:
-    """Bring the surfaces into a configuration, in place.
+    """Change the surfaces in place to a configuration.
 
     Args:
         blocks: lines of all surfaces.
-        system: lines of the system, with MNUM: number of configurations, and the one in which the file was saved.
+        system: lines of the system; MNUM has the number of configurations and the one in which the file was saved.
         rows: lines behind the surfaces: OPERAND surface configuration value ...
         number: the configuration, from 1; None for the one in which the file was saved.
 
@@ -34,33 +34,33 @@ def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequ
         The number of the configuration.
 
     Raises:
-        FileError: no such configuration, or one that differs in data that are not read.
+        FileError: no such configuration, or it differs in unsupported data.
     """
     line = system.get("MNUM")
     count = line.integer(0) if line is not None else 1
     saved = line.integer(1) if line is not None and len(line.words) > 1 else 1
-    chosen = saved if number is None else number
-    if not 1 <= chosen <= count:
+    current = saved if number is None else number
+    if not 1 <= current <= count:
         where = line.where if line is not None else blocks[0].head.where.rpartition(", line")[0]
-        raise FileError(f"{where}: expected a configuration 1 .. {count}, got {chosen} (--configuration)")
-    operands = {configuration: _operands(rows, configuration) for configuration in {saved, chosen}}
+        raise FileError(f"{where}: expected a configuration 1 .. {count}, got {current} (--configuration)")
+    operands = {configuration: _operands(rows, configuration) for configuration in {saved, current}}
     for row in rows:
-        if len(row.words) < 3 or row.words[1] == str(chosen):
+        if len(row.words) < 3 or row.words[1] == str(current):
             check_configuration(row)
-    for key, row in operands[chosen].items():
+    for key, row in operands[current].items():
         block = blocks[key[1]] if key[1] < len(blocks) else None
         if block is None or key[0] not in _WORDS:
             if row.words[2:3] != operands[saved].get(key, row).words[2:3]:
                 raise row.error(f"differs from configuration {saved}, in which the file was saved, and is not read")
-        elif chosen != saved:
+        elif current != saved:
             _set(block, row)
         else:
             _check(block, row)
-    return chosen
+    return current
 
 
 def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int, int], Line]:
-    """Return the rows of a configuration by operand, surface, and how often both have come before (`PRAM`, fields)."""
+    """Return the rows of a configuration by operand, surface, and number of earlier rows with both (`PRAM`, fields)."""
     before: Counter[tuple[str, int]] = Counter()
     operands = {}
     for row in rows:
@@ -73,12 +73,12 @@ def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int, 
 
 def _set(block: Block, row: Line) -> None:
     keyword = _WORDS[row.keyword]
-    others = " 0 0" if keyword == "GLAS" else ""
-    block.lines[keyword] = replace(row, keyword=keyword, text=f"{row.words[2]}{others}")
+    suffix = " 0 0" if keyword == "GLAS" else ""
+    block.lines[keyword] = replace(row, keyword=keyword, text=f"{row.words[2]}{suffix}")
 
 
 def _check(block: Block, row: Line) -> None:
-    """Check that a surface has the value of the configuration in which the file was saved."""
+    """Check that a surface has the value that its configuration has."""
     keyword = _WORDS[row.keyword]
     line = block.lines.get(keyword)
     if keyword == "GLAS" or line is None or line.words[:1] == ["INFINITY"]:

@@ -1,4 +1,4 @@
-"""Names of the glasses of a lens in a Zemax file, each of which means the same glass when the file is read."""
+"""Names of the glasses of a lens in a Zemax file: reading the file with them gives the same glasses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,12 +10,12 @@ from tasklens.materials.material import AIR, Material
 
 @dataclass(frozen=True)
 class NamedGlasses:
-    """Glasses of a lens by the names that they have in a Zemax file.
+    """Glasses of a lens and their names in a Zemax file.
 
     Attributes:
-        names: name of every glass that is in a catalogue; air and model glasses are in none.
+        names: name of every glass that is in a catalogue; air and model glasses have none.
         catalogues: the catalogues to search, in this order (GCAT).
-        own: glasses, by their names, for a catalogue of the lens itself.
+        own: glasses for the catalogue of the lens itself, with their names there.
     """
 
     names: Mapping[Material, str]
@@ -26,12 +26,13 @@ class NamedGlasses:
     def of(cls, media: Sequence[Material], catalogue: str) -> "NamedGlasses":
         """Name the glasses of a lens.
 
-        A glass has its name in OpticStudio. It goes into the lens' own `catalogue`, which is searched first, if
-        OpticStudio does not have it, or if a catalogue that is searched before its own may have another of this name.
+        A glass keeps its name in OpticStudio. It is added to `catalogue`, which belongs to the lens and is searched
+        first, if OpticStudio does not have it, or if a catalogue that is searched earlier may have another glass of
+        this name.
         """
         glasses = [glass for glass in dict.fromkeys(media) if glass != AIR and glass.formula != "model"]
-        used = dict.fromkeys(glass.zemax.split()[0] for glass in glasses if glass.zemax)
-        catalogues = min(permutations(used), key=lambda order: sum(_hidden(glass, order) for glass in glasses))
+        candidates = dict.fromkeys(glass.zemax.split()[0] for glass in glasses if glass.zemax)
+        catalogues = min(permutations(candidates), key=lambda order: sum(_hidden(glass, order) for glass in glasses))
         names: dict[Material, str] = {}
         own: list[Material] = []
         for glass in glasses:
@@ -42,15 +43,15 @@ class NamedGlasses:
             elif not glass.zemax or _hidden(glass, catalogues):
                 own.append(replace(glass, name=name))
             names[glass] = name
-        needed = {
+        in_use = {
             glass.zemax.split()[0] for glass in glasses if glass.zemax and names[glass] not in {g.name for g in own}
         }
-        listed = [name for name in catalogues if name in needed]
-        return cls(names, [*([catalogue.upper()] if own else []), *listed], own)
+        search_order = [name for name in catalogues if name in in_use]
+        return cls(names, [*([catalogue.upper()] if own else []), *search_order], own)
 
 
 def _hidden(glass: Material, catalogues: Sequence[str]) -> bool:
-    """Return whether a catalogue in front of a glass' own may have another glass of its name."""
+    """Return whether a catalogue that is searched before the glass's own may have another glass of its name."""
     if not glass.zemax:
         return False
     own, name = glass.zemax.split()
@@ -62,7 +63,7 @@ def _hidden(glass: Material, catalogues: Sequence[str]) -> bool:
 
 
 def _contents(catalogue: str) -> Mapping[str, Material] | None:
-    """Return the glasses that OpticStudio has in a catalogue; None if that is not known."""
+    """Return the glasses of a catalogue of OpticStudio; None if its contents are unknown."""
     name = catalogue.upper()
     if is_maker(name):
         return of_maker(name)

@@ -1,6 +1,6 @@
-"""Keywords of Zemax lens files: those that are read, those that leave rays alone, and those that must be neutral.
+"""Keywords of Zemax lens files: supported, without effect on rays, or required to have a neutral value.
 
-Any other keyword of the system or of a surface is refused, so that nothing that may change rays is passed over.
+Any other keyword of the system or of a surface is an error, so that no data that may change rays are ignored.
 """
 
 from tasklens.materials.zemax_text import Line
@@ -21,7 +21,7 @@ _HARMLESS_SYSTEM = keywords(
     "! AUTH BLNK CHZH COFN DBDT EERA FCOM FSVY FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB "
     "POLS PUSH RAIM ROPD SDMA STUD TOL VANN VCXN VCYN VDXN VDYN VERS WWGN WWGT XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
 )
-# Solves and variables (their values stand in the file), coatings, colours, drawing, mechanical radii, tolerances.
+# Solves and variables (the file has their values), coatings, colours, drawing, mechanical radii, tolerances.
 _HARMLESS_SURFACE = keywords(
     "! CHZH COAT EDGE FIMP FSVY MAZH MEMA MIRR OEMA POPS PPAR PZUP SCOL SLAB SSID STUD TCED TCMM TOLE VCON VDSZ VPAR"
 )
@@ -34,10 +34,10 @@ _TELECENTRIC = "an object space that is telecentric is not read; switch it off i
 _AFOCAL = "an afocal image space is not read; switch it off in Zemax"
 _HIDDEN = "only the first four flags are known to concern drawings alone; set the others to 0"
 
-# Words by position whose only value that is read is the given one; a word that is not there is neutral.
+# Words by position, with the only supported value; a missing word is neutral.
 _NEUTRAL: dict[str, dict[int, tuple[float, str]]] = {
     "FTYP": {1: (0, _TELECENTRIC), 6: (0, _AFOCAL)},
-    "ENVD": {0: (20, _CLIMATE), 1: (1, _CLIMATE)},  # at which the adjustment (third) changes nothing
+    "ENVD": {0: (20, _CLIMATE), 1: (1, _CLIMATE)},  # here the adjustment (third word) has no effect
     "OBDC": {0: (0, _DECENTRED), 1: (0, _DECENTRED)},
     "IGNR": {0: (0, _IGNORED)},
     "HIDE": {i: (0, _HIDDEN) for i in range(4, 16)},
@@ -54,7 +54,7 @@ _CONFIGURATION: dict[str, tuple[float, str]] = {
 
 
 def check_system(line: Line) -> None:
-    """Check a line in front of the surfaces; raises FileError unless it is read, neutral or harmless."""
+    """Check a line before the surfaces; raises FileError unless it is supported, neutral or harmless."""
     if line.keyword in _CONFIGURATION:
         check_configuration(line)
     elif line.keyword not in SYSTEM | _HARMLESS_SYSTEM:
@@ -65,12 +65,12 @@ def check_system(line: Line) -> None:
 
 
 def _uniform(line: Line) -> bool:
-    """Return whether an apodisation is uniform: type 0, or 1, Gaussian, of factor 0."""
+    """Return whether an apodisation is uniform: type 0, or type 1 (Gaussian) with factor 0."""
     return line.number(0) == 0 or (line.number(0) == 1 and len(line.words) > 1 and line.number(1) == 0)
 
 
 def check_surface(line: Line) -> None:
-    """Check a line of a surface; raises FileError unless it is read, neutral or harmless."""
+    """Check a line of a surface; raises FileError unless it is supported, neutral or harmless."""
     if line.keyword == "SCBD":
         raise line.error("a surface that is tilted or decentred is not read; only lenses symmetric about the axis are")
     if line.keyword not in SURFACE | _HARMLESS_SURFACE | _APERTURES | {"OBDC", "IGNR", "HIDE"}:
@@ -80,7 +80,7 @@ def check_surface(line: Line) -> None:
 
 
 def check_configuration(line: Line) -> None:
-    """Check a line of the configuration that is read; raises FileError."""
+    """Check a line of the active configuration; raises FileError."""
     if line.keyword in _CONFIGURATION:
         neutral, message = _CONFIGURATION[line.keyword]
         if line.number(max(0, min(2, len(line.words) - 1))) != neutral:
@@ -94,7 +94,7 @@ def check_behind(line: Line) -> None:
 
 
 def check_aperture(line: Line) -> None:
-    """Check that a line of a surface that rays pass is no aperture but a centred circle; raises FileError."""
+    """Check that an aperture of a surface that rays pass is a centred circle; raises FileError."""
     if line.keyword in _APERTURES:
         raise line.error("only round clear apertures (CLAP, FLAP) are read")
     if line.keyword == "OBDC":

@@ -17,7 +17,7 @@ from tasklens.optics.lens import Lens
 _TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
 _MOST_TERMS = 240  # terms of an extended asphere
 _KINDS = ("STANDARD", "EVENASPH", "XASPHERE", "ODDASPHE", "XOSPHERE")
-_HEAD = 2  # numbers of an extended asphere in front of its coefficients
+_HEAD = 2  # number of values of an extended asphere before its coefficients
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Block:
     numbered: dict[tuple[str, int], Line]
 
     def line(self, keyword: str) -> Line:
-        """Return the line of `keyword`; raises FileError where there is none."""
+        """Return the line of `keyword`; raises FileError if there is none."""
         if keyword not in self.lines:
             raise self.head.error(f"surface {self.head.text} has no {keyword}")
         return self.lines[keyword]
@@ -49,7 +49,7 @@ def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tu
         library: glasses by name.
 
     Returns:
-        The lens, and what was assumed about its glasses, in words.
+        The lens, and the assumptions about its glasses, in words.
 
     Raises:
         FileError: an invalid or unsupported surface.
@@ -70,7 +70,7 @@ def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tu
         conic=column(block.number("CONI", 0.0) for block in blocks),
         alpha=column([*a, *[0.0] * (orders - len(a))] for a in aspheres).reshape(len(blocks), orders),
         thickness=column(block.line("DISZ").number(0, unit) for block in blocks),
-        semi_diameter=column(_clear_radius(*each, unit) for each in zip(blocks, refracts, strict=True)),
+        semi_diameter=column(_clear_radius(*pair, unit) for pair in zip(blocks, refracts, strict=True)),
         media=tuple(media),
         stop=stop,
     )
@@ -80,35 +80,35 @@ def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tu
 def _asphere(block: Block, unit: float) -> list[float]:
     """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)].
 
-    An even asphere has alpha_2j in PARM j; an extended one the number of terms in XDAT 1, the radius rho in
-    sum_j a_j (r / rho)^2j in XDAT 2, and a_j in XDAT 2 + j. Odd aspheres, with terms (r / rho)^j, are read if all of
-    their odd terms are zero.
+    An even asphere has alpha_2j in PARM j. An extended asphere, sum_j a_j (r / rho)^2j, has the number of terms in
+    XDAT 1, the radius rho in XDAT 2, and a_j in XDAT 2 + j. An odd asphere, with terms (r / rho)^j, is read if all of
+    its odd terms are zero.
     """
     kind = block.lines["TYPE"].text if "TYPE" in block.lines else "STANDARD"
-    rho, used = 1.0, []
+    rho, keys = 1.0, []
     if kind in ("EVENASPH", "ODDASPHE"):
-        used = [("PARM", j) for j in range(1, _TERMS + 1)]
+        keys = [("PARM", j) for j in range(1, _TERMS + 1)]
     elif kind in ("XASPHERE", "XOSPHERE"):
         terms, rho = _normalisation(block)
-        used = [("XDAT", _HEAD + j) for j in range(1, terms + 1)]
+        keys = [("XDAT", _HEAD + j) for j in range(1, terms + 1)]
     elif kind != "STANDARD":
         raise block.lines["TYPE"].error(f"{kind} is not read; {', '.join(_KINDS)} are")
     head = [("XDAT", j) for j in range(1, _HEAD + 1)] if kind in ("XASPHERE", "XOSPHERE") else []
     for key, line in block.numbered.items():
-        if key not in used and key not in head and line.number(1):
-            raise line.error(f"{kind} with {len(used)} terms has no number {key[1]}; delete the line, or mend the type")
+        if key not in keys and key not in head and line.number(1):
+            raise line.error(f"{kind} with {len(keys)} terms has no number {key[1]}; delete the line, or mend the type")
     if kind in ("ODDASPHE", "XOSPHERE"):
-        for key in used[::2]:
+        for key in keys[::2]:
             if key in block.numbered and block.numbered[key].number(1):
                 raise block.numbered[key].error("an odd term of an asphere is not read; only even ones are")
-        used = used[1::2]
-    found = [
+        keys = keys[1::2]
+    coefficients = [
         _coefficient(block.numbered[key], j, rho, unit) if key in block.numbered else 0.0
-        for j, key in enumerate(used, 1)
+        for j, key in enumerate(keys, 1)
     ]
-    while found and not found[-1]:
-        found.pop()
-    return found
+    while coefficients and not coefficients[-1]:
+        coefficients.pop()
+    return coefficients
 
 
 def _normalisation(block: Block) -> tuple[int, float]:
@@ -132,20 +132,20 @@ def _coefficient(line: Line, j: int, rho: float, unit: float) -> float:
     if not value or rho == unit == 1.0:
         return value
     try:
-        found = value / rho ** (2 * j) / unit ** (2 * j - 1)
+        alpha = value / rho ** (2 * j) / unit ** (2 * j - 1)
     except (OverflowError, ZeroDivisionError):
-        found = math.inf
-    if not sys.float_info.min <= abs(found) < math.inf:
+        alpha = math.inf
+    if not sys.float_info.min <= abs(alpha) < math.inf:
         raise line.error(
             f"{line.words[1]} over {rho:g}^{2 * j} {unit:g}^{2 * j - 1} mm^{2 * j - 1} is beyond the range of float64"
         )
-    return found
+    return alpha
 
 
 def _clear_radius(block: Block, refracts: bool, unit: float) -> float:
-    """Read the radius of the clear aperture [mm]; infinite where Zemax does not vignette.
+    """Read the radius of the clear aperture [mm]; infinite if Zemax does not vignette here.
 
-    A semi-diameter that is fixed or picked up is a floating aperture, on surfaces that refract.
+    On surfaces that refract, a semi-diameter that is fixed or picked up is a floating aperture.
     """
     for line in block.lines.values():
         check_aperture(line)
@@ -155,9 +155,10 @@ def _clear_radius(block: Block, refracts: bool, unit: float) -> float:
             if aperture.number(0):
                 raise aperture.error("the aperture has a hole; only full circles are read")
             return _radius(aperture, 1, unit)
-    drawn = block.lines.get("DIAM")
-    if refracts and drawn is not None and len(drawn.words) > 1 and drawn.integer(1) in (1, 2):  # fixed, or picked up
-        return _radius(drawn, 0, unit)
+    diameter = block.lines.get("DIAM")
+    if refracts and diameter is not None and len(diameter.words) > 1 and diameter.integer(1) in (1, 2):
+        # The solve is "fixed" or "pick-up".
+        return _radius(diameter, 0, unit)
     return math.inf
 
 
@@ -169,11 +170,11 @@ def _radius(line: Line, index: int, unit: float) -> float:
 
 
 def _medium(block: Block, before: list[Material], library: Library, remarks: list[str]) -> Material:
-    """Read the medium behind a surface; adds what is assumed to `remarks`.
+    """Read the medium behind a surface; assumptions are added to `remarks`.
 
     GLAS: a name, a solve (0 none, 1 model, 2 picked up from the surface in the next number, 3 substitution, 4 offset),
-    nd, Vd, dPgF. The name of a model glass is only a label, which may also be a name in a catalogue. A glass that no
-    catalogue has is a model glass too, where its line has nd and Vd.
+    nd, Vd, dPgF. The name of a model glass is only a label, but may also be a name in a catalogue. A glass that is in
+    no catalogue is a model glass too, if its line has nd and Vd.
     """
     if "GLAS" not in block.lines:
         return AIR
@@ -200,10 +201,10 @@ def _medium(block: Block, before: list[Material], library: Library, remarks: lis
         nd, vd = (line.number(i) if len(line.words) > i else 0.0 for i in (3, 4))
         if nd <= 1 or vd <= 0:
             raise line.error(str(error)) from None
-        like = nearest(nd, vd)
+        closest = nearest(nd, vd)
         remarks.append(
             f"glass {name} is in no catalogue: taken as one of nd = {nd:g} and Vd = {vd:g}, as its line says, whose "
-            f"index is right to 1e-4 in the visible (--catalogue); the nearest one is {like.zemax}"
+            f"index is right to 1e-4 in the visible (--catalogue); the nearest one is {closest.zemax}"
         )
         return model_glass(nd, vd, 0.0, name)
 
@@ -214,8 +215,8 @@ def to_lines(lens: Lens, index: int, comment: str, radius: float, names: Mapping
     Args:
         lens: the lens.
         index: index of the surface.
-        comment: its comment, or nothing.
-        radius: radius of its clear aperture [mm], infinite without one.
+        comment: its comment, or an empty string.
+        radius: radius of its clear aperture [mm], infinite if it has none.
         names: names of the glasses that are in catalogues.
     """
     alpha = lens.alpha[index].tolist()
@@ -227,8 +228,8 @@ def to_lines(lens: Lens, index: int, comment: str, radius: float, names: Mapping
     kind = "STANDARD" if not alpha else "EVENASPH" if len(alpha) <= _TERMS else "XASPHERE"
     lines += [f"  TYPE {kind}", f'  CURV {decimal(float(lens.curvature[index]))} 0 0 0 0 ""']
     if kind == "EVENASPH":
-        filled = [*alpha, *[0.0] * (_TERMS - len(alpha))]
-        lines += [f"  PARM {j} {decimal(value)}" for j, value in enumerate(filled, 1)]
+        terms = [*alpha, *[0.0] * (_TERMS - len(alpha))]
+        lines += [f"  PARM {j} {decimal(value)}" for j, value in enumerate(terms, 1)]
     elif kind == "XASPHERE":
         lines += [f'  XDAT {k} {decimal(v)} 0 0 1 0 0 ""' for k, v in enumerate((float(len(alpha)), 1.0, *alpha), 1)]
     lines.append(f"  DISZ {decimal(float(lens.thickness[index]))}")
@@ -247,5 +248,7 @@ def _glass(material: Material, names: Mapping[Material, str]) -> str:
         numbers = " ".join(decimal(value) for value in material.coefficients)
         label = material.name.split()[0] if " " in material.name else BLANK
         return f"{label} 1 0 {numbers} 0 0 0 0 0"
-    nd, vd = map(decimal, material.abbe())  # for readers without the catalogue, from which Zemax takes the index
+    nd, vd = map(
+        decimal, material.abbe()
+    )  # for programs without the catalogue; Zemax takes the index from the catalogue
     return f"{names[material]} 0 0 {nd} {vd} 0 0 0 0 0 0"

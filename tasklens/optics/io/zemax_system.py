@@ -10,7 +10,7 @@ from tasklens.runtime.files import FileError
 
 _UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
 _INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
-_FIELDS = 12  # in a line of coordinates
+_FIELDS = 12  # number of fields in a line of coordinates
 _APERTURES = ("ENPD", "FNUM", "FLOA")
 
 
@@ -29,8 +29,8 @@ def read_aperture(
 ) -> tuple[Line, tuple[str, float] | None]:
     """Read the system aperture and its line; None for "float by stop size".
 
-    FNUM has a type: 0 is the F-number in image space, efl / D; 1 the paraxial working F-number 1 / (2 tan u) of the
-    marginal ray. With the object at infinity tan u = D / (2 efl), so that both are the same.
+    FNUM has a type: 0 is the F-number in image space, efl / D; 1 is the paraxial working F-number 1 / (2 tan u) of the
+    marginal ray. For an object at infinity tan u = D / (2 efl), so both are equal.
 
     Args:
         system: lines of the system by keyword.
@@ -39,16 +39,16 @@ def read_aperture(
         path: the file, for error messages.
 
     Raises:
-        FileError: no aperture, several, or one that is not read.
+        FileError: no aperture, several, or an unsupported one.
     """
     if "OBNA" in system:
         raise system["OBNA"].error("an aperture in object space is not read; the apertures ENPD, FNUM and FLOA are")
-    found = [system[keyword] for keyword in _APERTURES if keyword in system]
-    if not found:
+    apertures = [system[keyword] for keyword in _APERTURES if keyword in system]
+    if not apertures:
         raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
-    if len(found) > 1:
-        raise found[1].error(f"the file has the aperture {found[0].keyword} as well; delete one of them")
-    line = found[0]
+    if len(apertures) > 1:
+        raise apertures[1].error(f"the file has the aperture {apertures[0].keyword} as well; delete one of them")
+    line = apertures[0]
     if line.keyword == "FLOA":
         return line, None
     value = line.number(0, unit if line.keyword == "ENPD" else 1.0)
@@ -70,8 +70,8 @@ def read_aperture(
 def read_fields(system: Mapping[str, Line], unit: float, path: Path) -> tuple[str, tuple[tuple[float, float], ...]]:
     """Read the kind of the fields and their points (x, y) [deg or mm]; raises FileError.
 
-    The points are in XFLN and YFLN, in old files in XFLD and YFLD. These hold twelve; with more, point i stands in
-    FEFD i x y.
+    The points are in XFLN and YFLN, in old files in XFLD and YFLD. These lines hold twelve points; further points are
+    in lines FEFD i x y.
     """
     if "FTYP" not in system:
         raise FileError(f"{path}: no fields: FTYP is missing")
@@ -81,14 +81,14 @@ def read_fields(system: Mapping[str, Line], unit: float, path: Path) -> tuple[st
         raise line.error(f"expected a type 0 .. {len(FIELDS) - 1} and at least one field, found {line.text!r}")
     scale = 1.0 if FIELDS[kind] == "angle_deg" else unit
     x, y = (_coordinates(system, axis, path) for axis in "XY")
-    listed = min(count, _FIELDS) if f"FEFD {count}" in system else count
-    points = [(x.number(i, scale), y.number(i, scale)) for i in range(listed)]
+    per_line = min(count, _FIELDS) if f"FEFD {count}" in system else count
+    points = [(x.number(i, scale), y.number(i, scale)) for i in range(per_line)]
     for i in range(1, count + 1):
-        if (further := system.get(f"FEFD {i}")) is not None:
-            point = further.number(1, scale), further.number(2, scale)
-            if i <= listed and point != points[i - 1]:
-                raise further.error(f"differs from field {i} in {x.keyword} and {y.keyword}; save the file again")
-            points[i - 1 :] = [point] if i > listed else points[i - 1 :]
+        if (extra := system.get(f"FEFD {i}")) is not None:
+            point = extra.number(1, scale), extra.number(2, scale)
+            if i <= per_line and point != points[i - 1]:
+                raise extra.error(f"differs from field {i} in {x.keyword} and {y.keyword}; save the file again")
+            points[i - 1 :] = [point] if i > per_line else points[i - 1 :]
     return FIELDS[kind], tuple(points)
 
 
@@ -101,27 +101,27 @@ def _coordinates(system: Mapping[str, Line], axis: str, path: Path) -> Line:
 
 
 def read_wavelengths(system: Mapping[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
-    """Read the wavelengths [um], as many as FTYP says (files list 24), and the index of the primary one."""
+    """Read the wavelengths [um] and the index of the primary one; FTYP has their number, since files list 24."""
     if "FTYP" not in system:
         raise FileError(f"{path}: no numbers of fields and wavelengths: FTYP is missing")
     count = system["FTYP"].integer(3)
-    listed = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
+    table = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
     words: Iterable[tuple[Line, int]]
     if count > 0 and all(f"WAVM {i}" in system for i in range(1, count + 1)):
         words = ((system[f"WAVM {i}"], 1) for i in range(1, count + 1))
-    elif count > 0 and listed is not None:
-        words = ((listed, i) for i in range(count))
+    elif count > 0 and table is not None:
+        words = ((table, i) for i in range(count))
     else:
         raise system["FTYP"].error(f"expected {max(count, 1)} wavelengths in WAVM, WAVL or WAVN, found fewer")
-    found = []
+    wavelengths = []
     for line, i in words:
-        found.append(line.number(i))
-        if not found[-1] > 0:
-            raise line.error(f"expected positive wavelengths in um, found {found[-1]}")
+        wavelengths.append(line.number(i))
+        if not wavelengths[-1] > 0:
+            raise line.error(f"expected positive wavelengths in um, found {wavelengths[-1]}")
     primary = system["PWAV"].integer(0) if "PWAV" in system else 1
     if not 1 <= primary <= count:
         raise system["PWAV"].error(f"expected one of the {count} wavelengths, found {primary}")
-    return tuple(found), primary - 1
+    return tuple(wavelengths), primary - 1
 
 
 def read_object_distance(line: Line, unit: float) -> float:

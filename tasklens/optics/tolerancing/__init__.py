@@ -1,1 +1,1 @@
-"""Errors of manufacture: built lenses, their focus in assembly, and the sensitivity to each error."""
+"""Manufacturing errors: built lenses, their focus in assembly, and the sensitivity to each error."""

@@ -1,4 +1,4 @@
-"""Allocation of tolerances to the errors of a lens: loose where they cost little, so that most lenses are good."""
+"""Allocation of tolerances to the errors of a lens: loose for errors with little effect; most lenses must be good."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,29 +7,30 @@ from torch import Tensor
 
 from tasklens.optics.tolerancing.errors import Error
 
-YIELD = 0.95  # share of the lenses that tolerances are allotted for
-TRIED = 100  # lenses that are built with each set of tolerances, at most
-SEED = 7001  # added to the seed: other lenses than those that are reported
+YIELD = 0.95  # fraction of the lenses that must be good
+TRIED = 100  # largest number of lenses that are simulated with each set of tolerances
+SEED = 7001  # added to the seed: these lenses differ from the reported ones
 _LOOSEST = 4.0  # times the tolerance of the grade: looser ones save nothing
-_RANGE = (1 / 32, 8.0)  # of the common factor
+_RANGE = (1 / 32, 8.0)  # range of the common factor
 _HALVINGS = 5  # of the logarithm of the range: the factor is within 19 %
-TRIALS = 1 + _HALVINGS  # of `widest`, at most
+TRIALS = 1 + _HALVINGS  # largest number of calls of `passes` in `widest`
 
 
-def both_axes(found: Sequence[Error], displacements: Tensor) -> Tensor:
-    """Return displacements (P,) in which x and y of a decentre or tilt are alike, their RMS: drawings have one."""
+def both_axes(errors: Sequence[Error], displacements: Tensor) -> Tensor:
+    """Replace displacements (P,) of a decentre or tilt in x and y by their RMS: drawings have a single tolerance."""
     squares: dict[tuple[str, int, str], list[float]] = {}
-    names = [(error.kind, error.surface, error.part.strip("xy")) for error in found]
-    for name, moved in zip(names, displacements.tolist(), strict=True):
-        squares.setdefault(name, []).append(moved**2)
+    names = [(error.kind, error.surface, error.part.strip("xy")) for error in errors]
+    for name, displacement in zip(names, displacements.tolist(), strict=True):
+        squares.setdefault(name, []).append(displacement**2)
     return torch.tensor([(sum(squares[name]) / len(squares[name])) ** 0.5 for name in names], dtype=displacements.dtype)
 
 
 def cheapest(displacements: Tensor, factor: float) -> Tensor:
-    """Return tolerances (P,) over those of the grade, at the least cost for their mean square displacement.
+    """Return the tolerances (P,) of least cost for their mean square displacement, as multiples of the grade's.
 
-    With a cost that is the tolerance of the grade over that allotted, summed over errors, cost is least for tolerances
-    t = factor (s / rms(s))^(-2/3) (Lagrange), s the displacement by an error of the size of the grade's tolerance.
+    The cost is the sum over errors of the tolerance of the grade divided by the allotted one. By a Lagrange multiplier
+    it is least for t = factor (s / rms(s))^(-2/3), with s the displacement by an error as large as the tolerance of the
+    grade.
 
     Args:
         displacements: (P,) s [um].
@@ -39,10 +40,10 @@ def cheapest(displacements: Tensor, factor: float) -> Tensor:
 
 
 def widest(displacements: Tensor, passes: Callable[[Tensor], bool]) -> Tensor | None:
-    """Find the widest tolerances (P,) over those of the grade that pass, by bisection of their common factor.
+    """Find the widest tolerances (P,) that pass, as multiples of the grade's, by bisection of their common factor.
 
     Args:
-        passes: whether enough lenses with these tolerances (P,) are good.
+        passes: returns whether enough lenses with the tolerances (P,) are good.
 
     Returns:
         None if even the tightest do not pass.

@@ -1,7 +1,7 @@
-"""Errors of a lens as it is built, and the lens with them.
+"""Manufacturing errors of a lens, and the lens with these errors.
 
-Elements are the bodies between air; a cemented group is one. The first surface of an element is its seat: it moves with
-the element, and the others are off it besides. The stop and the image plane stay where they are.
+An element is a body between air; a cemented group is one element. The first surface of an element is its seat: it moves
+with the element, and the errors of the other surfaces are relative to it. The stop and the image plane do not move.
 """
 
 import math
@@ -16,13 +16,13 @@ from tasklens.optics.lens import Lens, Melt
 from tasklens.study.tolerance_settings import Grade
 
 _FRINGE_MM = 0.6328e-3 / 2  # height of a fringe in reflection
-_TEST_DIAMETER_MM = 25.0  # over which fringes are counted
+_TEST_DIAMETER_MM = 25.0  # diameter over which fringes are counted
 _QUANTILE = math.erf(math.sqrt(2))  # of a normal variable within two standard deviations
-# Standard deviation of an error over its tolerance: 1/2 of a normal variable that is cut at two deviations.
+# Standard deviation of an error divided by its tolerance: 1/2 for a normal variable truncated at two deviations.
 DEVIATION = 0.5 * math.sqrt(1 - 4 * math.exp(-2) / (math.sqrt(2 * math.pi) * _QUANTILE))
 
-# Form errors that leave the vertex where it is, in rho = r / semi-diameter: Zernike's spherical aberrations of fourth
-# and sixth order, powers rho^2, rho^4, rho^6, over their range on the disc.
+# Form errors that do not move the vertex, in rho = r / semi-diameter: Zernike's spherical aberrations of fourth and
+# sixth order, coefficients of rho^2, rho^4, rho^6, divided by their range on the disc.
 _FORMS = {4: (-6 / 1.5, 6 / 1.5, 0.0), 6: (12 / 2, -30 / 2, 20 / 2)}
 
 
@@ -31,13 +31,13 @@ class Error:
     """One error of a lens.
 
     Attributes:
-        kind: what is off; `Grade` has the tolerance of each kind.
-        surface: surface that it concerns, of an element the first; of a medium the one in front of it.
-        part: x or y of decentres and tilts, the order of a form error; else empty.
+        kind: quantity in error; `Grade` has the tolerance of each kind.
+        surface: index of the surface; for an element its first surface, for a medium the surface in front of it.
+        part: x or y for decentres and tilts, the order for a form error; otherwise empty.
         tolerance: largest error, in `unit`.
-        unit: unit of people.
-        scale: one unit in those of the lens: fractions, mm, rad.
-        radius: of the clear aperture that a form error has its height over [mm].
+        unit: unit of `tolerance`, for display.
+        scale: one `unit` in units of the lens: fractions, mm, rad.
+        radius: radius of the clear aperture over which a form error is specified [mm].
     """
 
     kind: str
@@ -56,34 +56,34 @@ class Error:
 
 def elements(lens: Lens) -> list[tuple[int, int]]:
     """Return the first and the last surface of each element."""
-    found: list[tuple[int, int]] = []
+    groups: list[tuple[int, int]] = []
     for i in lens.refracting_surfaces:
         before = lens.media[i - 1] if i else AIR
         if before == AIR:
-            found.append((i, i))
+            groups.append((i, i))
         else:
-            found[-1] = found[-1][0], i
-    return found
+            groups[-1] = groups[-1][0], i
+    return groups
 
 
 def errors(lens: Lens, grade: Grade) -> list[Error]:
-    """List the errors of a lens that a grade of manufacture allows, those of tolerance zero left out."""
-    found: list[Error] = []
+    """List the errors that a grade of manufacture allows, without errors of zero tolerance."""
+    result: list[Error] = []
 
     def add(kind: str, surface: int, tolerance: float, unit: str, scale: float, parts: Sequence[str] = ("",)) -> None:
-        found.extend(Error(kind, surface, part, tolerance, unit, scale) for part in parts if tolerance > 0)
+        result.extend(Error(kind, surface, part, tolerance, unit, scale) for part in parts if tolerance > 0)
 
     for first, last in elements(lens):
         inside = range(first, last)
         if first:
             add("air_space", first - 1, grade.air_space_um, "um", 1e-3)
         for i in range(first, last + 1):
-            add("radius", i, grade.radius_percent, "%", 1e-2)  # of flat ones too: designs begin flat
+            add("radius", i, grade.radius_percent, "%", 1e-2)  # of flat surfaces too: designs begin flat
             if grade.irregularity_fringes:
                 radius = _radius(lens, i)
                 form_um = 1e3 * grade.irregularity_fringes * _FRINGE_MM * 2 * radius / _TEST_DIAMETER_MM
                 height_um = form_um / math.sqrt(len(_FORMS))
-                found += [Error("form", i, str(order), height_um, "um", 1e-3, radius) for order in _FORMS]
+                result += [Error("form", i, str(order), height_um, "um", 1e-3, radius) for order in _FORMS]
         for i in inside:
             add("thickness", i, grade.thickness_um, "um", 1e-3)
             add("index", i, grade.index, "", 1.0)
@@ -93,45 +93,45 @@ def errors(lens: Lens, grade: Grade) -> list[Error]:
             add("surface_tilt", i, grade.surface_tilt_mrad, "mrad", 1e-3, "xy")
         add("element_decentre", first, grade.element_decentre_um, "um", 1e-3, "xy")
         add("element_tilt", first, grade.element_tilt_mrad, "mrad", 1e-3, "xy")
-    return found
+    return result
 
 
 def _radius(lens: Lens, surface: int) -> float:
-    """Return the radius of the clear aperture [mm]; raises ValueError where there is none."""
+    """Return the radius of the clear aperture [mm]; raises ValueError if there is none."""
     radius = float(lens.semi_diameter[surface])
     if not math.isfinite(radius):
         raise ValueError(f"surface {surface} has no clear aperture: its form error has no size")
     return radius
 
 
-def draw(found: Sequence[Error], count: int, seed: int) -> Tensor:
-    """Draw errors (count, P) as fractions of their tolerances: normal, of deviation 1/2, cut at 1."""
-    uniform = torch.rand(count, len(found), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+def draw(error_list: Sequence[Error], count: int, seed: int) -> Tensor:
+    """Draw errors (count, P) as fractions of their tolerances: normal, standard deviation 1/2, truncated at 1."""
+    uniform = torch.rand(count, len(error_list), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     return torch.erfinv((2 * uniform - 1) * _QUANTILE) / math.sqrt(2)
 
 
-def built(lens: Lens, found: Sequence[Error], fractions: Tensor, reference: float) -> Lens:
-    """Return a lens with errors, differentiable in it and in the errors.
+def built(lens: Lens, error_list: Sequence[Error], fractions: Tensor, reference: float) -> Lens:
+    """Return the lens with errors, differentiable in the lens and in the errors.
 
     Args:
-        found: P errors of the lens.
-        fractions: (P,) each error over its tolerance.
+        error_list: P errors of the lens.
+        fractions: (P,) each error divided by its tolerance.
         reference: wavelength of index errors [um].
     """
-    sizes = torch.tensor([error.tolerance * error.scale for error in found], dtype=lens.dtype)
+    sizes = torch.tensor([error.tolerance * error.scale for error in error_list], dtype=lens.dtype)
     values = fractions.to(lens.dtype) * sizes
 
     def total(kind: str, part: str = "") -> Tensor:
-        """Add the errors of a kind by surface, (S,)."""
-        at = [k for k, error in enumerate(found) if (error.kind, error.part) == (kind, part)]
-        where = torch.tensor([found[k].surface for k in at], dtype=torch.long)
+        """Sum the errors of a kind for each surface, (S,)."""
+        at = [k for k, error in enumerate(error_list) if (error.kind, error.part) == (kind, part)]
+        where = torch.tensor([error_list[k].surface for k in at], dtype=torch.long)
         return torch.zeros(len(lens.media), dtype=lens.dtype).index_add(0, where, values[at])
 
     def pair(kind: str) -> Tensor:
         return torch.stack([total(kind, "x"), total(kind, "y")], -1)
 
-    forms = [(error, values[k]) for k, error in enumerate(found) if error.kind == "form"]
-    moved = replace(
+    forms = [(error, values[k]) for k, error in enumerate(error_list) if error.kind == "form"]
+    lens_built = replace(
         lens,
         curvature=lens.curvature / (1 + total("radius")),
         alpha=_with_form(lens, forms),
@@ -139,28 +139,28 @@ def built(lens: Lens, found: Sequence[Error], fractions: Tensor, reference: floa
         melt=Melt(total("index"), total("dispersion"), reference),
     )
     decentre, tilt = pair("surface_decentre"), pair("surface_tilt")
-    for i in sorted({error.surface for error in found if error.kind.startswith("surface")}):
-        moved = moved.with_surface_moved(i, decentre[i], tilt[i])
+    for i in sorted({error.surface for error in error_list if error.kind.startswith("surface")}):
+        lens_built = lens_built.with_surface_moved(i, decentre[i], tilt[i])
     decentre, tilt = pair("element_decentre"), pair("element_tilt")
-    first_surfaces = {error.surface for error in found if error.kind.startswith("element")}
-    for first, last in (each for each in elements(lens) if each[0] in first_surfaces):
-        moved = moved.with_element_moved(first, last, decentre[first], tilt[first])
-    return moved
+    first_surfaces = {error.surface for error in error_list if error.kind.startswith("element")}
+    for first, last in (element for element in elements(lens) if element[0] in first_surfaces):
+        lens_built = lens_built.with_element_moved(first, last, decentre[first], tilt[first])
+    return lens_built
 
 
 def _with_form(lens: Lens, forms: Sequence[tuple[Error, Tensor]]) -> Tensor:
-    """Return the asphere coefficients (S, M) with form errors of these heights from valley to peak [mm]."""
+    """Return the asphere coefficients (S, M) with form errors of the specified peak-to-valley heights [mm]."""
     if not forms:
         return lens.alpha
     powers = torch.arange(1, 4, dtype=lens.dtype)
-    added = torch.stack(
+    coefficients = torch.stack(
         [
             height * torch.tensor(_FORMS[int(error.part)], dtype=lens.dtype) / error.radius ** (2 * powers)
             for error, height in forms
         ]
     )
     where = torch.tensor([error.surface for error, _ in forms])
-    form = torch.zeros(len(lens.media), 3, dtype=lens.dtype).index_add(0, where, added)
+    form = torch.zeros(len(lens.media), 3, dtype=lens.dtype).index_add(0, where, coefficients)
     columns = max(3, lens.alpha.shape[1])
     alpha, form = (torch.nn.functional.pad(v, (0, columns - v.shape[1])) for v in (lens.alpha, form))
     return alpha + form

@@ -1,6 +1,6 @@
-"""Focus of a built lens, as it is assembled: by its MTF, as that of the design.
+"""Focus of a built lens in assembly, by its MTF relative to the design.
 
-Decentres tilt the image surface: in one quadrant that would look like a shift, so that all four are looked at.
+Decentres tilt the image surface. In one quadrant a tilt looks like a shift, so all four quadrants are evaluated.
 """
 
 import math
@@ -15,17 +15,17 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import passing
 from tasklens.optics.view import View
 
-_FREQUENCY = 0.25  # of Nyquist's, at which modules are focused
-_RANGE = 0.06  # largest shift of the image plane, over the focal length
-_STEPS = 40  # of the scan to each side
-_FITTED = 2  # of them to each side of the best, by a parabola
+_FREQUENCY = 0.25  # frequency at which lens modules are focused, as a fraction of Nyquist
+_RANGE = 0.06  # largest shift of the image plane, as a fraction of the focal length
+_STEPS = 40  # steps of the scan on each side
+_FITTED = 2  # planes on each side of the best one that a parabola is fitted to
 _RAYS = 256  # per field and colour
 
 
 def peak(lens: Lens, view: View) -> Tensor:
-    """Find the shift of the image plane of the largest MTF, the mean over fields and both orientations [mm].
+    """Compute the shift of the image plane that maximises the mean MTF over fields and both orientations [mm].
 
-    It is that of a parabola through the planes nearest to the best one, and differentiable in the lens.
+    It is the vertex of a parabola fitted to the planes around the best one, and differentiable in the lens.
     """
     step = _RANGE * view.efl / _STEPS
     values = through_focus(lens, view.in_all_quadrants(), -_STEPS * step, step, 2 * _STEPS + 1)
@@ -38,15 +38,15 @@ def peak(lens: Lens, view: View) -> Tensor:
 
 
 def through_focus(lens: Lens, view: View, first: float, step: float, count: int) -> Tensor:
-    """Compute the MTF at `frequency` in planes one behind the other.
+    """Compute the MTF at `frequency` in equally spaced planes.
 
-    The phases of a ray grow by the same amount from plane to plane, so that its phasor is multiplied by a constant.
+    The phase of a ray grows by the same amount from plane to plane, so its phasor is multiplied by a constant.
 
     Args:
-        first, step: shift of the first plane from the image plane, and from each to the next [mm].
+        first, step: shift of the first plane from the image plane, and distance between planes [mm].
 
     Returns:
-        (count,) means over fields and both orientations, as of `mtf.geometric_mtf`.
+        (count,) means over fields and both orientations of the MTF as in `mtf.geometric_mtf`.
     """
     rays = trace_fields(lens, view, sobol_disc(_RAYS, seed=0))
     ex, ey = view.directions[:, 0, None, None], view.directions[:, 1, None, None]
@@ -58,16 +58,21 @@ def through_focus(lens: Lens, view: View, first: float, step: float, count: int)
 
     slope_x, slope_y = rays.l / rays.n, rays.m / rays.n
     turn = phasor(step * slope_x, step * slope_y)
-    at = torch.where(rays.valid, phasor(rays.x + first * slope_x, rays.y + first * slope_y), 0.0)
-    found = []
+    phasors = torch.where(rays.valid, phasor(rays.x + first * slope_x, rays.y + first * slope_y), 0.0)
+    moduli = []
     for _ in range(count):
-        found.append((at.sum((-2, -1)).abs() / passing(rays)).mean())
-        at = at * turn
-    return torch.stack(found)
+        moduli.append((phasors.sum((-2, -1)).abs() / passing(rays)).mean())
+        phasors = phasors * turn
+    return torch.stack(moduli)
 
 
 def focused(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]:
-    """Focus a built lens: its MTF is largest as far from its image plane as that of the design, `nominal_peak` [mm].
+    """Focus a built lens so that its MTF peaks at the same distance from its image plane as the design's.
+
+    Args:
+        lens: the built lens.
+        view: fields, wavelengths and pixels.
+        nominal_peak: distance of the peak of the design from its image plane, as from `peak` [mm].
 
     Returns:
         The lens, and the shift of its image plane [mm]; both are differentiable in both lenses.

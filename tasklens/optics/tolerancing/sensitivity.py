@@ -1,7 +1,7 @@
-"""Displacement of rays by errors of manufacture, by derivative.
+"""Displacement of rays by manufacturing errors, from derivatives.
 
-Displacements are of the core of each spot, the half of its rays nearest to the chief ray, so that they do not depend on
-a haze around it; without the shift of a whole spot, and in the best image plane of all four quadrants.
+Only the core of each spot counts, the half of its rays nearest to the chief ray: a haze around it has no effect. The
+shift of a whole spot is removed, and the image plane is the best one for all four quadrants.
 """
 
 from collections.abc import Sequence
@@ -17,70 +17,70 @@ from tasklens.optics.tolerancing.errors import Error, built
 from tasklens.optics.view import View
 
 
-def displacements(lens: Lens, view: View, found: Sequence[Error], rays: int) -> Tensor:
-    """Compute the RMS displacement (P,) of core rays by each error of the size of its tolerance, refocused [um].
+def displacements(lens: Lens, view: View, errors: Sequence[Error], rays: int) -> Tensor:
+    """Compute the RMS displacement (P,) of core rays by each error as large as its tolerance, after refocusing [um].
 
-    A plane at the distance t moves rays by t times their slopes q, so that displacements d + t q are least in the mean
-    square at t = -<d, q> / <q, q>. They are linear in the error: the mean square of a spot grows by the sum over errors
-    of the squares times `DEVIATION`^2.
+    A defocus t displaces rays by t times their slopes q. The mean square of the displacements d + t q is smallest at
+    t = -<d, q> / <q, q>. Displacements are linear in the error: the mean square of a spot grows by `DEVIATION`^2 times
+    the sum of their squares.
 
     Args:
-        found: P errors of the lens.
+        errors: P errors of the lens.
         rays: number of pupil points per field and colour.
 
     Returns:
-        Infinite for all errors where no light comes to some field.
+        The displacements; all are infinite if no light reaches some field.
     """
     view, pupil = view.in_all_quadrants(), sobol_disc(rays, seed=0)
     nominal = trace_fields(lens, view, pupil)
     core = _core(lens, view, nominal)
     if not core.any(-1).any(-1).all():
-        return torch.full((len(found),), torch.inf, dtype=torch.float64)
+        return torch.full((len(errors),), torch.inf, dtype=torch.float64)
 
     def points(fractions: Tensor) -> Tensor:
-        moved = trace_fields(built(lens, found, fractions, view.reference), view, pupil)
+        moved = trace_fields(built(lens, errors, fractions, view.reference), view, pupil)
         return torch.stack([moved.x, moved.y])
 
-    nought = torch.zeros(len(found), dtype=torch.float64)
+    zero = torch.zeros(len(errors), dtype=torch.float64)
     slopes = _centred(torch.stack([nominal.l / nominal.n, nominal.m / nominal.n]), core)
     squares = []
-    for along in torch.eye(len(found), dtype=torch.float64):
-        moved = _centred(torch.func.jvp(points, (nought,), (along,))[1], core)  # type: ignore[misc]
+    for along in torch.eye(len(errors), dtype=torch.float64):
+        moved = _centred(torch.func.jvp(points, (zero,), (along,))[1], core)  # type: ignore[misc]
         squares.append(_mean(moved * moved, core) - _mean(moved * slopes, core) ** 2 / _mean(slopes * slopes, core))
     return 1e3 * torch.stack(squares).clamp(min=0).sqrt()
 
 
-def traced_displacements(lens: Lens, view: View, found: Sequence[Error], rays: int) -> Tensor:
-    """Compute the same with errors one at a time, of both signs, from traced rays; infinite where a field is lost."""
+def traced_displacements(lens: Lens, view: View, errors: Sequence[Error], rays: int) -> Tensor:
+    """Compute `displacements` from rays traced with one error at a time, of both signs; infinite if a field is lost."""
     view, pupil = view.in_all_quadrants(), sobol_disc(rays, seed=0)
     nominal = trace_fields(lens, view, pupil)
     core = _core(lens, view, nominal)
 
     def squared(fractions: Tensor) -> float:
-        moved = trace_fields(built(lens, found, fractions, view.reference), view, pupil)
-        kept = core & moved.valid
-        if not kept.any(-1).any(-1).all():
+        moved = trace_fields(built(lens, errors, fractions, view.reference), view, pupil)
+        valid = core & moved.valid
+        if not valid.any(-1).any(-1).all():
             return float("inf")
-        d = _centred(torch.stack([moved.x - nominal.x, moved.y - nominal.y]), kept)
-        q = _centred(torch.stack([moved.l / moved.n, moved.m / moved.n]), kept)
-        return float(_mean(d * d, kept) - _mean(d * q, kept) ** 2 / _mean(q * q, kept))
+        d = _centred(torch.stack([moved.x - nominal.x, moved.y - nominal.y]), valid)
+        q = _centred(torch.stack([moved.l / moved.n, moved.m / moved.n]), valid)
+        return float(_mean(d * d, valid) - _mean(d * q, valid) ** 2 / _mean(q * q, valid))
 
-    both = [squared(e) + squared(-e) for e in torch.eye(len(found), dtype=torch.float64)]
-    return 1e3 * (torch.tensor(both, dtype=torch.float64) / 2).clamp(min=0).sqrt()
+    squares = [squared(e) + squared(-e) for e in torch.eye(len(errors), dtype=torch.float64)]
+    return 1e3 * (torch.tensor(squares, dtype=torch.float64) / 2).clamp(min=0).sqrt()
 
 
 def _core(lens: Lens, view: View, rays: Rays) -> Tensor:
-    """Tell which rays (F, W, N) are of the core; none of a field without light."""
+    """Return whether rays (F, W, N) belong to the core; a field without light has no core rays."""
     centre = chief_points(lens, view)
     return rays.valid & (distances(rays, centre) <= encircled_energy_radius(rays, centre, 0.5)[:, None, None])
 
 
 def _mean(product: Tensor, core: Tensor) -> Tensor:
-    """Compute the mean over fields of the mean over core rays of a sum over x and y, (2, F, W, N)."""
+    """Sum (2, F, W, N) over x and y; return the mean over fields of the mean over core rays."""
     return (torch.where(core, product.sum(0), 0.0).sum((1, 2)) / core.sum((1, 2))).mean()
 
 
 def _centred(values: Tensor, core: Tensor) -> Tensor:
-    """Subtract from values (2, F, W, N) of core rays their mean in each field."""
+    """Subtract the mean of each field from the values (2, F, W, N) of core rays; zero for other rays."""
     mean = torch.where(core, values, 0.0).sum((2, 3), keepdim=True) / core.sum((1, 2))[:, None, None]
     return torch.where(core, values - mean, 0.0)

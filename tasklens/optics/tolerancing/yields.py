@@ -1,4 +1,4 @@
-"""Lenses as they are built: their spots and contrast, and the tolerances with which most of them are good."""
+"""Spots and contrast of built lenses, and the tolerances with which most of them are good."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
 from tasklens.study.tolerance_settings import Grade
 
-KEPT_MTF = 0.8  # share of the design's MTF that tolerances of a drawing are for
+KEPT_MTF = 0.8  # fraction of the design's MTF that a good lens keeps
 _RAYS = 512  # per field and colour
-_RIM = 1.02  # clear aperture of a surface without one, over the radius that light uses
+_RIM = 1.02  # clear aperture of a surface without one, divided by the radius that light uses
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ class Quality:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Loss of a lens in manufacture.
+    """Performance of a lens with manufacturing errors.
 
     Attributes:
         design: the lens as designed.
         built: the lenses as built.
         errors: P errors of a lens.
         moved_um: (P,) RMS displacement of rays by each error as large as its tolerance [um].
-        allotted: (P,) widest tolerances, over those of the grade, with which `allocation.YIELD` of the lenses keep
-            `KEPT_MTF` of the design's MTF; None: the tightest that were tried do not suffice.
+        allotted: (P,) widest tolerances, as multiples of the tolerances of the grade, with which a fraction
+            `allocation.YIELD` of the lenses keeps `KEPT_MTF` of the design's MTF; None if the tightest do not suffice.
     """
 
     design: Quality
@@ -54,7 +54,7 @@ class Tolerances:
 
 
 def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> Tolerances:
-    """Build lenses with errors of a grade, focus them, and measure spots and MTF in all quadrants of the image.
+    """Simulate lenses with the errors of a grade: focus them, and measure spots and MTF in all quadrants of the image.
 
     Args:
         lens: the design.
@@ -67,34 +67,34 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         InputError: no light arrives at some field of the design.
     """
     lens = with_clear_apertures(lens.detached(), _RIM * clear_semi_diameters(lens, view))
-    listed = errors(lens, grade)
-    moved_um = displacements(lens, view, listed, _RAYS)
+    error_list = errors(lens, grade)
+    moved_um = displacements(lens, view, error_list, _RAYS)
     if not moved_um.isfinite().all():
         raise InputError("no light arrives at some field of the lens: give a smaller --field-of-view")
     peak = focus.peak(lens, view)
     progress = Progress("built lenses", count)
     qualities = []
-    for k, fractions in enumerate(draw(listed, count, seed), 1):
-        qualities.append(_quality(_assembled(lens, view, listed, fractions, peak), view))
+    for k, fractions in enumerate(draw(error_list, count, seed), 1):
+        qualities.append(_quality(_assembled(lens, view, error_list, fractions, peak), view))
         progress(k, rms_um=qualities[-1].rms_um)
     design = _quality(lens, view)
-    drawn = draw(listed, min(count, allocation.TRIED), seed + allocation.SEED)
+    draws = draw(error_list, min(count, allocation.TRIED), seed + allocation.SEED)
 
     def passes(scale: Tensor) -> bool:
         bad = 0
-        for fractions in drawn:
-            lens_built = _assembled(lens, view, listed, scale * fractions, peak)
+        for fractions in draws:
+            lens_built = _assembled(lens, view, error_list, scale * fractions, peak)
             bad += _quality(lens_built, view).mtf < KEPT_MTF * design.mtf
-            if bad > (1 - allocation.YIELD) * len(drawn):
+            if bad > (1 - allocation.YIELD) * len(draws):
                 return False
         return True
 
-    allotted = allocation.widest(allocation.both_axes(listed, moved_um), passes)
-    return Tolerances(design, qualities, listed, moved_um, allotted)
+    allotted = allocation.widest(allocation.both_axes(error_list, moved_um), passes)
+    return Tolerances(design, qualities, error_list, moved_um, allotted)
 
 
-def _assembled(lens: Lens, view: View, listed: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
-    return focus.focused(built(lens, listed, fractions, view.reference), view, peak)[0]
+def _assembled(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
+    return focus.focused(built(lens, error_list, fractions, view.reference), view, peak)[0]
 
 
 def _quality(lens: Lens, view: View) -> Quality:

@@ -36,12 +36,12 @@ from tasklens.optics.tracing.block import (
     inlined,
 )
 
-# A profile of slopes: bounds of |ds/dr| in cells of the radius, the radius that they reach, and the squared radius up
-# to which they are not above 1
+# A profile of slopes: bounds of |ds/dr| in cells of the radius, the end of the last cell, and the squared radius up to
+# which the bounds do not exceed 1
 CELLS = 32
 REACH, GENTLE_HERE = CELLS, CELLS + 1
 PROFILE = CELLS + 2
-_NEWTON_STEPS = 8  # for all rays of a block; those that have not converged then are taken one by one
+_NEWTON_STEPS = 8  # for all rays of a block; rays that have not converged are then processed one by one
 _SAFE_STEPS = 400
 _SAFE_TOLERANCE = 1e-9  # [mm]; the error after a step is of the order of its square, and one more follows
 _FAR = 1e7  # [mm] largest height at which a ray meets a surface
@@ -50,9 +50,9 @@ _MISSED = int(RayStatus.MISSED)
 
 @inlined
 def intersect(s, surface, polynomials, slopes, fate):
-    """Fill the row T with the distances to the surface; mark rays that miss it in `fate`, and leave them in place.
+    """Fill the row T with the distances to the surface; mark rays that miss it in `fate`, with distance 0.
 
-    `slopes` is a profile of slopes, filled when it is needed. Returns the number of rays that miss the surface.
+    `slopes` is a profile of slopes, filled on demand. Returns the number of rays that miss the surface.
     """
     if surface[CURVATURE] == 0 and surface[GENTLE] == math.inf:  # a plane
         for i in range(BLOCK):
@@ -78,12 +78,12 @@ def intersect(s, surface, polynomials, slopes, fate):
 
 @inlined
 def _newton(s, surface, polynomials, slopes):
-    """Iterate the rays of a block by Newton's method from the vertex plane to the surface.
+    """Move the rays of a block by Newton's method from the vertex plane to the surface.
 
-    F(t) = z + t n - s(u) = 0. The crossing is the first one where F' > 0 on the whole way from the ray's last point:
+    F(t) = z + t n - s(u) = 0. The crossing is the first one if F' > 0 on the whole way from the ray's last point:
     F' = n - 2 ds/du h, where |h| <= r sin i for the angle i to the axis, and 2 r ds/du is the slope of the surface.
 
-    Returns the number of rays of which this does not show that they meet the surface, and there first.
+    Returns the number of rays for which this does not prove that they meet the surface, and at their first crossing.
     """
     number = s.dtype.type
     zero, one, edge, grazing = number(0), number(1), number(EDGE), number(GRAZING)
@@ -136,9 +136,9 @@ def first_crossing(x, y, z, l, m, n, surface, alpha):
     """Return the distance t along a ray to its first crossing of a surface, NaN if there is none.
 
     A ray in front of the surface goes forward, one behind it backward, to the first crossing. Steps never pass it: with
-    |F''| <= B on the next D mm, |F| cannot vanish before 2 |F| / (F' + sqrt(F'^2 + 2 B |F|)), F' being the derivative
-    towards the surface. This is Newton's step where |F| is small, and a ray that meets nothing comes to the edge of the
-    surface, where 1 - (1 + k) c^2 u is zero: a proof that there is no crossing.
+    |F''| <= B on the next D mm, |F| cannot vanish before 2 |F| / (F' + sqrt(F'^2 + 2 B |F|)), where F' is the
+    derivative towards the surface. For small |F| this is Newton's step. A ray without a crossing reaches the edge of
+    the surface, 1 - (1 + k) c^2 u = 0; this proves that there is no crossing.
     """
     x, y, z = numpy.float64(x), numpy.float64(y), numpy.float64(z)
     l, m, n = numpy.float64(l), numpy.float64(m), numpy.float64(n)
@@ -155,7 +155,7 @@ def first_crossing(x, y, z, l, m, n, surface, alpha):
     sag, slope, _, _ = _bounded(u, u, c, bending, alpha)
     side = 1.0 if z + t * n <= sag else -1.0
     if t * side < 0:
-        return math.nan  # at the edge it is already behind the surface, or before it
+        return math.nan  # at the edge the ray is already past the surface
     window = 1.0
     for _ in range(_SAFE_STEPS):
         sag, slope, _, _ = _bounded(u, u, c, bending, alpha)
@@ -235,7 +235,7 @@ def _fill_slopes(slopes, r_most, surface, alpha):
 
 @entry
 def prepare(curvature, conic, thickness, alpha, limit, surfaces, polynomials):
-    """Fill the table of surfaces and their polynomials, which are zero before."""
+    """Fill the table of surfaces and their polynomials; the polynomials must be zero before the call."""
     for k in range(len(surfaces)):
         surface, polynomial = surfaces[k], polynomials[k]
         surface[CURVATURE], surface[THICKNESS], surface[LIMIT] = curvature[k], thickness[k], limit[k]
@@ -255,6 +255,6 @@ def prepare(curvature, conic, thickness, alpha, limit, surfaces, polynomials):
 
 @inlined
 def _steepest(r, surface, alpha):
-    """Return a bound of the slope |ds/dr| up to the radius r, infinite where the surface ends before."""
+    """Return a bound of the slope |ds/dr| up to the radius r, infinite if the surface ends before r."""
     c, bending, u = numpy.float64(surface[CURVATURE]), numpy.float64(surface[BENDING]), r * r
     return math.inf if bending * u >= 1 - EDGE else 2 * r * _bounded(u, u, c, bending, alpha)[2]

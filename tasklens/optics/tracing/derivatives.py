@@ -1,6 +1,6 @@
-"""Derivatives of traced rays, in reverse and in forward mode: each block is traced again, then its changes.
+"""Derivatives of traced rays in reverse and forward mode: each block is traced again, then differentiated.
 
-Arguments that `kernel.trace` has as well are the same here.
+Arguments that `kernel.trace` has too have the same meaning here.
 """
 
 import numpy
@@ -46,12 +46,12 @@ def reverse(first, last, start, count, lens, status, distances, gradient, b_star
     """Propagate gradients of rays on the image plane back to the rays at the start and to the lens.
 
     Args:
-        first .. distances: as of `trace`.
-        gradient: (7, R) at x, y, (z), l, m, n and path on the image plane; a lost ray has none.
-        b_start: (7, R), filled; or empty.
-        b_lens: (G, S, 3 + M), added to: curvature, conic, thickness and alpha; of G groups of GROUP rays.
-        b_indices: (G, S + 1, W), added to; or of no surface.
-        b_poses: (G, S, 4, 3), added to: rotation and position; or of no surface.
+        first .. distances: as in `trace`.
+        gradient: (7, R) by x, y, (z), l, m, n and path on the image plane; ignored for a lost ray.
+        b_start: (7, R) output; or empty.
+        b_lens_of: (G, S, 3 + M) sums by curvature, conic, thickness and alpha, for G groups of GROUP rays.
+        b_indices_of: (G, S + 1, W) sums; or empty.
+        b_poses_of: (G, S, 4, 3) sums by rotation and position; or empty.
     """
     surfaces, _, indices, posed, rotations, _ = lens
     tape = numpy.zeros((len(surfaces) + 1, ROWS * BLOCK), start.dtype)
@@ -128,14 +128,14 @@ def forward(
     """Propagate V small changes of the rays at the start and of the lens to the rays on the image plane.
 
     Args:
-        first .. distances: as of `trace`.
-        begins: (V,) the first surface that a change concerns; 0 where it is one of the rays or of an index.
-        d_start: (V, 7, R), or of no change.
-        d_lens: (V, S, 3 + 2 M) of curvature, conic, thickness, alpha_2j and j alpha_2j.
-        d_indices: (V, S + 1, W), or of no change.
-        d_poses: (V, S, 4, 3) of rotation and position, or of no change.
-        d_image: (V, 7, R) filled: x, y, z, l, m, n and path; zero for a lost ray.
-        d_record: (V, S, 2, R) filled: x and y behind each surface, zero for a ray lost so far; or of no change.
+        first .. distances: as in `trace`.
+        begins: (V,) the first surface that a change affects; 0 for a change of the rays or of an index.
+        d_start: (V, 7, R), or empty.
+        d_lens: (V, S, 3 + 2 M) changes of curvature, conic, thickness, alpha_2j and j alpha_2j.
+        d_indices: (V, S + 1, W), or empty.
+        d_poses: (V, S, 4, 3) changes of rotation and position, or empty.
+        d_image: (V, 7, R) output: x, y, z, l, m, n and path; zero for a lost ray.
+        d_record: (V, S, 2, R) output: x and y behind each surface, zero for a ray that is already lost; or empty.
     """
     surfaces, _, indices, posed, rotations, _ = lens
     zero, orders = start.dtype.type(0), (d_lens.shape[2] - 3) // 2
@@ -204,9 +204,9 @@ def forward(
 
 @inlined
 def _retrace(tape, block, size, start, colours, lens, parks, distances):
-    """Fill the blocks of all surfaces, and one for the rays behind the last, as rays were traced.
+    """Trace the rays again: fill the blocks of all surfaces, and one for the rays behind the last surface.
 
-    A ray is on the axis behind the surface `parks` of the block, from the start where that is -1.
+    Behind the surface `parks[i]` ray i of the block is on the axis; -1: from the start.
     """
     surfaces, polynomials, indices, posed, rotations, positions = lens
     load(tape[0], start, block, size)

@@ -1,7 +1,7 @@
 """Rays through all surfaces of a lens, compiled by numba: intersect, refract, propagate, one block after another.
 
-What happens to few rays (a difficult intersection, a loss) is done for each of them. There is no tape: derivatives
-trace a block again from the stored distances t. `reference` states the same in plain autograd.
+Rare cases (a difficult intersection, a loss) are processed ray by ray. There is no tape: derivatives trace a block
+again from the stored distances t. `reference` implements the same in plain autograd.
 """
 
 import numpy
@@ -48,11 +48,11 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
         start: (7, R) x, y, z, l, m, n and path of the rays, ordered (..., W, N).
         count: (W, N).
         lens: tables as from `trace._tables`.
-        image: (7, R) the same on the image plane; for a lost ray its last point, z from the vertex of the surface where
-            it was lost, turned along the axis.
-        status, lost_at: (R,) in and out.
-        distances: (S, R), filled: t to each surface, for the derivatives.
-        record: (S, 7, R) rays behind each surface; or of no surface.
+        image: (7, R) output, the same on the image plane; for a lost ray its last point, z from the vertex of the
+            surface where it was lost, its direction along the axis.
+        status, lost_at: (R,) input and output.
+        distances: (S, R) output, t to each surface, for the derivatives.
+        record: (S, 7, R) output, rays behind each surface; or empty.
     """
     surfaces, polynomials, indices, posed, rotations, positions = lens
     s = numpy.zeros(ROWS * BLOCK, start.dtype)
@@ -92,8 +92,8 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
             if len(record) > 0:
                 for i in range(size):
                     for row in range(7):
-                        there = image[row, block + i] if status[block + i] else s[row * BLOCK + i]
-                        record[k, row, block + i] = there
+                        value = image[row, block + i] if status[block + i] else s[row * BLOCK + i]
+                        record[k, row, block + i] = value
             for i in range(BLOCK):
                 s[Z + i] -= surface[THICKNESS]
         fill_media(s, colours, indices[-1], indices[-1])
@@ -110,7 +110,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
 
 @inlined
 def _lose(s, i, ray, image):
-    """Keep the last point of a ray, and put it on the axis, where it stays finite."""
+    """Store the last point of a ray, and move the ray to the axis, where it stays finite."""
     for k in range(7):
         image[k, ray] = s[k * BLOCK + i]
         s[k * BLOCK + i] = 0
@@ -119,15 +119,15 @@ def _lose(s, i, ray, image):
 
 
 @inlined
-def propagate(s, behind, posed, rotation, position, thickness):
-    """Put the rays behind a surface into the block `behind`, which may be the same, z from the next vertex."""
+def propagate(s, out, posed, rotation, position, thickness):
+    """Write the rays behind a surface to the block `out`, which may be `s`, with z from the next vertex."""
     for row in range(0, 3 * BLOCK, BLOCK):
         for i in range(BLOCK):
-            behind[X + row + i] = s[X + row + i]
-            behind[L + row + i] = s[L_OUT + row + i]
+            out[X + row + i] = s[X + row + i]
+            out[L + row + i] = s[L_OUT + row + i]
     for i in range(BLOCK):
-        behind[PATH + i] = s[PATH + i]
+        out[PATH + i] = s[PATH + i]
     if posed:
-        out_of_pose(behind, rotation, position)
+        out_of_pose(out, rotation, position)
     for i in range(BLOCK):
-        behind[Z + i] -= thickness
+        out[Z + i] -= thickness

@@ -97,7 +97,7 @@ def out_of_pose_jvp(s, d, rotation, d_poses, change, k):
 
 @inlined
 def _before(s, rotation, i, a):
-    """Return component a of P - p = R P' and of D = R D' of ray i in front of the surface."""
+    """Return component a of P - p = R P' and of D = R D' for ray i in front of the surface."""
     before, way = 0.0, 0.0
     for j in range(3):
         direction = s[L + j * BLOCK + i]

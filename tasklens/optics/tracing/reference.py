@@ -18,7 +18,7 @@ def reference_trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
 
     Args:
         lens: S surfaces.
-        rays: as launched, of a shape that broadcasts with (..., W, N), z from the first vertex [mm].
+        rays: launched rays, of a shape that broadcasts with (..., W, N), z from the first vertex [mm].
         indices: (S + 1, W) refractive indices, as from `Lens.refractive_indices`.
 
     Returns:

@@ -8,9 +8,9 @@ surface z = s(u) at P' = P + t D, and leaves with the direction D':
     b  = (R - mu q) / g^2,  R^2 = g^2 (1 - mu^2) + mu^2 q^2,  mu = n_before / n_behind
     D' = mu D + b (e x', e y', 1)                                 (Snell's law)
 
-s(u) = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum_j alpha_2j u^j. Derivatives need none of the iteration for t: by the
+s(u) = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum_j alpha_2j u^j. Derivatives do not use the iteration for t: by the
 implicit function theorem q dt = ds - dz - t dn - e (x', y').(dx + t dl, dy + t dm), where ds is the change of the sag
-by the surface's own parameters. `surface` states the same in plain autograd, and the tests compare the two.
+by the surface's own parameters. `surface` implements the same in plain autograd, and the tests compare the two.
 """
 
 import math
@@ -64,7 +64,7 @@ def to_surface(s):
 
 @inlined
 def refract(s, surface):
-    """Refract rays at a surface, the row SLOPE being filled. Returns the number of rays that do not go on."""
+    """Refract rays at a surface; the row SLOPE must be filled. Returns the number of lost rays."""
     number = s.dtype.type
     one, edge, grazing = number(1), number(EDGE), number(GRAZING)
     c, bending, limit = surface[CURVATURE], surface[BENDING], surface[LIMIT]
@@ -166,8 +166,8 @@ def parameters_vjp(s, g, surface, total, orders):
 def refract_jvp(s, d, surface):
     """Propagate small changes d of the rays before a surface to those behind it.
 
-    Rows VALUE and SLOPE of s: changes of sag / u and ds/du by the surface's asphere coefficients; rows MU, INDEX, W and
-    E of d: changes of mu, of the index before, and of curvature and conic.
+    Rows VALUE and SLOPE of s hold changes of sag / u and ds/du by the surface's asphere coefficients; rows MU, INDEX, W
+    and E of d hold changes of mu, the index in front of the surface, the curvature and the conic.
     """
     number = s.dtype.type
     one, half = number(1), number(0.5)

@@ -17,7 +17,7 @@ _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `I
 
 
 class _Notes:
-    """Inputs of a `_Trace` that have no derivative, and what it leaves for the derivatives of the others."""
+    """Inputs of a `_Trace` without derivatives, and the trace that it saves for the other derivatives."""
 
     def __init__(self, semi_diameter: Tensor, status: Tensor, lost_at: Tensor, record: bool):
         self.inputs = (semi_diameter, status, lost_at, record)
@@ -29,8 +29,8 @@ class _Call(torch.autograd.Function):
 
     @staticmethod
     def forward(function, *arguments):
-        found = function(*arguments)
-        return tuple(found) if isinstance(found, list) else found
+        outputs = function(*arguments)
+        return tuple(outputs) if isinstance(outputs, list) else outputs
 
     @staticmethod
     def setup_context(ctx, inputs, output):
@@ -65,12 +65,12 @@ class _Trace(torch.autograd.Function):
 def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
     """Trace rays through every surface of a lens to its image plane.
 
-    Differentiable, in backward and in forward mode, in the rays, the indices and every parameter of the lens but its
-    apertures. A lost ray stays at the last point that it reached, turned along the axis; it carries no gradient.
+    Differentiable, in backward and forward mode, in the rays, the indices and every parameter of the lens except its
+    apertures. A lost ray stays at its last point, with its direction along the axis; it carries no gradient.
 
     Args:
         lens: S surfaces.
-        rays: as launched, of a shape that broadcasts with (..., W, N).
+        rays: launched rays, of a shape that broadcasts with (..., W, N).
         indices: (S + 1, W) refractive indices, as from `Lens.refractive_indices`.
 
     Returns:
@@ -88,15 +88,15 @@ def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays
 def _recorded(traced: Traced) -> list[Rays]:
     """Return the rays behind every surface, with their status there."""
     status, lost_at, launched = (traced.of_rays(v) for v in (traced.status, traced.lost_at, traced.launched))
-    behind = []
+    states = []
     for i, values in enumerate(traced.of_rays(traced.record).unbind()):
         later = launched & (lost_at > i)
-        behind.append(Rays(*values.unbind(), status.masked_fill(later, 0), lost_at.masked_fill(later, -1)))
-    return behind
+        states.append(Rays(*values.unbind(), status.masked_fill(later, 0), lost_at.masked_fill(later, -1)))
+    return states
 
 
 def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, Traced]:
-    size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # of torch it takes 20 times as long
+    size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # torch.broadcast_shapes takes 20 times as long
     components = (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = torch.stack([v if v.shape == size else v.expand(size) for v in components]).to(lens.dtype)
     notes = _Notes(lens.semi_diameter, rays.status, rays.lost_at, record)
@@ -113,9 +113,9 @@ def _inputs(lens: Lens, start: Tensor, indices: Tensor) -> Inputs:
 
 
 def compile_tracer() -> None:
-    """Compile the tracer for double precision, or load it from the cache on disk; single precision waits for a use.
+    """Compile the tracer for double precision, or load it from the cache on disk; not for single precision.
 
-    Without this, the first jobs of an installation would compile it at the same time, each for itself.
+    Otherwise the first jobs of an installation would all compile it at the same time.
     """
     one = torch.ones(1, 1, dtype=torch.float64)
     lens = Lens(one[0].clone().requires_grad_(), one[0], one, one[0], one[0], (AIR,), stop=0)
@@ -130,7 +130,7 @@ class Derivative(NamedTuple):
 
     Attributes:
         image: x, y, l, m and n of the rays on the image plane.
-        behind: of x and y of the rays behind every surface.
+        behind: x and y of the rays behind every surface.
     """
 
     image: tuple[Tensor, ...]
@@ -143,8 +143,8 @@ class Linearised(NamedTuple):
     Attributes:
         image: rays on the image plane.
         behind: rays behind every surface.
-        derivative: takes V changes of the lens at once, `curvature`, `conic` and `thickness` (V, S), `alpha` (V, S, M),
-            where a missing one is zero. The rays start as they are, whatever the lens.
+        derivative: takes V changes of the lens at once: `curvature`, `conic` and `thickness` (V, S), `alpha` (V, S, M);
+            a missing one is zero. The launched rays do not change with the lens.
     """
 
     image: Rays

@@ -1,4 +1,4 @@
-"""Rays traced through a lens, and their derivatives: the compiled tracer with tensors and threads around it."""
+"""Rays traced through a lens, and their derivatives: tensor and thread interface of the compiled tracer."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -25,12 +25,12 @@ class Inputs(NamedTuple):
     conic: Tensor
     thickness: Tensor
     alpha: Tensor
-    rotation: Tensor  # (S, 3, 3) and (S, 3) of surfaces with a pose; of no surface where none has one
+    rotation: Tensor  # (S, 3, 3) and position (S, 3); both are empty for a lens without poses
     position: Tensor
 
 
 class Traced:
-    """Rays traced through a lens, and the derivatives of it: numpy arrays, as the kernel wants them."""
+    """Rays traced through a lens, and their derivatives, as numpy arrays for the kernel."""
 
     def __init__(self, inputs: Inputs, semi_diameter: Tensor, status: Tensor, lost_at: Tensor, record: bool):
         self.shape = inputs.start.shape[1:]
@@ -55,12 +55,12 @@ class Traced:
         return torch.from_numpy(values).reshape(*values.shape[:-1], *self.shape)
 
     def reverse(
-        self, gradients: Sequence[Tensor | None], rows: Sequence[int], wanted: Sequence[bool]
+        self, gradients: Sequence[Tensor | None], rows: Sequence[int], needs: Sequence[bool]
     ) -> list[Tensor | None]:
-        """Compute the gradients of the wanted `Inputs` from those of rows of the image, (..., W, N); None is zero."""
+        """Compute gradients of the `Inputs` that `needs` selects from those of image rows (..., W, N); None is zero."""
         surfaces, rays = self.distances.shape
         groups = -(-rays // GROUP)
-        to_rays, to_indices, to_poses = wanted[0], wanted[1], any(wanted[6:]) or self.lens[3].any()
+        to_rays, to_indices, to_poses = needs[0], needs[1], any(needs[6:]) or self.lens[3].any()
         b_start = self.array(7 if to_rays else 0, rays)
         b_lens = numpy.zeros((groups, surfaces, 3 + self.orders))
         b_indices = numpy.zeros((groups, surfaces + 1 if to_indices else 0, self.shape[-2]))
@@ -69,8 +69,8 @@ class Traced:
         for row, gradient in zip(rows, gradients, strict=True):
             if gradient is not None:
                 b_image[row].reshape(self.shape)[:] = gradient.numpy()
-        known = (*self.start_of, self.status, self.distances, b_image, b_start, b_lens, b_indices, b_poses)
-        _in_parts(rays, lambda *part: derivatives.reverse(*part, *known))
+        arguments = (*self.start_of, self.status, self.distances, b_image, b_start, b_lens, b_indices, b_poses)
+        _in_parts(rays, lambda *part: derivatives.reverse(*part, *arguments))
         dtype = self.start.dtype
         lens, poses = b_lens.sum(0).astype(dtype), b_poses.sum(0).astype(dtype)
         by_input = (
@@ -81,13 +81,13 @@ class Traced:
             lambda: poses[:, :3],
             lambda: poses[:, 3],
         )
-        return [torch.from_numpy(found()) if want else None for found, want in zip(by_input, wanted, strict=True)]
+        return [torch.from_numpy(compute()) if need else None for compute, need in zip(by_input, needs, strict=True)]
 
     def forward(self, changes: Sequence[Tensor | None], record: bool = False) -> tuple[numpy.ndarray, numpy.ndarray]:
-        """Compute the changes of the image, (V, 7, R), for V changes of each of the `Inputs`, where None is no change.
+        """Compute the changes of the image, (V, 7, R), for V changes of each of the `Inputs`; None is no change.
 
         Returns:
-            those, and with `record` those of x and y behind every surface, (V, S, 2, R).
+            The changes of the image; with `record` also those of x and y behind every surface, (V, S, 2, R).
         """
         surfaces, rays = self.distances.shape
         count = next(len(v) for v in changes if v is not None)
@@ -117,8 +117,8 @@ class Traced:
         d_image = self.array(count, 7, rays)
         d_record = numpy.zeros((count if record else 0, surfaces, 2, rays), table.dtype)
         lost = (self.status, self.lost_at)
-        known = (*self.start_of, *lost, self.distances, begins, d_rays, table, d_media, poses)
-        _in_parts(rays, lambda *part: derivatives.forward(*part, *known, d_image, d_record))
+        arguments = (*self.start_of, *lost, self.distances, begins, d_rays, table, d_media, poses)
+        _in_parts(rays, lambda *part: derivatives.forward(*part, *arguments, d_image, d_record))
         return d_image, d_record
 
     def image_change(self, changes: Sequence[Tensor | None], rows: Sequence[int]) -> tuple[Tensor, ...]:
@@ -128,7 +128,7 @@ class Traced:
 
 
 def _tables(inputs: Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]:
-    """Return the tables of a lens for the kernel: surfaces, polynomials, indices, which are posed, and poses."""
+    """Return the tables of a lens for the kernel: surfaces, polynomials, indices, which are posed, poses."""
     values = [v.detach().contiguous().numpy() for v in inputs]
     dtype, (count, orders) = values[0].dtype, inputs.alpha.shape
     surfaces = numpy.empty((count, block.COLUMNS), dtype)
@@ -151,7 +151,7 @@ os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive 
 
 
 def _in_parts(rays: int, work: Callable[[int, int], None]) -> None:
-    """Call work(first, last) on groups of rays, in as many threads as torch uses; rays do not know of each other."""
+    """Call work(first, last) on groups of rays, in as many threads as torch uses; rays are independent."""
     threads = min(torch.get_num_threads(), rays // GROUP)
     if threads <= 1:
         work(0, rays)

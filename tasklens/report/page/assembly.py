@@ -1,4 +1,4 @@
-"""Assembly of the page from the files of a study: the answer in words first, and what is missing."""
+"""Assembly of the page from the files of a study; the answer in words comes first."""
 
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -64,11 +64,11 @@ def make(
         table_files, provenance: files of `settings.tables`.
         lenses, histories, pages, zemax, sections, spots, psfs, curves: files of the lenses in `settings.elements`.
         restorations: histories of the networks of `settings.restored`.
-        optional, drawn: tables and figures that are shown if they are there.
+        optional, drawn: tables and figures that are shown if their files exist.
         benchmarks: folder of Snakemake's benchmarks.
 
     Raises:
-        FileError: it is larger than 15 MB.
+        FileError: the page is larger than 15 MB.
     """
 
     def by_lens(paths: Sequence[Path]) -> dict[str, Path]:
@@ -143,19 +143,19 @@ def render(settings: ReportJob, files: PageFiles) -> str:
 
 
 def _check_tails(settings: ReportJob, files: PageFiles, frames: Mapping[str, pandas.DataFrame]) -> None:
-    """Raise FileError if the table of tails lacks a lens."""
-    if lost := set(settings.elements) - set(frames["psf_tail"]["lens"]):
-        raise damaged(files.others["psf_tail"], f"without {', '.join(sorted(lost))}")
+    """Raise FileError if a lens is missing from the table of tails."""
+    if missing := set(settings.elements) - set(frames["psf_tail"]["lens"]):
+        raise damaged(files.others["psf_tail"], f"without {', '.join(sorted(missing))}")
 
 
 def _optima(settings: ReportJob, files: PageFiles) -> dict[str, Optimum]:
-    """Return the test of the optimum of each supervised lens in the first seed."""
+    """Return the test for a local optimum of each supervised lens that has one, for the first seed."""
     tests = {lens: optimum(yaml_files.read(files.lenses[lens])) for lens in settings.supervised}
     return {lens: test for lens, test in tests.items() if test is not None}
 
 
 def _of_earlier_lenses(path: Path, files: PageFiles) -> str:
-    """Say so if a lens has been designed after an optional table was made, which no target makes again by itself."""
+    """Return a warning if an optional table is older than some lenses, since no target updates it; else ""."""
     later = [lens for lens, file in files.lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
     return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
 
@@ -171,11 +171,11 @@ def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
 
 
 def _comparisons(settings: ReportJob, frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
-    """Return the charts of differences: main questions, regimes, tolerances, ablations."""
+    """Return the charts of differences: main questions, regimes, tolerances and ablations."""
     verdicts = frames["verdicts"]
     main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == "table1")]
     labels = [f"{row['lens']} − {row['baseline']}" for row in main.to_dict("records")]
-    found = [charts.differences("questions", "Task-driven lenses against others", main, labels)]
+    comparisons = [charts.differences("questions", "Task-driven lenses against others", main, labels)]
     if "regimes" in frames:
         regimes = frames["regimes"]
         labels = [
@@ -183,54 +183,64 @@ def _comparisons(settings: ReportJob, frames: Mapping[str, pandas.DataFrame]) ->
             for row in regimes.to_dict("records")
         ]
         for name, rows in regimes.groupby("design", sort=False):
-            found.append(charts.regime_map(f"regime-map-{name}", f"Where {name} pays", rows))
-        found.append(charts.differences("regimes-differences", "Where it pays, with intervals", regimes, labels))
-    if "tolerances_compared" in frames and len(compared := frames["tolerances_compared"]):
-        labels = [f"{row['lens']} − {row['baseline']}" for row in compared.to_dict("records")]
-        found.append(charts.differences("tolerances", "What is lost in manufacture, task less image", compared, labels))
+            comparisons.append(charts.regime_map(f"regime-map-{name}", f"Where {name} pays", rows))
+        comparisons.append(charts.differences("regimes-differences", "Where it pays, with intervals", regimes, labels))
+    if "tolerances_compared" in frames and len(losses := frames["tolerances_compared"]):
+        labels = [f"{row['lens']} − {row['baseline']}" for row in losses.to_dict("records")]
+        comparisons.append(
+            charts.differences("tolerances", "What is lost in manufacture, task less image", losses, labels)
+        )
     ablations = [frame for name, frame in frames.items() if name.startswith("ablation_")]
     if ablations:
-        both = pandas.concat(ablations).dropna(subset=["difference"])
-        found.append(charts.differences("ablations", "Ablations: variant less base", both, both["lens"].tolist()))
-    return [chart for chart in found if chart is not None]
+        variants = pandas.concat(ablations).dropna(subset=["difference"])
+        comparisons.append(
+            charts.differences("ablations", "Ablations: variant less base", variants, variants["lens"].tolist())
+        )
+    return [chart for chart in comparisons if chart is not None]
 
 
 def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
-    """Return the charts of designs, by elements, and of trainings of the restoration."""
-    found = []
+    """Return the charts of the design histories, by elements, and of the training of the restoration networks."""
+    history_charts = []
     for elements in dict.fromkeys(settings.elements.values()):
-        lenses = [lens for lens, own in settings.elements.items() if own == elements]
+        lenses = [lens for lens, lens_elements in settings.elements.items() if lens_elements == elements]
         runs = {lens: _last_part(_read(files.histories[lens])) for lens in lenses}
-        said = f"RMS spot radius in the last part of the design of each {elements}. {_ends(runs, 'rms_um')}"
+        description = f"RMS spot radius in the last part of the design of each {elements}. {_ends(runs, 'rms_um')}"
         title = f"Design of each {elements}: RMS spot"
-        found.append(charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, said, True))
+        history_charts.append(
+            charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True)
+        )
         runs = {lens: run for lens, run in runs.items() if lens in settings.by_classifier}
-        said = (
+        description = (
             f"Loss of the classifier on the fixed images of the design of each {elements}, which ends with the lens of "
             f"the least one. {_ends(runs, 'validation_loss')}"
         )
         title = f"Design of each {elements}: loss of the classifier"
-        found.append(charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, said, False))
+        history_charts.append(
+            charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False)
+        )
     runs = {lens: _read(path) for lens, path in files.restorations.items()}
-    said = f"PSNR on minival while the restoration networks are trained. {_ends(runs, 'psnr_db')}"
-    found.append(charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, said, False))
-    return [chart for chart in found if chart is not None]
+    description = f"PSNR on minival while the restoration networks are trained. {_ends(runs, 'psnr_db')}"
+    history_charts.append(
+        charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, description, False)
+    )
+    return [chart for chart in history_charts if chart is not None]
 
 
 def _read(path: Path) -> pandas.DataFrame:
-    """Read a history, which is empty for an imported lens."""
+    """Read a history; it is empty for an imported lens."""
     return read_table(path) if path.read_text().strip() else pandas.DataFrame()
 
 
 def _last_part(history: pandas.DataFrame) -> pandas.DataFrame:
-    """Return the last phase of a descent; of a search from many starts the least RMS spot so far."""
+    """Return the last phase of a descent, or the smallest RMS spot so far of a search from many starts."""
     if "phase" in history:
         return history[history["phase"] == history["phase"].iloc[-1]].reset_index(drop=True)
     return history.assign(rms_um=history["rms_um"].cummin()) if "start" in history else history
 
 
 def _ends(runs: Mapping[str, pandas.DataFrame], column: str) -> str:
-    """Say the last value of each run."""
+    """List the last value of each run in a sentence."""
     ends = {name: run[column].dropna() for name, run in runs.items() if column in run}
-    said = "; ".join(f"{name} {values.iloc[-1]:.4g}" for name, values in ends.items() if len(values))
-    return f"Last values: {said}." if said else ""
+    listing = "; ".join(f"{name} {values.iloc[-1]:.4g}" for name, values in ends.items() if len(values))
+    return f"Last values: {listing}." if listing else ""

@@ -1,4 +1,4 @@
-"""The same test images through every lens, with the answers of the networks."""
+"""Captures of the same test images through every lens, with the answers of the networks."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from tasklens.study.names import SHARP, measured
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of a network: its name, the class, its probability [%], and whether it is right."""
+    """The answer of a network: its name, the class, the probability of the class [%], and whether it is right."""
 
     classifier: str
     answer: str
@@ -34,7 +34,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Shown:
-    """A test image: its number and label; the sharp one, and its captures by (lens, whether restored)."""
+    """A test image: its number and label, its sharp tile, and its captures by (lens, whether restored)."""
 
     image: int
     label: str
@@ -50,21 +50,21 @@ def shown(captures_file: Path, answers_file: Path, supervisor: str) -> list[Show
     answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
     images = answers[["image", "label"]].drop_duplicates()
     images = images.set_index("image").loc[list(dict.fromkeys(_in_order(answers_file)))]
-    found = []
+    entries = []
     for position, (image, label) in enumerate(images["label"].items()):
-        own = answers[answers["image"] == image]
+        image_rows = answers[answers["image"] == image]
         captures = {}
-        for lens, again in dict.fromkeys(zip(own["lens"], _truth(own["restored"]), strict=True)):
-            rows = own[(own["lens"] == lens) & (_truth(own["restored"]) == again)]
-            array = arrays[measured(lens, again)][position]
-            captures[lens, again] = [
+        for lens, restored in dict.fromkeys(zip(image_rows["lens"], _truth(image_rows["restored"]), strict=True)):
+            rows = image_rows[(image_rows["lens"] == lens) & (_truth(image_rows["restored"]) == restored)]
+            array = arrays[measured(lens, restored)][position]
+            captures[lens, restored] = [
                 _tile(array[k], lens, field, str(label), rows[rows["field"] == field])
                 for k, field in enumerate(dict.fromkeys(rows["field"]))
             ]
         sharp = captures.pop((SHARP, False), None)
-        tile = sharp[0] if sharp else _tile(arrays[SHARP][position, 0], SHARP, "", str(label), own[:0])
-        found.append(Shown(int(str(image)), str(label), tile, captures))
-    return found
+        tile = sharp[0] if sharp else _tile(arrays[SHARP][position, 0], SHARP, "", str(label), image_rows[:0])
+        entries.append(Shown(int(str(image)), str(label), tile, captures))
+    return entries
 
 
 def _in_order(path: Path) -> list[int]:
@@ -80,6 +80,6 @@ def _tile(array: numpy.ndarray, lens: str, field: str, label: str, rows: pandas.
         Answer(row["classifier"], row["answer"], float(row["probability"]), row["answer"] == label)
         for row in rows.to_dict("records")
     ]
-    said = "; ".join(f"{each.classifier} answers {each.answer}" for each in answers)
+    text = "; ".join(f"{answer.classifier} answers {answer.answer}" for answer in answers)
     place = f"{label} through {lens}, {field}" if field else f"{label}, sharp"
-    return Tile(pictures.of_array(array), f"{place}. {said}", field, answers)
+    return Tile(pictures.of_array(array), f"{place}. {text}", field, answers)

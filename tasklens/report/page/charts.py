@@ -1,7 +1,7 @@
-"""Charts of the page, as descriptions for plotly: colours by elements, symbols by design.
+"""Charts of the page, as JSON for plotly: colours by elements, symbols by design.
 
-Colours are those of Okabe and Ito; a chart says nothing by colour alone. What is black on white here, the page's
-script gives the colours of the reader's theme.
+Colours are those of Okabe and Ito; no chart relies on colour alone. Charts are black on white here; the page's script
+recolours them for the reader's theme.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,14 +18,14 @@ SYMBOLS = (
     *("diamond-open", "star-open", "asterisk-open", "hash-open"),
 )
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
-_POINTS = 160  # of a curve
+_POINTS = 160  # most points of a curve
 _TICKS = [m * 10**e for e in range(-1, 4) for m in (1, 2, 5)]  # of logarithmic axes
 _LEGEND = {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"}
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart: name, title, what it shows in words for those who cannot see it, and its description in JSON."""
+    """A chart: name, title, a description in words for readers who cannot see it, and its JSON for plotly."""
 
     key: str
     title: str
@@ -37,7 +37,7 @@ def _chart(key: str, title: str, words: str, figure: go.Figure, height: int, **l
     figure.update_layout(template="none", height=height, margin={"l": 60, "r": 10, "t": 10, "b": 50}, **layout)
     text = figure.to_json()
     assert text is not None
-    return Chart(key, title, words, text.replace("<", "\\u003c"))  # it stands inside a script element
+    return Chart(key, title, words, text.replace("<", "\\u003c"))  # the JSON is inside a script element
 
 
 def colour_of(names: Sequence[str], name: str) -> str:
@@ -46,7 +46,7 @@ def colour_of(names: Sequence[str], name: str) -> str:
 
 
 def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
-    """Chart the accuracy of every lens of table 1 over its RMS spot; None without lenses."""
+    """Chart the accuracy of every lens of table 1 against its RMS spot; None without lenses."""
     lenses = table[table["elements"].fillna("") != ""].dropna(subset=["accuracy", "rms_spot_um"])
     if lenses.empty:
         return None
@@ -91,20 +91,20 @@ def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
 
 
 def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[str]) -> Chart | None:
-    """Chart differences with their intervals, one below the other: right of zero the first of each pair is better."""
-    known = table.assign(label=list(labels)).dropna(subset=["difference"])
-    if known.empty:
+    """Chart differences with their intervals, one below the other; right of zero the first lens of a pair is better."""
+    rows = table.assign(label=list(labels)).dropna(subset=["difference"])
+    if rows.empty:
         return None
     figure = go.Figure()
     figure.add_scatter(
-        x=known["difference"],
-        y=known["label"],
+        x=rows["difference"],
+        y=rows["label"],
         mode="markers",
         marker={"size": 10, "color": COLOURS[0], "symbol": "diamond"},
         error_x={
             "symmetric": False,
-            "array": known["high"] - known["difference"],
-            "arrayminus": known["difference"] - known["low"],
+            "array": rows["high"] - rows["difference"],
+            "arrayminus": rows["difference"] - rows["low"],
             "thickness": 1.5,
             "color": COLOURS[0],
         },
@@ -112,30 +112,30 @@ def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[
         showlegend=False,
     )
     figure.add_vline(x=0, line={"width": 1, "color": "#888888"})
-    values = (f"{row['label']} {row['difference']:+.1f}" for row in known.to_dict("records"))
+    values = (f"{row['label']} {row['difference']:+.1f}" for row in rows.to_dict("records"))
     words = f"Differences in points of accuracy with their 95 % intervals: {'; '.join(values)}."
     axes = {
         "xaxis": {"title": {"text": "difference [points of accuracy]"}, "zeroline": False},
         "yaxis": {"autorange": "reversed", "automargin": True},
     }
-    return _chart(key, title, words, figure, 110 + 34 * len(known), **axes)
+    return _chart(key, title, words, figure, 110 + 34 * len(rows), **axes)
 
 
 def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
-    """Chart the differences of one design as a map: plastics upwards, F-numbers to the right; None without any.
+    """Chart the differences of one design as a map: plastics upwards, F-numbers to the right; None without data.
 
-    A square with several regimes, such as fields of view, has the mean of their differences.
+    If a square has several regimes, such as fields of view, it shows the mean of their differences.
     """
-    known = table.dropna(subset=["difference"])
-    if known.empty:
+    rows = table.dropna(subset=["difference"])
+    if rows.empty:
         return None
-    wide = known.pivot_table("difference", "plastics", "f_number").sort_index()
-    largest = max(1.0, float(known["difference"].abs().max()))
+    grid = rows.pivot_table("difference", "plastics", "f_number").sort_index()
+    largest = max(1.0, float(rows["difference"].abs().max()))
     figure = go.Figure()
     figure.add_heatmap(
-        x=[f"F/{number:g}" for number in wide.columns],
-        y=[f"{number} plastic{'s' if number > 1 else ''}" for number in wide.index],
-        z=wide.astype(object).where(wide.notna(), None).to_numpy().tolist(),
+        x=[f"F/{number:g}" for number in grid.columns],
+        y=[f"{number} plastic{'s' if number > 1 else ''}" for number in grid.index],
+        z=grid.astype(object).where(grid.notna(), None).to_numpy().tolist(),
         zmin=-largest,
         zmax=largest,
         colorscale="PuOr",
@@ -149,29 +149,29 @@ def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
     )
     values = (
         f"{row['elements']} at F/{row['f_number']:g} {row['difference']:+.1f} ({row['low']:+.1f} to {row['high']:+.1f})"
-        for row in known.to_dict("records")
+        for row in rows.to_dict("records")
     )
     words = f"Points of accuracy of the task-driven lens minus the best imaging lens: {'; '.join(values)}."
     axes = {"xaxis": {"type": "category"}, "yaxis": {"type": "category", "automargin": True}}
-    return _chart(key, title, words, figure, 130 + 70 * len(wide), **axes)
+    return _chart(key, title, words, figure, 130 + 70 * len(grid), **axes)
 
 
 def histories(
     key: str, title: str, column: str, unit: str, runs: Mapping[str, pandas.DataFrame], words: str, log: bool
 ) -> Chart | None:
-    """Chart a column of the histories of several runs over the share of the run; None where no run has it."""
+    """Chart a column of the histories of several runs against the share of the run; None if no run has the column."""
     figure = go.Figure()
     for k, (name, history) in enumerate(runs.items()):
         if column not in history:
             continue
         values = pandas.to_numeric(history[column], errors="coerce")
-        kept = values.dropna()
-        if kept.empty:
+        valid = values.dropna()
+        if valid.empty:
             continue
-        thin = kept.iloc[:: max(1, len(kept) // _POINTS)]
+        sample = valid.iloc[:: max(1, len(valid) // _POINTS)]
         figure.add_scatter(
-            x=(thin.index.to_numpy() + 1) / len(history),
-            y=thin.round(5),
+            x=(sample.index.to_numpy() + 1) / len(history),
+            y=sample.round(5),
             mode="lines",
             name=name,
             line={"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]},

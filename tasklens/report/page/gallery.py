@@ -1,4 +1,4 @@
-"""Entries of the gallery: of each lens its drawings, numbers, limits and files."""
+"""Entries of the gallery: drawings, numbers, limits and files of each lens."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Entry:
         lens: name of the lens.
         elements: name of its elements.
         by_task: whether a classifier designed it.
-        facts: short facts (name, value), the most telling first.
+        facts: short facts (name, value), the most important first.
         pictures: (data link, text alternative) by name.
         files: (file name, data link) of downloads.
         margins: (limit, margin, whether it is violated).
@@ -76,7 +76,7 @@ def _entry(lens: str, settings: ReportJob, files: PageFiles, table1: pandas.Data
 
 
 def _files(files: PageFiles, lens: str) -> list[Path]:
-    """Return the files of a lens: YAML, Zemax, and the catalogue beside it, if it has one."""
+    """Return the files of a lens: YAML, Zemax, and the glass catalogue of the Zemax file if it exists."""
     catalogue = files.zemax[lens].with_suffix(".agf")
     return [files.lenses[lens], files.zemax[lens], *([catalogue] if catalogue.exists() else [])]
 
@@ -99,9 +99,9 @@ def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | Non
 
 
 def _words(figures: Mapping[str, Any]) -> dict[str, str]:
-    """Return what the pictures show in words: RMS spots, and MTF at a quarter of the Nyquist frequency."""
-    shown = {0: "axis", len(figures["angle_deg"]) // 2: "middle", len(figures["angle_deg"]) - 1: "corner"}
-    spots = (f"{name} RMS {figures['rms_centroid_um'][field]:.1f} um" for field, name in shown.items())
+    """Describe the drawings in words: RMS spots, and MTF at a quarter of the Nyquist frequency."""
+    field_names = {0: "axis", len(figures["angle_deg"]) // 2: "middle", len(figures["angle_deg"]) - 1: "corner"}
+    spots = (f"{name} RMS {figures['rms_centroid_um'][field]:.1f} um" for field, name in field_names.items())
     tangential, sagittal = (figures[f"mtf_{kind}_quarter_nyquist"] for kind in ("tangential", "sagittal"))
-    mtf = (f"{name} T {tangential[field]:.2f}, S {sagittal[field]:.2f}" for field, name in shown.items())
+    mtf = (f"{name} T {tangential[field]:.2f}, S {sagittal[field]:.2f}" for field, name in field_names.items())
     return {"spots": ", ".join(spots), "mtf": f"MTF at a quarter of Nyquist, {'; '.join(mtf)}"}

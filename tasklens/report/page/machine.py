@@ -1,4 +1,4 @@
-"""Where and how long a study ran: time and memory by kind of job, machine, commit, versions."""
+"""Resources and provenance of a study: time and memory by kind of job, machine, commit, versions."""
 
 import math
 import os
@@ -21,7 +21,7 @@ def durations(folder: Path) -> pandas.DataFrame:
     if not rows:
         return pandas.DataFrame()
     jobs = pandas.DataFrame(rows).groupby("job")
-    found = pandas.DataFrame(
+    table = pandas.DataFrame(
         {
             "jobs": jobs.size(),
             "total_min": jobs["minutes"].sum(),
@@ -30,12 +30,12 @@ def durations(folder: Path) -> pandas.DataFrame:
             "memory_mb": jobs["memory_mb"].max(),
         }
     )
-    return found.sort_values("total_min", ascending=False).reset_index()
+    return table.sort_values("total_min", ascending=False).reset_index()
 
 
 def facts(provenance: Sequence[Path]) -> list[tuple[str, str]]:
-    """Return the machine that makes the page, and the commits and versions that made the tables."""
-    found = [
+    """Return facts about the machine that makes the page, and commits and versions that made the tables."""
+    entries = [
         ("machine", f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"),
         ("Python", platform.python_version()),
     ]
@@ -45,5 +45,5 @@ def facts(provenance: Sequence[Path]) -> list[tuple[str, str]]:
     for content in contents:
         for package, version in content["versions"].items():
             versions.setdefault(package, {})[version] = None
-    found += [("commit of the tables", ", ".join(commits))] if commits else []
-    return found + [(package, ", ".join(known)) for package, known in versions.items()]
+    entries += [("commit of the tables", ", ".join(commits))] if commits else []
+    return entries + [(package, ", ".join(numbers)) for package, numbers in versions.items()]

@@ -1,4 +1,4 @@
-"""Files that the page of a study is made of."""
+"""Input files of the page of a study."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ class PageFiles:
     """Files of a page, by name of a table or figure, or by lens.
 
     Attributes:
-        asked: names of the optional tables; `optional` has those that are there, `drawn` the figures.
+        asked: names of all optional tables.
+        optional, drawn: optional tables and figures that exist.
         pictures: drawings by name (section, spots, psfs, curves) and lens.
     """
 

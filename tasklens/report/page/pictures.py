@@ -35,5 +35,5 @@ def _data(kind: str, content: bytes) -> str:
 
 
 def of_text(text: str, suffix: str = ".yaml") -> str:
-    """Return a text, of YAML or SVG by the suffix, as a data link."""
+    """Return a text as a data link; its suffix says whether it is YAML or SVG."""
     return _data(_TYPES[suffix], text.encode())

@@ -13,7 +13,7 @@ from tasklens.report.publish import GAP
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell: its text, what to sort by ("" of a gap), and whether it is the best of its group, or a violation."""
+    """A cell: its text, its sort key ("" for a gap), and whether it is the best of its group or a violation."""
 
     text: str
     sort: float | str
@@ -23,7 +23,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: heading with its unit, whether it holds numbers, and whether it is the paper's."""
+    """A column: heading, unit, whether it holds numbers, and whether its values are the paper's."""
 
     words: str
     unit: str
@@ -43,7 +43,7 @@ class Table:
 
     @property
     def paper(self) -> int:
-        """Number of columns of the paper's values, which are the last."""
+        """Number of columns with the paper's values; they come last."""
         return sum(column.paper for column in self.columns)
 
     @property
@@ -53,7 +53,7 @@ class Table:
 
 
 def build(key: str, caption: str, frame: pandas.DataFrame, note: str = "") -> Table:
-    """Build a table from a CSV file's contents."""
+    """Build a table from the contents of a CSV file."""
     names = headings.columns(frame)
     best = {name: headings.best(frame, name) for name in names}
     columns, numbers = [], {name: pandas.api.types.is_numeric_dtype(frame[name]) for name in names}

@@ -1,0 +1,46 @@
+"""How long a finished study takes on several cores: list scheduling of its jobs with their measured durations.
+
+    python benchmarks/cores.py results/small
+
+A free core takes the ready job with the longest chain of jobs behind it. Not simulated: jobs slow each other down on
+shared memory, which the measured durations contain for the number of cores that the study ran on.
+"""
+
+from pathlib import Path
+
+import timing
+from cluster import planned
+from scheduling import Job, chains, critical_path, simulate
+
+from tasklens.runtime import benchmarks
+from tasklens.study.parts import owner
+
+CORES = (1, 2, 4, 8)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = timing.arguments(__doc__)
+    parser.add_argument("results", type=Path, help="folder of a finished study")
+    options = parser.parse_args(arguments)
+    plan = [job for job in planned(str(options.results / "study.yaml"), 1)[0] if job.study == owner(job.study)]
+    jobs = {}
+    for job in plan:
+        measured = benchmarks.read(options.results / "benchmarks" / f"{job.label}.tsv")
+        hours = 0.0 if measured is None else measured.seconds / 3600
+        jobs[job.label] = Job(job.rule, hours, 1, 0, frozenset(job.needs))
+    lengths, rows = chains(jobs), []
+    path = critical_path(jobs)
+    for cores in CORES:
+        run = simulate(jobs, cores, lambda name: -lengths[name])
+        busy = run.busy / (cores * run.hours) if run.hours else 1.0
+        rows.append(
+            (cores, f"{60 * run.hours:.1f}", f"{run.busy / run.hours if run.hours else 1:.2f}", f"{100 * busy:.0f}")
+        )
+    columns = ("cores", "minutes", "times faster than one core", "cores at work [%]")
+    timing.report(f"{options.results.name}: {len(jobs)} jobs", columns, rows, options.save)
+    hours = sum(jobs[name].hours for name in path)
+    print(f"Critical path, {60 * hours:.1f} minutes: {', '.join(path)}")
+
+
+if __name__ == "__main__":
+    main()

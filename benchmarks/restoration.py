@@ -1,0 +1,58 @@
+"""How far restorations of a finished study are from convergence: PSNR with their steps, and with twice as many.
+
+    python benchmarks/restoration.py results/small --lenses doublet-tasklens doublet-image_psnr
+
+Both trainings begin anew with the first seed of the study; the PSNR is that of 64 minival images at all fields.
+"""
+
+import time
+from pathlib import Path
+
+import timing
+
+from restoration import training
+from tasklens.imaging import PsfCamera
+from tasklens.optics.io import psf_files
+from tasklens.recognition import dataset
+from tasklens.study import loading, report_jobs
+from tasklens.study.job_settings import RestorationJob
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = timing.arguments(__doc__)
+    parser.add_argument("results", type=Path, help="folder of a finished study")
+    parser.add_argument("--lenses", nargs="+", help="by default all of table 4")
+    options = parser.parse_args(arguments)
+    study = loading.load(options.results / "study.yaml")
+    images, minival = (
+        dataset.read(*(options.results / "images" / f"{split}.{kind}" for kind in ("npy", "json")))
+        for split in ("train", "minival")
+    )
+    rows = []
+    for lens in options.lenses or report_jobs.CapturesJob.of(study).restored:
+        job = RestorationJob.of(study, lens, study.seeds[0])
+        psf = psf_files.read(options.results / "lenses" / lens / f"seed{job.seed}" / "psf.safetensors")
+        camera = PsfCamera.of(job.capture, *psf)
+        quality, seconds = [], []
+        for steps in (job.restoration.steps, 2 * job.restoration.steps):
+            settings = job.restoration.model_copy(update={"steps": 2 if options.tiny else steps})
+            begin = time.process_time()
+            _, history = training.train(settings, images, minival, camera, job.seed)
+            quality.append(history[-1]["psnr_db"])
+            seconds.append(time.process_time() - begin)
+        numbers = (f"{quality[0]:.2f}", f"{quality[1]:.2f}", f"{quality[1] - quality[0]:+.2f}")
+        rows.append((lens, job.restoration.steps, *numbers, *(f"{value:.0f}" for value in seconds)))
+    columns = (
+        "lens",
+        "steps",
+        "PSNR [dB]",
+        "with twice as many",
+        "difference",
+        "time [s]",
+        "time of twice as many [s]",
+    )
+    timing.report(f"Restorations of the study {study.name}", columns, rows, options.save)
+
+
+if __name__ == "__main__":
+    main()
