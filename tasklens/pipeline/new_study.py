@@ -23,8 +23,8 @@ from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"
 _OF_LARGE_IMAGES = [ROOT / "config" / name for name in ("photographs.yaml", "photographs_fine_tuned.yaml")]
-_CORE = ("tasklens", "image_error", "image_contrast", "imaging2", "imaging3")
-_LEAST = ("tasklens", "image_error", "imaging2")
+_CORE = ("tasklens", "image_psnr", "image_correlation", "imaging2", "imaging3")
+_LEAST = ("tasklens", "image_psnr", "imaging2")
 _WIDTH = 120  # of a line
 
 

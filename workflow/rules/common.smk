@@ -47,18 +47,16 @@ PAPER_VALUES = ROOT / "tasklens" / "report" / "paper.csv"
 @cache
 def study_named(name):
     """Return the study of this name: that of the configuration, one in a folder of studies, a point or a part of these."""
-    studies = [STUDY, *POINTS, *parts(STUDY)]
-    if name not in (study.name for study in studies):
-        path = loading.file_of(name.partition("/")[0])
-        study = loading.load(path)
-        studies = [study, *loading.at_points(study), *parts(study)]
-        if study.name != name.partition("/")[0]:
+    studies = {study.name: study for study in (STUDY, *POINTS)}
+    if name not in studies:
+        whole = name.partition("/")[0]
+        study = STUDY if whole == STUDY.name else loading.load(path := loading.file_of(whole))
+        if study.name != whole:
             raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, by which results/{name} asks for it")
-    try:
-        return next(study for study in studies if study.name == name)
-    except StopIteration:
-        known = ", ".join(study.name for study in studies)
-        raise StudyError(f"{name}: the sweep has no such point; expected one of {known}") from None
+        studies |= {study.name: study for study in (study, *loading.at_points(study), *parts(study))}
+    if name not in studies:
+        raise StudyError(f"{name}: the sweep has no such point; expected one of {', '.join(studies)}")
+    return studies[name]
 
 
 def study_of(wildcards):
