@@ -1,6 +1,6 @@
 """How far restorations of a finished study are from convergence: PSNR with their steps, and with twice as many.
 
-    python benchmarks/restoration.py results/small --lenses doublet-tasklens doublet-image_psnr
+    python benchmarks/restoration_steps.py results/small --lenses doublet-tasklens doublet-image_psnr
 
 Both trainings begin anew with the first seed of the study; the PSNR is that of 64 minival images at all fields.
 """
