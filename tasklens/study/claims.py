@@ -70,9 +70,9 @@ class Claims(Frozen):
     @property
     def measured_keys(self) -> list[MeasuredKey]:
         """All measurements that the claims compare; without baselines also those on the sharp images."""
-        measured = dict.fromkeys((lens, claim.classifier) for claim in self.claims for lens in claim.lenses)
-        measured |= dict.fromkeys((SHARP, claim.reference) for claim in self.claims if not claim.baselines)
-        return [(*pair, seed) for pair in measured for seed in self.seeds]
+        pairs = dict.fromkeys((lens, claim.classifier) for claim in self.claims for lens in claim.lenses)
+        pairs |= dict.fromkeys((SHARP, claim.reference) for claim in self.claims if not claim.baselines)
+        return [(*pair, seed) for pair in pairs for seed in self.seeds]
 
 
 class AblationClaims(Frozen):
@@ -85,10 +85,10 @@ class AblationClaims(Frozen):
 
 def claims(study: Study) -> Claims:
     """Return every claim for which a study has the lenses, table by table."""
-    found = []
+    all_claims = []
     for table in tables(study):
-        pairs = _end_to_end(study) if table.name == "table3" else _against_imaging(study)
-        found += [
+        comparisons = _end_to_end(study) if table.name == "table3" else _against_imaging(study)
+        all_claims += [
             Claim(
                 table=table.name,
                 text=text,
@@ -100,30 +100,30 @@ def claims(study: Study) -> Claims:
             )
             for classifier in table.classifiers
             if (table.name, classifier) != ("table2", study.supervisor) or "table1" not in study.tables  # made there
-            for text, lens, baselines in pairs
+            for text, lens, baselines in comparisons
             if {lens, *baselines} <= set(table.lenses)
         ]
-    return Claims(study=study.name, claims=tuple(found), seeds=study.seeds)
+    return Claims(study=study.name, claims=tuple(all_claims), seeds=study.seeds)
 
 
 def regime_claims(study: Study) -> Claims:
     """Compare each task-driven lens with the best imaging lens of its elements, by the supervisor (table 1)."""
-    found = [
+    comparisons = [
         _of_supervisor(
             study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in study.imaging_designs]
         )
         for lens in study.lenses.values()
         if lens.task_driven and study.imaging_designs
     ]
-    return Claims(study=study.name, claims=tuple(found), seeds=study.seeds)
+    return Claims(study=study.name, claims=tuple(comparisons), seeds=study.seeds)
 
 
 def claims_by_elements(study: Study) -> dict[str, list[Claim]]:
     """Return the claims of `regime_claims` by names of elements."""
-    found: dict[str, list[Claim]] = {}
+    by_elements: dict[str, list[Claim]] = {}
     for claim in regime_claims(study).claims:
-        found.setdefault(study.lens(claim.lens).elements, []).append(claim)
-    return found
+        by_elements.setdefault(study.lens(claim.lens).elements, []).append(claim)
+    return by_elements
 
 
 def ablation_claims(study: Study, name: str) -> AblationClaims:
@@ -131,8 +131,8 @@ def ablation_claims(study: Study, name: str) -> AblationClaims:
     ablation = pick(study.ablations, name, "ablation")
     base = f"{ablation.elements}-{ablation.design}"
     variants = (f"{ablation.elements}-{ablation.name(name, variant)}" for variant in ablation.variants)
-    found = tuple(_of_supervisor(study, "ablation", OVER_BASE, lens, [base]) for lens in variants)
-    return AblationClaims(name=name, base=base, claims=Claims(study=study.name, claims=found, seeds=study.seeds))
+    comparisons = tuple(_of_supervisor(study, "ablation", OVER_BASE, lens, [base]) for lens in variants)
+    return AblationClaims(name=name, base=base, claims=Claims(study=study.name, claims=comparisons, seeds=study.seeds))
 
 
 def _of_supervisor(study: Study, table: str, text: str, lens: str, baselines: list[str]) -> Claim:
@@ -151,9 +151,9 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims that compare each task-driven lens with imaging lenses.
 
     The baselines are `imaging1`, designs by least squares, those by image error or contrast, all imaging lenses of
-    the next larger number of elements, and with a network trained jointly the lenses of which the best is the start.
+    the next larger number of elements, and, if a network is trained jointly, the lenses whose best is the start.
     """
-    found = []
+    rows = []
     for lens in study.lenses.values():
         if lens.task_driven:
             imaging = [
@@ -172,21 +172,21 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
                 FEWER_ELEMENTS: [other for other in imaging if len(other.plastics) == more],
                 OVER_START: [study.lens(name) for name in starts(study, lens.name)],
             }
-            found += [(text, lens.name, tuple(o.name for o in others)) for text, others in baselines.items() if others]
-    return found
+            rows += [(text, lens.name, tuple(o.name for o in others)) for text, others in baselines.items() if others]
+    return rows
 
 
 def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims about end-to-end design, from imaging and from flat."""
-    found: list[tuple[str, str, tuple[str, ...]]] = []
+    comparisons: list[tuple[str, str, tuple[str, ...]]] = []
     for lens in study.lenses.values():
         if lens.task_driven:
             same = [other for other in study.lenses.values() if other.elements == lens.elements]
-            found += [
+            comparisons += [
                 (OVER_END_TO_END, lens.name, (other.name,))
                 for other in same
                 if other.end_to_end and other.start == "best_imaging"
             ]
         elif lens.end_to_end and lens.start == "flat" and lens.descents[0].optimizer == "adamw":
-            found.append((FLAT_FAILS, lens.name, ()))
-    return found
+            comparisons.append((FLAT_FAILS, lens.name, ()))
+    return comparisons

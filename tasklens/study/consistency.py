@@ -14,7 +14,7 @@ from tasklens.study.messages import in_words
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.study import Study
 
-_TAKEN = {  # names by section, and what has them
+_TAKEN = {  # reserved names by section, and their use
     "elements": dict.fromkeys(("figure3", "figure4"), "files of comparisons"),
     "designs": {"reference": "the sharp images in tables"},
     "imported": {"reference": "the sharp images in tables"},
@@ -22,7 +22,7 @@ _TAKEN = {  # names by section, and what has them
 
 
 def check(study: Study) -> None:
-    """Check what the sections of a study say of each other; raises ValueError with the key."""
+    """Check the references between the sections of a study; raises ValueError with the key."""
     if not study.lenses:
         raise ValueError("designs: expected a design of some elements, or a lens that is `imported`")
     _check_names(study)
@@ -33,48 +33,48 @@ def check(study: Study) -> None:
 
 
 def _check_names(study: Study) -> None:
-    for section, taken in _TAKEN.items():
-        for name, by in taken.items():
+    for section, uses in _TAKEN.items():
+        for name, use in uses.items():
             if name in getattr(study, section):
-                raise ValueError(f"{section}.{name}: {by} are called {name}; rename these {section}")
+                raise ValueError(f"{section}.{name}: {use} are called {name}; rename these {section}")
     if study.supervisor not in study.classifiers:
         raise ValueError(f"supervisor: {study.supervisor!r} is not one of {', '.join(study.classifiers)}")
     for name in study.imported:
         if name in study.designs:
             raise ValueError(f"imported.{name}: one of the designs is called {name} too; rename one")
-    known = dict.fromkeys([*study.elements, *(lens.elements for lens in study.imported.values())])
+    elements = dict.fromkeys([*study.elements, *(lens.elements for lens in study.imported.values())])
     for name in study.specs:
-        if name not in known:
-            raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(known)}")
+        if name not in elements:
+            raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(elements)}")
     for name, design in study.designs.items():
         if isinstance(design, GradientDesignSettings) and design.task not in (None, *study.tasks.networks):
-            known_tasks = ", ".join(study.tasks.networks) or "none"
-            raise ValueError(f"designs.{name}.task: {design.task!r} is not one of `tasks.networks`: {known_tasks}")
+            tasks = ", ".join(study.tasks.networks) or "none"
+            raise ValueError(f"designs.{name}.task: {design.task!r} is not one of `tasks.networks`: {tasks}")
     for section in ("tolerances", "tasks"):
         for name in getattr(study, section).designs or ():
             if name not in study.designs and name not in study.imported and name not in study.lenses:
-                every = ", ".join([*study.designs, *study.imported])
-                raise ValueError(f"{section}.designs: {name!r} is not one of {every}, nor a lens")
+                choices = ", ".join([*study.designs, *study.imported])
+                raise ValueError(f"{section}.designs: {name!r} is not one of {choices}, nor a lens")
     for name in study.restored or ():
-        if name not in known:
-            raise ValueError(f"restored: {name!r} is not one of {', '.join(known)}")
+        if name not in elements:
+            raise ValueError(f"restored: {name!r} is not one of {', '.join(elements)}")
 
 
 def _check_ablation(study: Study, name: str) -> None:
     ablation = study.ablations[name]
-    for key, known in (("elements", study.elements), ("design", study.designs)):
-        if getattr(ablation, key) not in known:
-            raise ValueError(f"ablations.{name}.{key}: {getattr(ablation, key)!r} is not one of {', '.join(known)}")
+    for key, section in (("elements", study.elements), ("design", study.designs)):
+        if getattr(ablation, key) not in section:
+            raise ValueError(f"ablations.{name}.{key}: {getattr(ablation, key)!r} is not one of {', '.join(section)}")
     lenses = {}
     for variant in ablation.variants:
         try:
             lenses[variant] = study.variant(name, variant)
         except ValidationError as error:
-            changed: Any = CaptureSettings if error.title == CaptureSettings.__name__ else DesignSettings
-            raise ValueError(in_words(f"ablations.{name}.variants.{variant}", error, changed)) from None
-        named = [*study.designs, *study.imported]
-        named += [item.name(key, other) for key, item in study.ablations.items() for other in item.variants]
-        if named.count(lenses[variant].design_name) > 1:
+            settings: Any = CaptureSettings if error.title == CaptureSettings.__name__ else DesignSettings
+            raise ValueError(in_words(f"ablations.{name}.variants.{variant}", error, settings)) from None
+        design_names = [*study.designs, *study.imported]
+        design_names += [item.name(key, other) for key, item in study.ablations.items() for other in item.variants]
+        if design_names.count(lenses[variant].design_name) > 1:
             other = lenses[variant].design_name
             raise ValueError(f"ablations.{name}: {other} is the name of another design too; rename one")
     ablations.check_differences(lenses, study.designs[ablation.design], study.capture, f"ablations.{name}.variants")
@@ -119,10 +119,10 @@ def _check_lenses(study: Study) -> None:
 
 def places(study: Study) -> list[tuple[str, LensEntry]]:
     """Return all lenses and variants, each with the key of its design."""
-    found = [(f"designs.{lens.design_name}", lens) for lens in study.lenses.values()]
+    entries = [(f"designs.{lens.design_name}", lens) for lens in study.lenses.values()]
     for name, item in study.ablations.items():
-        found += [(f"ablations.{name}.variants.{other}", study.variant(name, other)) for other in item.variants]
-    return found
+        entries += [(f"ablations.{name}.variants.{other}", study.variant(name, other)) for other in item.variants]
+    return entries
 
 
 def _check_design(study: Study, where: str, lens: LensEntry) -> None:
@@ -142,25 +142,25 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
             feasibility.check_step(f"{where}.descents.{k}.batch_size", descent.batch_size, study.images.size)
     if design.start == "best_imaging" and not study.imaging_starts:
         raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least squares or image quality")
-    known = [name for name, other in study.imported.items() if other.elements == lens.elements]
-    known += study.designs if design.by_network else study.imaging_starts
-    known = [name for name in known if name not in (lens.design_name, *study.vignetted_designs)]
+    choices = [name for name, other in study.imported.items() if other.elements == lens.elements]
+    choices += study.designs if design.by_network else study.imaging_starts
+    choices = [name for name in choices if name not in (lens.design_name, *study.vignetted_designs)]
     for name in design.starting_designs:
-        if name not in known:
+        if name not in choices:
             raise ValueError(
-                f"{where}.start: {name!r} is not one of the designs that it may begin with, {', '.join(known)}"
+                f"{where}.start: {name!r} is not one of the designs that it may begin with, {', '.join(choices)}"
             )
     _check_acyclic(study, where, lens.design_name, design.starting_designs)
 
 
 def _check_acyclic(study: Study, where: str, name: str, starts: tuple[str, ...]) -> None:
-    """Check that no design begins, through others, with itself; raises ValueError."""
-    waiting, seen = list(starts), set()
-    while waiting:
-        other = waiting.pop()
+    """Check that no design starts from itself by way of other designs; raises ValueError."""
+    queue, seen = list(starts), set()
+    while queue:
+        other = queue.pop()
         if other == name:
             raise ValueError(f"{where}.start: {name} would begin with itself, by way of {', '.join(starts)}")
         if other not in seen:
             seen.add(other)
             design = study.designs.get(other)
-            waiting += design.starting_designs if isinstance(design, GradientDesignSettings) else ()
+            queue += design.starting_designs if isinstance(design, GradientDesignSettings) else ()

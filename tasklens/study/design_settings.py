@@ -126,21 +126,21 @@ class DescentSettings(Frozen):
         return self.network_learning_rate is not None
 
 
-def _start(given: Any) -> Any:
-    names = given if isinstance(given, list | tuple) else ()
-    for name in [given, *names]:
+def _start(value: Any) -> Any:
+    names = value if isinstance(value, list | tuple) else ()
+    for name in [value, *names]:
         if isinstance(name, str) and name.endswith((".zmx", ".yaml", ".yml")):
             raise ValueError(
                 f"a lens of a file is imported first: `imported: {{mine: {{elements: ..., file: {name}}}}}` and "
                 "`start: [mine]`"
             )
-    if given not in ("flat", "best_imaging") and not (names and all(isinstance(name, str) for name in names)):
+    if value not in ("flat", "best_imaging") and not (names and all(isinstance(name, str) for name in names)):
         raise ValueError("expected flat, best_imaging, or a list of designs or imported lenses")
-    return given
+    return value
 
 
 class GradientDesignSettings(Frozen):
-    """Settings of a design by descents: the first is run from the start, each other from the best lens before it."""
+    """Settings of a design by descents: the first begins with the start, each other with the best lenses before it."""
 
     _renamed = renamed(
         {
@@ -215,12 +215,12 @@ class GradientDesignSettings(Frozen):
 
     @property
     def by_network(self) -> tuple[DescentSettings, ...]:
-        """Descents on the loss of a network."""
+        """Descents that minimise the loss of a network."""
         return tuple(descent for descent in self.descents if descent.criterion == "task")
 
     @property
     def starting_designs(self) -> tuple[str, ...]:
-        """Names of the designs of which the best is the start."""
+        """Names of the designs whose best lens is the start."""
         return self.start if isinstance(self.start, tuple) else ()
 
     @property
@@ -265,7 +265,7 @@ class LeastSquaresSettings(Frozen):
         return self.model_copy(update={"spot_um": self.spot_um.get(elements)})
 
 
-_FORMAT_2 = {  # how the methods of format 2 are written
+_FORMAT_2 = {  # what replaces the methods of format 2
     "task": "a `start` and `descents` of `criterion: task`",
     "joint_ray_space": "a `start` and `descents` with a `network_learning_rate`",
     "image_quality": "a `start` and `descents` of `criterion: image_error`, log_image_error, correlation or contrast",
@@ -274,20 +274,20 @@ _FORMAT_2 = {  # how the methods of format 2 are written
 }
 
 
-def _this_format(given: Any) -> Any:
-    if not isinstance(given, dict | GradientDesignSettings | LeastSquaresSettings):
+def _this_format(value: Any) -> Any:
+    if not isinstance(value, dict | GradientDesignSettings | LeastSquaresSettings):
         raise ValueError("expected keys and values")
-    method = given.get("method", "descents") if isinstance(given, dict) else given.method
+    method = value.get("method", "descents") if isinstance(value, dict) else value.method
     if isinstance(method, str) and method in _FORMAT_2:
         raise ValueError(f"method: {method}: since format 3 this is {_FORMAT_2[method]}; see config/config.yaml")
     if method not in ("descents", "least_squares"):
-        shown = f", got {method!r}" if isinstance(method, str) else ""
-        raise ValueError(f"method: expected descents, which is the default, or least_squares{shown}")
-    return given
+        suffix = f", got {method!r}" if isinstance(method, str) else ""
+        raise ValueError(f"method: expected descents, which is the default, or least_squares{suffix}")
+    return value
 
 
-def _kind(given: Any) -> Any:
-    return given.get("method", "descents") if isinstance(given, dict) else getattr(given, "method", None)
+def _kind(value: Any) -> Any:
+    return value.get("method", "descents") if isinstance(value, dict) else getattr(value, "method", None)
 
 
 DesignSettings = Annotated[

@@ -28,8 +28,8 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     """Validate a mapping and return the study.
 
     Args:
-        files: the files that it was read from, for messages and for what it extends; in a study that extends another,
-            an element, design, classifier, imported lens or ablation that is null is taken away.
+        files: files that the mapping was read from, for messages and to find the study that it extends. In a study that
+            extends another, a null element, design, classifier, imported lens or ablation is removed.
 
     Raises:
         StudyError: names every wrong key, its value and what was expected; or says that the only file extends no study.
@@ -57,22 +57,22 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
 
 
 def without_null(config: Mapping) -> dict[str, Any]:
-    """Leave out what is null in the sections that hold entries by name."""
-    named = {
+    """Remove null entries from the sections that hold entries by name."""
+    sections = {
         key
         for key, field in Study.model_fields.items()
         if get_origin(field.annotation) is dict and get_args(field.annotation)[0] == Name
     }
     return {
         key: {name: entry for name, entry in value.items() if entry is not None}
-        if key in named and isinstance(value, Mapping)
+        if key in sections and isinstance(value, Mapping)
         else value
         for key, value in config.items()
     }
 
 
 def _check_plain(value: Any, where: str) -> None:
-    """Refuse what a resolved study cannot hold, where any value may stand; raises ValueError with the key."""
+    """Reject YAML values that a resolved study cannot hold; raises ValueError with the key."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             name = f"{where}.{key}" if where else str(key)
@@ -113,10 +113,10 @@ def extended(config: Mapping, folder: Path) -> dict[str, Any]:
 
 
 def configfile(name: str | None) -> Path:
-    """Return the file of a study by its name; without a name the default study, of the folder `config` or ours.
+    """Return the file of a study by its name; without a name the default study, in the folder `config` or ours.
 
     Raises:
-        StudyError: there is none.
+        StudyError: there is no such study.
     """
     if name is not None:
         return file_of(name)
@@ -124,10 +124,10 @@ def configfile(name: str | None) -> Path:
 
 
 def file_of(name: str, *folders: Path) -> Path:
-    """Return the file of a study: NAME.yaml, or a config.yaml with this name, in some folders, `config`, or ours.
+    """Return the file of a study: NAME.yaml, or a config.yaml with this name, in `folders`, `config` or `SHIPPED`.
 
     Raises:
-        StudyError: there is none; with the names of all.
+        StudyError: there is no such study; the message lists all names.
     """
     places = dict.fromkeys((*folders, Path("config"), SHIPPED))
     for folder in places:
@@ -135,19 +135,19 @@ def file_of(name: str, *folders: Path) -> Path:
             return path
         if (path := folder / "config.yaml").is_file() and read(path).get("name") == name:
             return path
-    known = ", ".join(sorted({path.stem for folder in places for path in folder.glob("*.yaml")}))
-    raise StudyError(f"{name}.yaml: no such study in {' or '.join(map(str, places))}; expected one of {known}")
+    names = ", ".join(sorted({path.stem for folder in places for path in folder.glob("*.yaml")}))
+    raise StudyError(f"{name}.yaml: no such study in {' or '.join(map(str, places))}; expected one of {names}")
 
 
 def read(path: str | Path) -> Mapping:
-    """Read the keys of a study file; raises StudyError for a file that is no YAML mapping, or not what it seems."""
+    """Read the keys of a study file; raises StudyError if it is not a valid YAML mapping, or is a template."""
     try:
         content = yaml_files.read(Path(path))
     except FileError as error:
         raise StudyError(str(error)) from None
     if not isinstance(content, Mapping):
-        found = "nothing" if content is None else type(content).__name__
-        raise StudyError(f"{path}: expected keys and values, found {found}")
+        kind = "nothing" if content is None else type(content).__name__
+        raise StudyError(f"{path}: expected keys and values, found {kind}")
     if "__use_yte__" in content:
         raise StudyError(
             f"{path}: __use_yte__: makes the file a template, whose code Snakemake runs before TaskLens sees it; "
@@ -157,7 +157,7 @@ def read(path: str | Path) -> Mapping:
 
 
 def load(*paths: str | Path) -> Study:
-    """Read a study from YAML files, each laid over those before it; raises StudyError as `read` and `parse` do."""
+    """Read a study from YAML files, each laid over the ones before it; raises StudyError as `read` and `parse` do."""
     return parse(reduce(laid_over, map(read, paths)), [Path(path) for path in paths])
 
 
@@ -170,20 +170,20 @@ def at_points(study: Study) -> list[Study]:
     if not study.sweep:
         return [study]
     common = resolved(study) | {"sweep": {}}
-    found = []
+    studies = []
     for name, point in points(study.sweep).items():
         content = common | {"name": f"{study.name}/{name}"}
         for key, value in point.items():
             content = laid_over(content, reduce(lambda nested, part: {part: nested}, reversed(key.split(".")), value))
         try:
-            found.append(parse(content))
+            studies.append(parse(content))
         except StudyError as error:
             raise StudyError(f"sweep, {name}: {error}") from None
-    return found
+    return studies
 
 
 def resolved(study: Study) -> dict[str, Any]:
-    """Return a study with all defaults, as it stands in its file."""
+    """Return a study with all defaults, as keys and values of a file."""
     return yaml.safe_load(dump(study))
 
 

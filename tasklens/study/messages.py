@@ -1,4 +1,4 @@
-"""What is wrong with given settings, one line for each mistake, in words of the user's file; no torch here."""
+"""Messages about invalid settings, one line for each mistake, in the terms of the user's file; no torch here."""
 
 import difflib
 import re
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 _LONGEST = 60  # characters of a value that is shown
-_KINDS = {  # what is expected, by pydantic's types of errors
+_KINDS = {  # expected values, by pydantic's types of errors
     "int_type": "a whole number",
     "int_parsing": "a whole number",
     "int_from_float": "a whole number",
@@ -34,25 +34,25 @@ _KINDS = {  # what is expected, by pydantic's types of errors
 
 def problems(error: ValidationError, settings: Any) -> list[str]:
     """Return a line for each mistake in `settings`, a class or a union: key, value, and what was expected."""
-    found = error.errors()
-    places = [item["loc"] for item in found]
+    details = error.errors()
+    places = [item["loc"] for item in details]
     return [
-        _line(item, settings) for item in found if not (item["type"] == "too_short" and _inner(item["loc"], places))
+        _line(item, settings) for item in details if not (item["type"] == "too_short" and _inner(item["loc"], places))
     ]
 
 
 def in_words(where: str, error: ValidationError, settings: Any) -> str:
-    """Return all mistakes in one line, each key with `where` in front."""
+    """Return all mistakes in one line, each key with the prefix `where`."""
     return "; ".join(f"{where}.{line}" for line in problems(error, settings))
 
 
 def missing_keys(error: ValidationError) -> list[str]:
-    """Return the keys at the top that are missing."""
+    """Return the missing keys at the top level."""
     return [str(item["loc"][0]) for item in error.errors() if item["type"] == "missing" and len(item["loc"]) == 1]
 
 
 def _inner(place: tuple, places: Iterable[tuple]) -> bool:
-    """Return whether an entry of `place` is wrong: pydantic does not count such entries."""
+    """Return whether an entry below `place` is wrong: pydantic does not count such entries."""
     return any(len(other) > len(place) and other[: len(place)] == place for other in places)
 
 
@@ -74,10 +74,10 @@ def _line(item: ErrorDetails, settings: Any) -> str:
             return f"{where}: missing; one of {', '.join(sorted(place))}"
         return f"{where} = {context['tag']!r}: unknown{_suggestion(context['tag'], place)}"
     message = _expected(item)
-    if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # it names a key itself
+    if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # the message names a key itself
         return message
-    shown = "" if "[key]" in item["loc"] or kind == "invalid_key" else _shown(value)
-    return f"{'.'.join(keys)}{shown}: {message}" if keys else message
+    suffix = "" if "[key]" in item["loc"] or kind == "invalid_key" else _shown(value)
+    return f"{'.'.join(keys)}{suffix}: {message}" if keys else message
 
 
 def _expected(item: ErrorDetails) -> str:
@@ -98,33 +98,34 @@ def _shown(value: Any) -> str:
     return "" if isinstance(value, Mapping) or len(text) > _LONGEST else f" = {text}"
 
 
-def _suggestion(word: str, known: Mapping[str, Any]) -> str:
-    """Suggest the known word next to a wrong one, also one in a section of this place; else list all."""
+def _suggestion(word: str, choices: Mapping[str, Any]) -> str:
+    """Suggest the choice most similar to a wrong word, or the same word in a section of this place; else list all."""
     inside = {
-        key: f"{name}.{key}" for name, field in known.items() for key in _fields(getattr(field, "annotation", None))
+        key: f"{name}.{key}" for name, field in choices.items() for key in _fields(getattr(field, "annotation", None))
     }
-    nearest = difflib.get_close_matches(word, known, 1)
+    nearest = difflib.get_close_matches(word, choices, 1)
     if not nearest and word in inside:
         nearest = [inside[word]]
     if nearest:
         return f"; did you mean {nearest[0]}?"
-    return f"; expected one of {', '.join(known)}" if known else ""
+    return f"; expected one of {', '.join(choices)}" if choices else ""
 
 
 def _walk(settings: Any, location: Iterable[str | int]) -> tuple[list[str], Mapping[str, Any]]:
     """Follow pydantic's location of a mistake.
 
     Returns:
-        The keys of the user's file: a location also holds the tag of a union. And what is known there: the fields of
-        the settings that the last key belongs to, by key; of a union whose tag is wrong or missing its tags.
+        The keys in the user's file, without the tags of unions that a location also holds; and the choices at this
+        place: by key, the fields of the settings that the last key belongs to, or the tags of a union whose tag is
+        wrong or missing.
     """
     keys: list[str] = []
     annotation = settings
     place: Mapping[str, Any] = {}
     for part in location:
-        tagged = _tagged(annotation)
-        if part in tagged:
-            annotation = tagged[str(part)]
+        by_tag = _tagged(annotation)
+        if part in by_tag:
+            annotation = by_tag[str(part)]
             continue
         if part == "[key]":
             continue
@@ -139,29 +140,29 @@ def _plain(annotation: Any) -> Any:
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) in (Union, UnionType):
-        others = [each for each in get_args(annotation) if each is not type(None)]
-        if len(others) == 1:
-            return _plain(others[0])
+        members = [member for member in get_args(annotation) if member is not type(None)]
+        if len(members) == 1:
+            return _plain(members[0])
     return annotation
 
 
 def _fields(annotation: Any) -> Mapping[str, Any]:
     """Return the fields of settings by key; empty for anything else."""
-    found = _plain(annotation)
-    return found.model_fields if isinstance(found, type) and issubclass(found, BaseModel) else {}
+    model = _plain(annotation)
+    return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
 
 
 def _tagged(annotation: Any) -> dict[str, Any]:
     """Return the settings of a union by their `method`; empty for anything else."""
-    found = _plain(annotation)
-    if get_origin(found) not in (Union, UnionType):
+    union = _plain(annotation)
+    if get_origin(union) not in (Union, UnionType):
         return {}
-    methods = [(_fields(each).get("method"), each) for each in get_args(found)]
-    named = [(field.annotation, each) for field, each in methods if field is not None]
-    return {get_args(tag)[0]: each for tag, each in named if get_origin(tag) is Literal}
+    methods = [(_fields(member).get("method"), member) for member in get_args(union)]
+    tags = [(field.annotation, member) for field, member in methods if field is not None]
+    return {get_args(tag)[0]: member for tag, member in tags if get_origin(tag) is Literal}
 
 
 def _inside(annotation: Any) -> Any:
     """Return the annotation of the values of a mapping or sequence."""
-    arguments = [each for each in get_args(_plain(annotation)) if each is not Ellipsis]
+    arguments = [argument for argument in get_args(_plain(annotation)) if argument is not Ellipsis]
     return arguments[-1] if arguments else None

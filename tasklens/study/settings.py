@@ -41,11 +41,11 @@ class Frozen(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _as_recorded(cls, given: Any, info: ValidationInfo) -> Any:
-        """Leave out computed fields of a job's settings: they are there for Snakemake, which compares them."""
-        if info.context != JOB or not isinstance(given, dict):
-            return given
-        return {key: value for key, value in given.items() if key not in cls.model_computed_fields}
+    def _as_recorded(cls, values: Any, info: ValidationInfo) -> Any:
+        """Leave out computed fields of a job's settings: only Snakemake needs them, to compare settings."""
+        if info.context != JOB or not isinstance(values, dict):
+            return values
+        return {key: value for key, value in values.items() if key not in cls.model_computed_fields}
 
 
 class Spec(Frozen):
@@ -137,7 +137,7 @@ RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports tor
 class ImageSettings(Frozen):
     """Settings of labelled images: rendered, or read from `folder`: train/<class>/* and test/<class>/* (or val).
 
-    A folder with <class>/* alone is cut into test, minival and training images.
+    A folder with only <class>/* is split into test, minival and training images.
     """
 
     size: Whole = Field(64, ge=16, le=8192, description="Side of the square images [pixels].")
@@ -216,7 +216,7 @@ class ClassifierSettings(Frozen):
     @computed_field
     @property
     def code(self) -> str | None:
-        """Digest of the file of a function of the user's."""
+        """Digest of the file of a user's function."""
         return users_code.digest(self.model)
 
     @model_validator(mode="after")
@@ -266,7 +266,7 @@ class RestorationSettings(Frozen):
 
 
 class SensorSettings(Frozen):
-    """Settings of a sensor's noise and levels; the defaults are our choice, about those of a phone in daylight."""
+    """Settings of a sensor's noise and levels; the defaults are our choice, typical of a phone in daylight."""
 
     full_well: float = Field(6000, ge=1, le=1e9, description="Electrons of a pixel at white with gain 1.")
     gain: Magnification = Field(1, description="Gain: white is at full_well / gain electrons; about 16 indoors.")

@@ -14,7 +14,7 @@ from tasklens.study.study import Study
 
 ELEMENTS = "lens"  # name of its elements
 _NETWORK = "network"
-_FIRST = "least_squares"  # designed first where a design begins with the best imaging lens
+_FIRST = "least_squares"  # designed first if a design begins with the best imaging lens
 _SIDE = 64  # of rendered images [pixels]
 
 
@@ -37,31 +37,31 @@ def study(
     baselines: Sequence[str] = (),
     network_given: bool = False,
 ) -> Study:
-    """Return a study of the lens and those that it begins with, in the order of their designs.
+    """Return a study of the lens and of the lenses that it begins with, in the order in which they are designed.
 
     Args:
         method: one of `methods`.
         elements: plastics from front to back.
-        spec, settings, constraints: keys that differ of `spec`, of the design, and of `constraints`.
+        spec, settings, constraints: changed keys of `spec`, of the design, and of `constraints`.
         materials: files of further plastics.
         images, classifier: sections of a study file; None: rendered textures, no network.
-        alone: without the lenses that it begins with; the start is a lens of the user.
-        baselines: criteria without a network, each of which designs a lens with the same start and the same effort, of
-            its own name; before that of the method.
+        alone: leave out the lenses that it begins with; the start is a lens of the user.
+        baselines: criteria without a network; each designs a lens of its name, with the same start and the same effort,
+            before the lens of the method.
         network_given: the network is a module of the user.
 
     Raises:
         StudyError: a wrong key or value.
-        InputError: an unknown method, or one that needs a network where there is none.
+        InputError: the method is unknown, or needs a network and there is none.
     """
     if method not in methods():
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
-    changed = laid_over(methods()[method], settings)
-    designs = {method: changed | {"start": "flat"}} if alone else _with_starts(method, changed)
+    design = laid_over(methods()[method], settings)
+    designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
     last = designs.pop(method)
     designs |= {criterion: _by(criterion, last) for criterion in baselines} | {method: last}
     side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
-    found = parse(
+    result = parse(
         {
             "format": 3,
             "name": "one",
@@ -77,24 +77,24 @@ def study(
             "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
         }
     )
-    if classifier is None and not network_given and any(lens.classified for lens in found.lenses.values()):
+    if classifier is None and not network_given and any(lens.classified for lens in result.lenses.values()):
         raise InputError(f"method {method}: needs a network: --classifier NAME --weights FILE, in Python `classifier`")
-    return found
+    return result
 
 
 def _by(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return a design by another criterion, with the same start, steps and images."""
-    of_network = ("criterion", "network_learning_rate", "temperature")
-    descents = [{k: v for k, v in each.items() if k not in of_network} for each in settings["descents"]]
-    return {**settings, "descents": [each | {"criterion": criterion} for each in descents]}
+    network_keys = ("criterion", "network_learning_rate", "temperature")
+    descents = [{k: v for k, v in descent.items() if k not in network_keys} for descent in settings["descents"]]
+    return {**settings, "descents": [descent | {"criterion": criterion} for descent in descents]}
 
 
 def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the designs that one begins with, and theirs, in front of it."""
+    """Return a design after the designs that it begins with, and these after theirs."""
     first = [_FIRST] if settings.get("start") == "best_imaging" else settings.get("start", [])
-    found: dict[str, Mapping[str, Any]] = {}
+    designs: dict[str, Mapping[str, Any]] = {}
     for name in first if isinstance(first, list) else []:
         if name not in methods() or name == method:
             raise InputError(f"start: {name!r} is not one of the other methods {', '.join(methods())}")
-        found = _with_starts(name, methods()[name]) | found
-    return {**found, method: settings}
+        designs = _with_starts(name, methods()[name]) | designs
+    return {**designs, method: settings}

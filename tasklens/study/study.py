@@ -44,7 +44,7 @@ class StudyError(InputError):
 
 
 class Study(Frozen):
-    """The configuration of a study; `loading.parse` checks in addition that its sections fit each other.
+    """The configuration of a study; `loading.parse` also checks that its sections are consistent.
 
     Its lenses are all combinations of `elements` and `designs`, and those of `imported`. `materials` is given as a list
     of files (YAML or AGF) or as definitions; only the definitions of the plastics in `elements` are stored, so that a
@@ -101,10 +101,10 @@ class Study(Frozen):
 
     @field_validator("seeds", "tables")
     @classmethod
-    def _distinct(cls, given: tuple) -> tuple:
-        if len(set(given)) < len(given):
+    def _distinct(cls, values: tuple) -> tuple:
+        if len(set(values)) < len(values):
             raise ValueError("expected each once")
-        return given
+        return values
 
     @field_validator("elements")
     @classmethod
@@ -116,27 +116,27 @@ class Study(Frozen):
 
     @field_validator("materials", mode="before")
     @classmethod
-    def _used(cls, given: object, info: ValidationInfo) -> dict[str, Material]:
-        defined: Mapping[str, Material] = {}
+    def _used(cls, value: object, info: ValidationInfo) -> dict[str, Material]:
+        definitions: Mapping[str, Material] = {}
         library = Library()
-        if isinstance(given, Mapping):
-            defined = from_definitions(given, "definitions")
-        elif isinstance(given, list) and all(isinstance(path, str) for path in given):
-            library = Library([Path(path) for path in given])
+        if isinstance(value, Mapping):
+            definitions = from_definitions(value, "definitions")
+        elif isinstance(value, list) and all(isinstance(path, str) for path in value):
+            library = Library([Path(path) for path in value])
             try:
                 library.check()
             except OSError as error:
                 raise ValueError(f"{error.filename}: cannot be read: {error.strerror}") from None
         else:
             raise ValueError("expected a list of files, or definitions by name")
-        used = {}
+        plastics = {}
         for name, materials in info.data.get("elements", {}).items():
             for material in materials:
                 try:
-                    used[material] = defined[material] if material in defined else library.glass(material)
+                    plastics[material] = definitions[material] if material in definitions else library.glass(material)
                 except FileError as error:
                     raise ValueError(f"elements.{name}: {error}") from None
-        return used
+        return plastics
 
     @field_serializer("materials")
     def _defined(self, materials: dict[str, Material]) -> dict:
@@ -156,7 +156,7 @@ class Study(Frozen):
             raise ValueError(in_words(f"specs.{elements}", error, Spec)) from None
 
     def lens_spec(self, lens: str) -> Spec:
-        """Return the specification of a lens: that of its elements, changed by that of an imported lens."""
+        """Return the specification of a lens: that of its elements, changed by the `spec` of an imported lens."""
         entry = self.lens(lens)
         spec = self.spec_of(entry.elements)
         if not isinstance(entry.design, ImportedLens) or not entry.design.spec:
@@ -174,8 +174,8 @@ class Study(Frozen):
     @property
     def lenses(self) -> dict[str, LensEntry]:
         """All lenses by name, `{elements}-{design}`; imported lenses last."""
-        designed = [self._designed(elements, name) for elements in self.elements for name in self.designs]
-        return {lens.name: lens for lens in designed} | {
+        entries = [self._designed(elements, name) for elements in self.elements for name in self.designs]
+        return {lens.name: lens for lens in entries} | {
             f"{lens.elements}-{name}": LensEntry(
                 name=f"{lens.elements}-{name}", elements=lens.elements, plastics=(), design_name=name, design=lens
             )
@@ -195,8 +195,8 @@ class Study(Frozen):
     @property
     def variants(self) -> dict[str, LensEntry]:
         """Lenses of the variants of all ablations, by name."""
-        found = [self.variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
-        return {lens.name: lens for lens in found}
+        entries = [self.variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
+        return {lens.name: lens for lens in entries}
 
     @property
     def imaging_designs(self) -> tuple[str, ...]:
@@ -209,7 +209,7 @@ class Study(Frozen):
 
     @property
     def imaging_starts(self) -> tuple[str, ...]:
-        """Names of the imaging designs that others start from: not those whose apertures stop light."""
+        """Names of the imaging designs that other designs may start from: all whose apertures stop no light."""
         return tuple(name for name in self.imaging_designs if name not in self.vignetted_designs)
 
     @property
@@ -221,7 +221,7 @@ class Study(Frozen):
         """Return the lens `name`; raises StudyError with the known names."""
         elements, _, design = name.partition("-")
         if elements in self.elements and design in self.designs:
-            return self._designed(elements, design)  # alone: planning asks for lenses tens of thousands of times
+            return self._designed(elements, design)  # only this one: planning gets lenses tens of thousands of times
         return pick(self.lenses | self.variants, name, "lens")
 
     def classifier(self, name: str) -> ClassifierSettings:
@@ -229,7 +229,7 @@ class Study(Frozen):
         return pick(self.classifiers, name, "classifier")
 
     def network(self, name: str) -> ClassifierSettings:
-        """Return the classifier `name` where it is not fine-tuned, so that its processes do not matter."""
+        """Return the classifier `name` for use without fine-tuning, so that its processes do not matter."""
         return self.classifier(name).model_copy(update={"processes": 1})
 
     def task(self, name: str) -> TaskSettings:
@@ -240,8 +240,8 @@ class Study(Frozen):
 _Entry = TypeVar("_Entry")
 
 
-def pick(known: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
-    """Return the entry `name` of `known`; raises StudyError with the known names."""
-    if name not in known:
-        raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(known)}")
-    return known[name]
+def pick(entries: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
+    """Return the entry `name` of `entries`; raises StudyError with the known names."""
+    if name not in entries:
+        raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(entries)}")
+    return entries[name]
