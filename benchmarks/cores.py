@@ -1,4 +1,4 @@
-"""How long a finished study takes on several cores: list scheduling of its jobs with their measured durations.
+"""Time of a finished study on several cores: list scheduling of its jobs with their measured durations.
 
     python benchmarks/cores.py results/small
 
@@ -32,10 +32,8 @@ def main(arguments: list[str] | None = None) -> None:
     path = critical_path(jobs)
     for cores in CORES:
         run = simulate(jobs, cores, lambda name: -lengths[name])
-        busy = run.busy / (cores * run.hours) if run.hours else 1.0
-        rows.append(
-            (cores, f"{60 * run.hours:.1f}", f"{run.busy / run.hours if run.hours else 1:.2f}", f"{100 * busy:.0f}")
-        )
+        at_work = run.busy / run.hours
+        rows.append((cores, f"{60 * run.hours:.1f}", f"{at_work:.2f}", f"{100 * at_work / cores:.0f}"))
     columns = ("cores", "minutes", "times faster than one core", "cores at work [%]")
     timing.report(f"{options.results.name}: {len(jobs)} jobs", columns, rows, options.save)
     hours = sum(jobs[name].hours for name in path)

@@ -1,4 +1,4 @@
-"""How far restorations of a finished study are from convergence: PSNR with their steps, and with twice as many.
+"""Convergence of the restorations of a finished study: PSNR with their steps, and with twice as many.
 
     python benchmarks/restoration_steps.py results/small --lenses doublet-tasklens doublet-image_psnr
 

@@ -23,7 +23,7 @@ from tasklens.study.names import SHARP
 from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
-TOLD = "verdicts_table", "psf_tail_table", "effort_table", "report_page"  # in addition to the tables
+PAGE_JOBS = "verdicts_table", "psf_tail_table", "effort_table", "report_page"  # in addition to the tables
 
 
 def needed(study: Study, *targets: Path) -> set[tuple]:
@@ -53,7 +53,7 @@ RESTORED = ("small-restored", "other-restored")
 
 
 def measured(*measured_names: str):
-    """Whether a job measures classifiers with these names, for the first time or again."""
+    """Return whether a job measures classifiers with these names, for the first time or again."""
     return lambda job: job[0] in ("fine_tune", "reproduce") and job[2] in measured_names
 
 
@@ -184,7 +184,7 @@ def test_lenses_of_other_tables_are_not_designed(target, made, elements, designs
         jobs = needed(study, *job_of("verify", study).reads)
         assert {job[1:] for job in jobs if job[0] == "reproduce"} == set(contents.measured)
     else:
-        others = [path for name in TOLD for path in job_of(name, study).outputs.values()]
+        others = [path for name in PAGE_JOBS for path in job_of(name, study).outputs.values()]
         jobs = needed(study, *job_of("table", study, table=made).outputs.values(), *others)
     expected = set(map("-".join, itertools.product(elements, designs)))
     assert {job[1] for job in jobs if job[0] == "design"} == expected

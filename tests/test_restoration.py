@@ -106,7 +106,7 @@ def test_training_restores_and_is_deterministic():
     assert any(not torch.equal(first[k], other[k]) for k in first)
 
 
-def test_learning_rate_rises_and_falls_to_zero_and_the_last_network_is_returned():
+def test_learning_rate_falls_to_zero_and_the_last_network_is_returned():
     """Rows at every check and at the end; the PSNR of the last one is that of the network."""
     sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
     settings = TINY.model_copy(update={"steps": 45, "check": 10})

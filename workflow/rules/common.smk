@@ -49,14 +49,20 @@ def study_named(name):
     """Return the study of this name: that of the configuration, one in a folder of studies, a point or a part of these."""
     studies = {study.name: study for study in (STUDY, *POINTS)}
     if name not in studies:
-        whole = name.partition("/")[0]
-        study = STUDY if whole == STUDY.name else loading.load(path := loading.file_of(whole))
-        if study.name != whole:
-            raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, by which results/{name} asks for it")
-        studies |= {study.name: study for study in (study, *loading.at_points(study), *parts(study))}
+        whole = studies.get(owner(name)) or study_in_folder(name.partition("/")[0])
+        studies |= {study.name: study for study in (whole, *loading.at_points(whole), *parts(whole))}
     if name not in studies:
         raise StudyError(f"{name}: the sweep has no such point; expected one of {', '.join(studies)}")
     return studies[name]
+
+
+def study_in_folder(name):
+    """Read the study of this name from a folder of studies."""
+    path = loading.file_of(name)
+    study = loading.load(path)
+    if study.name != name:
+        raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, by which results/{name} asks for it")
+    return study
 
 
 def study_of(wildcards):

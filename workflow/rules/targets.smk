@@ -10,7 +10,7 @@ rule tables:
         at_points(rules.psf_tail_table.output.csv),
         at_points(rules.effort_table.output.csv),
         at_points(rules.report_page.output.report),
-        [path for part in parts(STUDY) for path in paths(rules.report_page.output.report, part)],
+        lambda _: [path for part in parts(STUDY) for path in paths(rules.report_page.output.report, part)],
         paths(rules.sweep_table.output.csv, STUDY) if STUDY.sweep else [],
     localrule: True
 
