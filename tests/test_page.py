@@ -11,7 +11,13 @@ from safetensors.numpy import save_file
 from tasklens.report.optimality import Optimum
 from tasklens.report.page import captures, charts, tables, words
 from tasklens.report.verdicts import verdict
-from tasklens.study.claims import FEWER_ELEMENTS, OVER_END_TO_END, OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES
+from tasklens.study.claims import (
+    FEWER_ELEMENTS,
+    OVER_END_TO_END,
+    OVER_IMAGE_QUALITY,
+    OVER_IMAGING1,
+    OVER_LEAST_SQUARES,
+)
 
 KNOWN = 0.001  # p-value of a difference that is significant
 MARGINS = {OVER_END_TO_END: 0.5}
@@ -49,44 +55,74 @@ def test_direction_and_certainty_of_a_verdict(found, direction, certainty):
 
 
 @pytest.mark.parametrize(
-    "found, said",
+    "verdict_row, sentence",
     [
-        (HOLDS, "Shown: tasklens is 2.0 points more accurate (+1.0 to +3.0) than image_error"),
-        (FAILS, "Shown: tasklens is 2.0 points less accurate (−3.0 to −1.0) than image_error"),
-        (SUGGESTED, "Suggested: tasklens is 2.0 points more accurate (+1.0 to +3.0) than image_error"),
-        (row(difference=1.04), "Shown: tasklens is 1.0 point more accurate (+1.0 to +3.0) than image_error"),
-        (UNDECIDED, "Undecided: tasklens is within 1.5 points (−1.0 to +1.5) of image_error"),
+        (HOLDS, "Shown: tasklens +2.0 points (+1.0 to +3.0) compared with image_error"),
+        (FAILS, "Shown: tasklens −2.0 points (−3.0 to −1.0) compared with image_error"),
+        (SUGGESTED, "Suggested: tasklens +2.0 points (+1.0 to +3.0) compared with image_error"),
+        (row(difference=1.04), "Shown: tasklens +1.0 point (+1.0 to +3.0) compared with image_error"),
+        (UNDECIDED, "Undecided: tasklens +0.3 points (−1.0 to +1.5) compared with image_error"),
     ],
 )
-def test_a_comparison_in_words(found, said):
-    kind = "the best design by image error or contrast"
-    assert words.comparison(found, 0.0).text == f"{said}, {kind}."
+def test_a_comparison_in_words(verdict_row, sentence):
+    assert words.comparison(verdict_row, 0.0).text == f"{sentence}, the best lens for image quality."
 
 
-def test_the_summary_counts_every_verdict_once():
-    rows = pandas.DataFrame([HOLDS, HOLDS, FAILS, UNDECIDED])
-    first, second = words.summary(rows, MARGINS, 5)
-    assert first.text == "Of 4 claims tested here, 2 hold, 1 does not hold and 1 is undecided."
-    assert "test images and 5 seeds" in second.text
+TASK_DRIVEN = ("doublet-tasklens", "doublet-tasklens_joint", "triplet-tasklens")
+
+
+def test_the_summary_gives_the_gain_of_the_first_task_driven_lens_of_each_elements():
+    """Compared with lenses for image quality; with least squares if the study has none of these."""
+    joint = row(lens="doublet-tasklens_joint", difference=4.0)
+    triplet = row(lens="triplet-tasklens", difference=0.3, low=-1.0, high=1.5, p=0.4)
+    rows = pandas.DataFrame([joint, HOLDS, triplet, row(OVER_LEAST_SQUARES, difference=9.0)])
+    first = words.summary(rows, TASK_DRIVEN, MARGINS, 5)[0]
+    assert first.text == (
+        "Accuracy compared with the best lens for image quality: doublet tasklens +2.0 points (+1.0 to +3.0), shown; "
+        "triplet tasklens +0.3 points (−1.0 to +1.5), undecided."
+    )
+    first = words.summary(rows[rows["claim"] == OVER_LEAST_SQUARES], TASK_DRIVEN, MARGINS, 5)[0]
+    assert first.text.startswith("Accuracy compared with the best lens by least squares: doublet tasklens +9.0 points")
+
+
+def test_the_papers_claims_are_counted_as_the_paper_has_them():
+    """Comparisons with several lenses or networks are one claim; what the paper does not claim is no claim of it."""
+    rows = [row(OVER_IMAGING1), row(OVER_LEAST_SQUARES), HOLDS, row(FEWER_ELEMENTS, difference=-2, low=-3, high=-1)]
+    rows += [row(OVER_LEAST_SQUARES, table="table2"), UNDECIDED | {"table": "table2", "claim": OVER_IMAGING1}]
+    verdicts = pandas.DataFrame(rows)
+    counted = {tally.sentence: tally for tally in words.tallies(verdicts, MARGINS)}
+    assert [tally.directions.total() for tally in counted.values()] == [2, 1, 2, 1]
+    assert [tally.outcome for tally in counted.values()] == [words.FOR, words.AGAINST, words.UNDECIDED, words.FOR]
+    assert [tally.of_the_paper for tally in counted.values()] == [True, True, True, False]
+    second = words.summary(verdicts, TASK_DRIVEN, MARGINS, 5)[1]
+    counts = "1 is true in every comparison, 1 is mixed or undecided and 1 is true in none"
+    assert second.text == f"Of the paper's 3 claims tested here, {counts}."
 
 
 @pytest.mark.parametrize(
-    "seeds, said, over",
+    "seeds, sentence, over",
     [
-        (1, "There is only one seed of", "over test images;"),
-        (3, "There are only 3 seeds of", "over test images and seeds;"),
+        (1, "With one seed, differences are suggested", "over test images."),
+        (3, "With 3 seeds, differences are suggested", "over test images and seeds."),
+        (5, "Intervals are 95 %", "over test images and 5 seeds;"),
     ],
 )
-def test_few_seeds_suggest(seeds, said, over):
-    first, second = words.summary(pandas.DataFrame([SUGGESTED, AGAINST, WITHIN]), MARGINS, seeds)
-    assert first.text.endswith("2 are suggested to hold and 1 is suggested not to hold.")
-    assert second.text.startswith(said) and "suggested, not shown" in second.text and over in second.text
+def test_the_summary_ends_with_its_certainty(seeds, sentence, over):
+    last = words.summary(pandas.DataFrame([SUGGESTED, AGAINST, WITHIN]), TASK_DRIVEN, MARGINS, seeds)[-1]
+    assert last.text.startswith(sentence) and over in last.text
 
 
 def test_a_study_without_claims_says_so():
-    assert [sentence.text for sentence in words.summary(pandas.DataFrame(columns=list(HOLDS)), {}, 1)] == [
+    assert [sentence.text for sentence in words.summary(pandas.DataFrame(columns=list(HOLDS)), (), {}, 1)] == [
         "The paper's claims are about no lenses of this study."
     ]
+
+
+def test_a_network_near_chance_is_a_warning():
+    """Below a tenth of the way from chance to 100 %, on images without a lens."""
+    columns = {"classifier": ["good", "bad", ""], "reference_accuracy": [90.0, 20.0, None], "chance": 12.5}
+    (warning,) = words.chance({"table1": pandas.DataFrame(columns)})
+    assert warning.text.startswith("Warning: bad recognises 20.0 % of the sharp images; chance is 12.5 %.")
 
 
 def test_answers_are_about_table_1_by_elements_in_the_order_of_the_questions():
@@ -102,14 +138,14 @@ def test_answers_are_about_table_1_by_elements_in_the_order_of_the_questions():
     answers = words.answers(rows, ["doublet", "triplet", "singlet"], [OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES], MARGINS)
     assert {name: len(sentences) for name, sentences in answers.items()} == {"doublet": 2, "triplet": 1}
     assert [sentence.text.rpartition(", ")[2] for sentence in answers["doublet"]] == [
-        "the best design by image error or contrast.",
-        "the best design by least squares.",
+        "the best lens for image quality.",
+        "the best lens by least squares.",
     ]
 
 
 def test_fewer_elements_name_the_elements_of_the_other_lens():
     sentence = words.comparison(row(FEWER_ELEMENTS, baseline="triplet-imaging2"), 0.0)
-    assert sentence.text.endswith("than triplet-imaging2, the best imaging design with more elements.")
+    assert sentence.text.endswith("compared with triplet-imaging2, the best imaging lens with more elements.")
 
 
 def test_convergence_names_what_has_not_converged():

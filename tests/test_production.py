@@ -111,7 +111,7 @@ def test_a_lens_without_light_is_counted():
     failed = [row for row in rows if row["failed"]]
     assert 0 < len(failed) < 20 and not rows[0]["failed"]
     summary = tolerance_page.distribution(rows)
-    assert summary["failed"] == len(failed) and summary["built"] == 20
+    assert summary["failed_lenses"] == len(failed) and summary["built"] == 20
 
 
 def test_single_errors_and_allotted_tolerances():

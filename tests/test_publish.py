@@ -5,68 +5,84 @@ import math
 import pandas
 import pytest
 
-from tasklens.report.publish import publish, rounded
+from tasklens.report import headings
+from tasklens.report.publish import publish
 
 TABLE = pandas.DataFrame(
     {
         "lens": ["a", "b", ""],
         "accuracy": [71.256, math.nan, 60.0],
         "accuracy_std": [1.0, 2.004, 3.0],
+        "accuracy_paper": [70.0, math.nan, math.nan],
         "seeds": [5, 5, 1],
         "converged": [True, False, True],
         "note": ["5.0", None, "x"],
+        "r2": [0.5, 1.0, 0.123],
     }
 )
 
 
-def test_numbers_are_rounded_by_the_longest_beginning_of_their_column():
-    table = rounded(TABLE, {"": ".1f", "acc": ".2f", "accuracy_std": "+.3f", "seeds": ".0f", "lens": ".9f"})
-    assert table["accuracy"].tolist() == ["71.26", "–", "60.00"]
-    assert table["accuracy_std"].tolist() == ["+1.000", "+2.004", "+3.000"]
-    assert table["seeds"].tolist() == ["5", "5", "1"]
+def test_readers_see_headings_with_units_spreads_and_dashes():
+    texts = headings.texts(TABLE)
+    assert texts.columns.tolist() == ["lens", "accuracy [%]", "seeds", "converged", "note", "r2", "accuracy [%], paper"]
+    assert texts["accuracy [%]"].tolist() == ["71.3 ± 1.0", "–", "60.0 ± 3.0"]
+    assert texts["accuracy [%], paper"].tolist() == ["70.0", "–", "–"]
+    assert texts["lens"].tolist() == ["a", "b", "–"] and texts["seeds"].tolist() == ["5", "5", "1"]
+    assert texts["converged"].tolist() == ["True", "False", "True"] and texts["note"].tolist() == ["5.0", "–", "x"]
 
 
-def test_what_is_no_number_stays_and_gaps_are_dashes():
-    table = rounded(TABLE, {"": ".1f"})
-    assert table["lens"].tolist() == ["a", "b", "–"]
-    assert table["converged"].tolist() == [True, False, True]
-    assert table["note"].tolist() == ["5.0", "–", "x"]
-    assert table.columns.tolist() == TABLE.columns.tolist()
+def test_columns_without_a_heading_have_two_decimals_or_none():
+    assert headings.texts(TABLE)["r2"].tolist() == ["0.50", "1.00", "0.12"]
+    assert headings.texts(pandas.DataFrame({"count": [3]}))["count"].tolist() == ["3"]
 
 
-def test_columns_without_a_format_keep_every_digit():
-    table = rounded(TABLE, {"accuracy_std": ".1f"})
-    assert table["accuracy"].tolist() == [71.256, "–", 60.0] and table["seeds"].tolist() == [5, 5, 1]
+@pytest.mark.parametrize(
+    "name, value, text", [("accuracy", math.inf, "inf"), ("gap", 0.0004, "+0.000"), ("failed", 0.2, "20")]
+)
+def test_numbers_at_the_edge(name, value, text):
+    assert headings.texts(pandas.DataFrame({name: [value]})).iloc[0, 0] == text
 
 
-@pytest.mark.parametrize("value, shown", [(math.inf, "inf"), (-0.004, "-0.00"), (1e6, "1000000.00"), (math.nan, "–")])
-def test_numbers_at_the_edge(value, shown):
-    assert rounded(pandas.DataFrame({"x": [value]}), {"": ".2f"})["x"].tolist() == [shown]
-
-
-def test_rounding_leaves_the_table_as_it_was():
+def test_formatting_leaves_the_table_as_it_was():
     before = TABLE.copy(deep=True)
-    rounded(TABLE, {"": ".0f"})
+    headings.texts(TABLE)
     pandas.testing.assert_frame_equal(TABLE, before)
+
+
+def test_every_heading_has_a_format_that_python_accepts():
+    assert all(format(1.0, heading.digits) for heading in headings.HEADINGS.values())
 
 
 def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_markdown(tmp_path):
     csv, md = tmp_path / "new" / "t.csv", tmp_path / "new" / "t.md"
-    publish(csv, md, "Title", TABLE, rounded(TABLE, {"": ".1f"}), "A note.")
+    publish(csv, md, "Title", TABLE, "A note.")
     frame = pandas.read_csv(csv)
     assert list(frame) == list(TABLE) and frame["accuracy"].tolist()[::2] == [71.256, 60.0]
     lines = md.read_text().splitlines()
     assert lines[:2] == ["**Title**", ""] and lines[-2:] == ["", "A note."]
     body = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    assert body[0] == list(TABLE) and body[2] == ["a", "71.3", "1.0", "5.0", "True", "5.0"]
+    assert body[0][:2] == ["lens", "accuracy [%]"] and body[2] == [
+        "a",
+        "71.3 ± 1.0",
+        "5",
+        "True",
+        "5.0",
+        "0.50",
+        "70.0",
+    ]
     assert body[3][1] == "–" and len(body) == 2 + 3
     assert len(list(csv.parent.iterdir())) == 2
+
+
+def test_the_markdown_may_show_another_table(tmp_path):
+    csv, md = tmp_path / "t.csv", tmp_path / "t.md"
+    publish(csv, md, "Title", TABLE, "A note.", TABLE[["lens"]])
+    assert list(pandas.read_csv(csv)) == list(TABLE) and "accuracy" not in md.read_text()
 
 
 def test_an_empty_table_is_a_title_and_a_note(tmp_path):
     """Its CSV has the columns, for programs that read it."""
     csv, md = tmp_path / "t.csv", tmp_path / "t.md"
-    empty = TABLE.iloc[:0]
-    publish(csv, md, "Title", empty, rounded(empty, {"": ".1f"}), "Nothing.")
+    publish(csv, md, "Title", TABLE.iloc[:0], "Nothing.")
     assert md.read_text() == "**Title**\n\nNothing.\n"
     assert list(pandas.read_csv(csv)) == list(TABLE)

@@ -79,18 +79,18 @@ def rank(lens: str, group: int, accuracy: float, low: float, high: float) -> Ran
 def test_the_answer_in_words():
     ranks = [rank("a", 1, 90, 0, 0), rank("b", 1, 89.5, -0.2, 1.2), rank("c", 2, 85, 4, 7)]
     assert ranking.sentences(ranks, {"a": "A", "b": "B"}) == [
-        "A and B cannot be told apart by these photographs: they are equal within 1.2 points.",
+        "A and B cannot be distinguished by these photographs: they agree within 1.2 points.",
         "c: 4.0 to 7.0 points behind the first.",
     ]
     assert ranking.sentences(ranks[:1], {}) == ["a is the best."]
 
 
 def test_what_the_sieve_may_have_missed():
-    """A lens of less MTF was better by 5 points; the measured lens of the least MTF is 20 behind, then 3."""
+    """A lens with a lower MTF was better by 5 points; the measured lens with the lowest MTF is 20 behind, then 3."""
     mtf = {"a": 0.9, "b": 0.8, "c": 0.5, "left": 0.4, "out": 0.3}
     ranks = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 70, 0, 0)]
     sentence = ranking.sieve(ranks, mtf, ["left", "out"])
-    assert "left out 2 lenses, with a mean MTF of at most 0.40" in sentence and "by 5.0 points at most" in sentence
+    assert "Not measured: 2 lenses with a mean MTF of at most 0.40" in sentence and "by at most 5.0 points" in sentence
     assert "20.0 points behind the first" in sentence and "would be a surprise" in sentence
     close = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 87, 0, 0)]
     assert "cannot be excluded" in ranking.sieve(close, mtf, ["left", "out"])
@@ -182,7 +182,7 @@ def test_built_lenses_and_a_sieve(here, capfd):
     output = capfd.readouterr().out
     table = pandas.read_csv("results/built/tables/ranking.csv")
     assert len(table) == 3 and table["built_lose"].notna().tolist() == [True, False, False]
-    assert "The sieve has left out 1 lenses" in output
+    assert "Not measured: 1 lens with a mean MTF of at most" in output
     study = yaml.safe_load((here / "results/built/study.yaml").read_text())
     (first, *_) = sorted((here / "results/built/lenses").glob("*/seed0/lens.yaml"))
     content = yaml.safe_load(first.read_text())
@@ -210,7 +210,7 @@ def test_a_network_that_gets_used_to_each_lens(here):
         (COMMAND[:2], "expected --images FOLDER and --classifier NAME"),
         (COMMAND, "expected its --weights FILE, or --pretrained"),
         ((*COMMAND[:1], "nowhere", *COMMAND[2:], *SENSOR), "nowhere: no such lens file or folder"),
-        ((*COMMAND[:1], "photographs", *COMMAND[2:], *SENSOR), "photographs: no lens file in it"),
+        ((*COMMAND[:1], "photographs", *COMMAND[2:], *SENSOR), "photographs: no lens file there"),
         (
             (*COMMAND[:1], "lenses/narrow.yaml", *COMMAND[2:], *SENSOR),
             "none of the lenses can be measured: narrow: covers",
@@ -251,7 +251,7 @@ def test_ranking_in_python_agrees_with_the_command(here):
     assert "Mine." in (here / "ranking.html").read_text()
     pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
     assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
-    with pytest.raises(InputError, match="answers one image with a tensor"):
+    with pytest.raises(InputError, match="returns a tensor"):
         tasklens.rank(lenses, pairs, torch.nn.Conv2d(3, 2, 3))
     with pytest.raises(InputError, match="images: number 1: expected a pair"):
         tasklens.rank(lenses, [pairs[0], 3], network)

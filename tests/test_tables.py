@@ -10,7 +10,7 @@ import pytest
 import yaml
 from examples import changed, lens_file, measurement, measurements_of, result, tiny_study, write
 
-from tasklens.report import tables
+from tasklens.report import headings, tables
 from tasklens.report.failure import failed
 from tasklens.report.latex import escaped
 from tasklens.study.loading import dump, parse
@@ -125,9 +125,9 @@ def test_table3_counts_failures_by_its_rule(study):
     """Half of the light in the window and half of the reference above chance; a seed that lacks one has failed."""
     frame = table(study, "table3")
     assert frame["failed"].to_dict() == {"tasklens": 0, "end_to_end_from_imaging": 0.5, "end_to_end_from_flat": 1}
-    text = tables.printed(frame.reset_index()).set_index("design")
-    assert text.loc["tasklens", "failed"] == "0%" and text.loc["end_to_end_from_flat", "failed"] == "100%"
-    assert text.loc["end_to_end_from_flat", "failed_paper"] == "100%"
+    text = headings.texts(frame.reset_index()).set_index("design")
+    assert text.loc["tasklens", "failed [%]"] == "0" and text.loc["end_to_end_from_flat", "failed [%]"] == "100"
+    assert text.loc["end_to_end_from_flat", "failed [%], paper"] == "100"
 
 
 @pytest.mark.parametrize("accuracy, inside, expected", [(50, 0.5, False), (49.9, 1, True), (90, 0.49, True)])

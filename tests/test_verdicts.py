@@ -291,7 +291,7 @@ def test_files_of_the_verdicts_agree():
     rows = pandas.read_csv(paths.csv)
     body = [line for line in paths.md.read_text().splitlines() if line.startswith("|")][2:]
     assert len(body) == len(rows) == 7 + 7 + 4 + 7
-    assert all(f"{row.difference:+.2f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
+    assert all(f"{row.difference:+.1f}" in line for row, line in zip(rows.itertuples(), body, strict=True))
     assert all(
         row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(paths.csv), body, strict=True)
     )

@@ -19,9 +19,9 @@ from tasklens.optics.view import View
 from tasklens.recognition import classifiers, evaluation, users_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.report import headings
 from tasklens.report import ranking as report
 from tasklens.report.figures import section_svg
-from tasklens.report.publish import rounded
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_text
@@ -59,9 +59,8 @@ class Ranking:
         write_text(Path(path), page)
 
     def _repr_html_(self) -> str:
-        return "".join(f"<p>{sentence}</p>" for sentence in self.sentences) + rounded(
-            self.table, {"": ".1f", "group": "d", "f_number": ".2f"}
-        ).to_html(index=False)
+        table = headings.texts(self.table).to_html(index=False)
+        return "".join(f"<p>{sentence}</p>" for sentence in self.sentences) + table
 
 
 def rank(
@@ -100,7 +99,7 @@ def rank(
         answer = classifier(dataset.batch(torch.arange(1))[0])
     if answer.dim() != 2 or answer.shape[1] < max(len(dataset.classes), 2):
         raise InputError(
-            f"rank: the network answers one image with a tensor {tuple(answer.shape)}; expected logits of the "
+            f"rank: the network returns a tensor {tuple(answer.shape)} for one image; expected logits of the "
             f"{len(dataset.classes)} classes"
         )
     sharp = float(100 * evaluation.evaluate([classifier], dataset, CapturePipeline()).correct.double().mean())

@@ -61,13 +61,11 @@ def _sweep(study: Study, by_study: Mapping[str, runs.Run]) -> list[str]:
 
 
 def _answer(study: Study, verdicts: Path) -> list[str]:
-    """Return the number of claims that hold, then the answers to the main questions for each set of elements."""
+    """Return the answer of the study in sentences, as its page gives it."""
     frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
     settings = ReportJob.of(study)
-    lines = [words.summary(frame, settings.margins, len(study.seeds))[0].text]
-    for name, sentences in words.answers(frame, study.elements, settings.questions, settings.margins).items():
-        lines += [f"{name}:", *(f"  {sentence.text}" for sentence in sentences)]
-    return lines
+    sentences = words.summary(frame, settings.by_task, settings.margins, len(study.seeds))
+    return [sentence.text for sentence in sentences]
 
 
 def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
@@ -80,7 +78,7 @@ def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:
     ]
     if len(study.seeds) < LEAST_SEEDS:
         more = ", ".join(map(str, range(LEAST_SEEDS)))
-        commands.append((f"snakemake -j2 tables {file} --config 'seeds=[{more}]'", "verdicts in place of suggestions"))
+        commands.append((f"snakemake -j2 tables {file} --config 'seeds=[{more}]'", "verdicts instead of suggestions"))
     return commands
 
 
@@ -90,9 +88,9 @@ def failure(by_study: Mapping[str, runs.Run]) -> str:
     for name, run in by_study.items():
         lines.append(f"Study {name}: {len(run.labels(runs.DONE))} of {len(run.jobs)} jobs done.")
         for label in run.labels(runs.FAILED):
-            lines.append(f"FAILED  {runs.title(label)}: {run.jobs[label].result or 'no word in its log'}")
+            lines.append(f"FAILED  {runs.title(label)}: {run.jobs[label].result or 'its log is empty'}")
             lines.append(f"        {run.folder}/logs/{label}.log")
     failed = any(run.labels(runs.FAILED) for run in by_study.values())
-    hint = "; with --keep-going it does all that needs no failed job" if failed else ""
-    lines.append(f"The same command goes on from here{hint}.")
+    hint = "; with --keep-going it runs all jobs that do not depend on a failed one" if failed else ""
+    lines.append(f"The same command continues from here{hint}.")
     return "\n".join(lines)

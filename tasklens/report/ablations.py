@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.report import verdicts
+from tasklens.report import answers_file, verdicts
 from tasklens.report.measurements import Measurements
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.study.claims import AblationClaims
 
 _NOTE = """\
-Study `{study}`. Difference: accuracy minus that of `{base}` [points], with its 95 % interval over test images{seeds};
-fewer than {least} seeds only suggest it. A variant of the capture is also measured with
-its capture."""
+Study `{study}`. Difference: accuracy minus that of `{base}` [points], with its 95 % interval over test images{seeds}.
+With fewer than {least} seeds, differences are only suggested. A variant that changes the capture is measured with its
+own capture."""
 
 
 def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.DataFrame:
@@ -39,13 +39,14 @@ def make(
     predictions: Sequence[Path],
     csv: Path,
     md: Path,
+    answers: Path,
 ) -> None:
-    """Write the table as CSV and Markdown."""
+    """Write the table as CSV and Markdown, and the answers from which its intervals can be recomputed."""
     claims = ablation.claims
-    rows = collect(ablation, Measurements.of_claims(claims, lenses, metrics, predictions))
-    digits = {"": ".2f", "energy": ".3f", "worst": ".3f", "seeds": ".0f"}
-    texts = rounded(rows, digits | dict.fromkeys(("difference", "low", "high"), "+.2f"))
+    measurements = Measurements.of_claims(claims, lenses, metrics, predictions)
+    rows = collect(ablation, measurements)
+    answers_file.write(answers, claims, measurements)
     note = _NOTE.format(
         study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
     )
-    publish(csv, md, f"Ablation: {ablation.name}", rows, texts, note)
+    publish(csv, md, f"Ablation: {ablation.name}", rows, note)

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.study.effort import Efforts
 
 _NOTE = """\
-Study `{study}`. Lenses tried: steps of a descent, or the budget of evaluations of least squares. Minutes of the job on
-one core, with the figures and PSFs of its lens; of the seed with the shortest, since other work on the machine prolongs
-them; of the last run, where it was interrupted. `in_all`: with the designs of all lenses that it was chosen from, but
-not the fine-tunings that told some of them apart."""
+Study `{study}`. Lenses tried are the steps of descents, or the evaluations of least squares. Time is that of the
+design job on one core, with the figures and PSFs of its lens; the shortest of all seeds, since other work on the
+machine prolongs a job. "In all" adds the designs of all lenses from which the start was chosen, without the
+fine-tunings that this choice needed."""
 
 
 def core_minutes(path: Path) -> float:
@@ -56,5 +56,4 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
 def make(settings: Efforts, lenses: Sequence[Path], benchmarks: Sequence[Path], csv: Path, md: Path) -> None:
     """Write the efforts as CSV and Markdown; `lenses` only make Snakemake wait for the designs."""
     rows = collect(settings, benchmarks)
-    texts = rounded(rows, {"core_minutes": ".1f"})
-    publish(csv, md, "Effort of each design", rows, texts, _NOTE.format(study=settings.study))
+    publish(csv, md, "Effort of each design", rows, _NOTE.format(study=settings.study))

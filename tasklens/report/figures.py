@@ -38,11 +38,11 @@ _RIM = 1.02  # drawn radius of a surface, as a multiple of the radius that light
 _DPI = 110
 _PLACES = 6  # decimals of a position in a figure
 # Text stays text, and element ids are the same in every run.
-_VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
+VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor"), "white"
 )
-_METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 @dataclass(frozen=True)
@@ -120,11 +120,11 @@ def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
         layout.execute(figure)
         figure.set_layout_engine("none")
         _round(figure)
-    with matplotlib.rc_context(_VECTOR):
+    with matplotlib.rc_context(VECTOR):
         for path in paths:
             kind = path.suffix.removeprefix(".")
             with replacing(path) as temporary:
-                figure.savefig(temporary, dpi=dpi, format=kind, metadata=_METADATA.get(kind))
+                figure.savefig(temporary, dpi=dpi, format=kind, metadata=METADATA.get(kind))
 
 
 def _round(part: Figure | SubFigure) -> None:
@@ -158,8 +158,8 @@ def section_svg(lens: Lens, view: View) -> str:
     used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
     cross_section(figure.subplots(), lens, view, shown_fields(view), _COLOURS)
-    with matplotlib.rc_context(_VECTOR):
-        figure.savefig(text, format="svg", metadata=_METADATA["svg"])
+    with matplotlib.rc_context(VECTOR):
+        figure.savefig(text, format="svg", metadata=METADATA["svg"])
     return text.getvalue()
 
 

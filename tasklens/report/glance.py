@@ -7,8 +7,8 @@ import pandas
 
 from tasklens.materials.material import AIR, short_name
 from tasklens.optics.lens import Lens
+from tasklens.report.headings import GAP
 from tasklens.report.manufacturability import UNITS
-from tasklens.report.publish import rounded
 
 _FIELDS = {  # key in the figures of a lens: label, number of decimals
     "angle_deg": ("field [degrees]", 1),
@@ -127,7 +127,10 @@ def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Format rows as a table for a terminal, with a note that explains the columns."""
-    frame = pandas.DataFrame(rows).astype({"worst_margin": "float64"})
-    frame = frame.rename(columns={key: heading for key, (heading, _) in _COLUMNS.items()})
-    texts = rounded(frame, {heading: form for heading, form in _COLUMNS.values() if form})
-    return f"{texts.to_string(index=False)}\n\n{_NOTE}"
+    frame = pandas.DataFrame(rows)
+    texts = {
+        heading: [GAP if pandas.isna(value) else format(value, form) for value in frame[key]]
+        for key, (heading, form) in _COLUMNS.items()
+        if key in frame
+    }
+    return f"{pandas.DataFrame(texts).to_string(index=False)}\n\n{_NOTE}"

@@ -1,4 +1,7 @@
-"""Readable columns of tables: headings with units, numbers with their spread, and the best values."""
+"""Columns of tables for readers: headings with units and meanings, number formats, and the best values.
+
+Every Markdown, LaTeX and HTML table of a study is formatted here, so that a number looks the same everywhere.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,61 +10,119 @@ from typing import Any, Literal, NamedTuple
 import pandas
 
 STD, PAPER = "_std", "_paper"
+GAP = "–"
 _GROUPS = ("elements", "classifier")  # within which the best value is marked
 
 
 class Heading(NamedTuple):
-    """Heading of a column: words, unit, decimals, which values are the best, and the factor to the unit."""
+    """Heading of a column: words, unit, number format, best values, factor to the unit, and meaning in a sentence."""
 
     words: str
     unit: str = ""
-    digits: str = ".2f"
+    digits: str = ""  # "" for texts; else two decimals, or none for integers
     best: Literal["max", "min", ""] = ""
     factor: float = 1.0
+    meaning: str = ""
+
+    @property
+    def text(self) -> str:
+        """The words with the unit in brackets."""
+        return f"{self.words} [{self.unit}]" if self.unit else self.words
 
 
 HEADINGS = {
-    "accuracy": Heading("accuracy", "%", ".1f", "max"),
-    "zero_shot_accuracy": Heading("zero-shot accuracy", "%", ".1f", "max"),
-    "accuracy_median": Heading("median", "%", ".1f", "max"),
-    "accuracy_best": Heading("best seed by minival", "%", ".1f", "max"),
-    "reference_accuracy": Heading("sharp images", "%", ".1f"),
-    "frozen_loss": Heading("loss before fine-tuning", "", ".3f", "min"),
-    "gap": Heading("optimality gap", "", "+.3f"),
-    "psnr_db": Heading("PSNR", "dB", ".1f", "max"),
-    "worst_psnr_db": Heading("worst PSNR", "dB", ".1f", "max"),
-    "rms_spot_um": Heading("RMS spot", "um", ".1f", "min"),
-    "core_radius_um": Heading("core radius", "um", ".1f", "min"),
-    "radius_80_um": Heading("80 % radius", "um", ".1f", "min"),
-    "energy_in_window": Heading("light in window", "", ".3f", "max"),
-    "tail_energy": Heading("light in tail", "", ".3f"),
-    "outside_window": Heading("light outside window", "", ".3f"),
-    "rms_um": Heading("RMS about chief ray", "um", ".1f"),
-    "rms_over_core": Heading("RMS over core", "", ".1f"),
-    "worst_margin": Heading("worst margin", "", "+.3f"),
-    "failed": Heading("failed", "%", ".0f", factor=100.0),
+    "accuracy": Heading("accuracy", "%", ".1f", "max", meaning="Correct answers on test images, mean over nine fields"),
+    "zero_shot_accuracy": Heading(
+        "zero-shot accuracy", "%", ".1f", "max", meaning="Among all outputs of the network, without fine-tuning"
+    ),
+    "among_all": Heading("among all outputs", "%", ".1f", "max"),
+    "accuracy_median": Heading("median", "%", ".1f", "max", meaning="Median accuracy over seeds"),
+    "accuracy_best": Heading(
+        "best seed by minival", "%", ".1f", "max", meaning="Accuracy of the seed with the best accuracy on minival"
+    ),
+    "reference_accuracy": Heading("sharp images", "%", ".1f", meaning="Accuracy on images without a lens"),
+    "frozen_loss": Heading(
+        "loss before fine-tuning",
+        *("", ".3f", "min"),
+        meaning="Cross-entropy of the frozen network on minival images through the lens",
+    ),
+    "gap": Heading(
+        "optimality gap",
+        *("", "+.3f"),
+        meaning="Loss before fine-tuning minus that of the best other lens with the same elements; negative is better",
+    ),
+    "psnr_db": Heading("PSNR", "dB", ".1f", "max", meaning="Peak signal-to-noise ratio of captures, mean over fields"),
+    "worst_psnr_db": Heading("worst PSNR", "dB", ".1f", "max", meaning="PSNR at the field with the lowest one"),
+    "rms_spot_um": Heading("RMS spot", "um", ".1f", "min", meaning="RMS distance of rays from their centroid"),
+    "core_radius_um": Heading(
+        "core radius", "um", ".1f", "min", meaning="Circle about the chief ray that holds half of the light"
+    ),
+    "radius_80_um": Heading(
+        "80 % radius", "um", ".1f", "min", meaning="Circle about the chief ray that holds 80 % of the light"
+    ),
+    "energy_in_window": Heading("light in window", "", ".3f", "max", meaning="Share of light inside the PSF window"),
+    "tail_energy": Heading("light in tail", "", ".3f", meaning="Share of light outside three core radii"),
+    "outside_window": Heading("light outside window", "", ".3f", meaning="Share of light outside the PSF window"),
+    "rms_um": Heading("RMS spot", "um", ".1f", meaning="RMS distance of rays from the chief ray or their centroid"),
+    "rms_over_core": Heading("RMS / core", "", ".1f", meaning="1 for a uniform disc, 1.2 for a Gaussian spot"),
+    "worst_margin": Heading(
+        "worst margin",
+        *("", "+.3f"),
+        meaning="Distance to the nearest limit of manufacture, focal length or distortion; negative violates it",
+    ),
+    "failed": Heading(
+        "failed",
+        *("%", ".0f"),
+        factor=100.0,
+        meaning="Seeds with half of the light outside the window or half of the accuracy above chance lost",
+    ),
     "parameters_m": Heading("parameters", "M", ".1f"),
     "lenses_tried": Heading("lenses tried", "", ".0f"),
     "lenses_tried_in_all": Heading("lenses tried in all", "", ".0f"),
     "core_minutes": Heading("time", "min", ".1f"),
     "core_minutes_in_all": Heading("time in all", "min", ".1f"),
-    "difference": Heading("difference", "points", "+.1f"),
-    "low": Heading("from", "points", "+.1f"),
-    "high": Heading("to", "points", "+.1f"),
-    "p_holm": Heading("p (Holm)", "", ".3f"),
+    "difference": Heading("difference", "points", "+.1f", meaning="Accuracy of the lens minus that of its baseline"),
+    "low": Heading("from", "points", "+.1f", meaning="Lower end of the 95 % interval"),
+    "high": Heading("to", "points", "+.1f", meaning="Upper end of the 95 % interval"),
+    "p_holm": Heading("p (Holm)", "", ".3f", meaning="p-value, corrected for all rows of the same claim and table"),
     "jobs": Heading("jobs", "", ".0f"),
+    "seeds": Heading("seeds", "", ".0f"),
     "total_min": Heading("in all", "min", ".1f"),
     "mean_min": Heading("mean", "min", ".2f"),
     "longest_min": Heading("longest", "min", ".1f"),
-    "memory_mb": Heading("most memory", "MB", ".0f"),
-    "seeds": Heading("seeds", "", ".0f"),
-    "plastics": Heading("plastics", "", ".0f"),
+    "memory_mb": Heading("peak memory", "MB", ".0f"),
     "field_of_view_deg": Heading("field of view", "deg", ".1f"),
-    "f_number": Heading("F-number", "", ".1f"),
-    "rms_task_um": Heading("RMS, task", "um", ".1f"),
-    "rms_imaging_um": Heading("RMS, imaging", "um", ".1f"),
+    "field_of_view": Heading("field of view", "deg", ".1f"),
+    "f_number": Heading("F-number", "", ".2f"),
+    "rms_task_um": Heading("RMS spot, task", "um", ".1f"),
+    "rms_imaging_um": Heading("RMS spot, imaging", "um", ".1f"),
     "tried_task": Heading("lenses tried, task", "", ".0f"),
     "tried_imaging": Heading("lenses tried, imaging", "", ".0f"),
+    "frozen": Heading("frozen", "%", ".1f", "max", meaning="Score of the network that was trained on sharp images"),
+    "tuned": Heading("tuned", "%", ".1f", "max", meaning="Score after fine-tuning on the captures of the lens"),
+    "worst_field": Heading("worst field", "%", ".1f", "max", meaning="Score after fine-tuning at the worst field"),
+    "accuracy_design": Heading("accuracy of the design", "%", ".1f"),
+    "accuracy_5th": Heading("5th percentile", "%", ".1f", meaning="Accuracy that 95 of 100 built lenses exceed"),
+    "lost": Heading("lost", "points", ".1f", meaning="Accuracy of the design minus the mean of built lenses"),
+    "yield_1": Heading("yield, 1 point", "%", ".1f", meaning="Built lenses that lose at most one point"),
+    "yield_3": Heading("yield, 3 points", "%", ".1f", meaning="Built lenses that lose at most three points"),
+    "rms_um_design": Heading("RMS spot of the design", "um", ".1f"),
+    "mtf_design": Heading("MTF of the design", "", ".2f"),
+    "mtf": Heading("MTF", "", ".2f"),
+    "failed_lenses": Heading("failed lenses", meaning="Built lenses that let no light through to some field"),
+    "built": Heading("built", "", ".0f"),
+    "tolerance": Heading("tolerance", "", ".4g"),
+    "allotted": Heading("allotted tolerance", "", ".2g"),
+    "moved_um": Heading("rays move", "um", ".2f", meaning="RMS displacement of the core's rays, by derivative"),
+    "traced_um": Heading("rays move, traced", "um", ".2f"),
+    "accuracy_change": Heading("change of accuracy", "points", "+.2f"),
+    "behind": Heading("behind", "points", ".1f", meaning="Accuracy of the best lens minus that of this one"),
+    "behind_low": Heading("behind, from", "points", ".1f"),
+    "behind_high": Heading("behind, to", "points", ".1f"),
+    "axis": Heading("axis", "%", ".1f"),
+    "corner": Heading("corner", "%", ".1f"),
+    "built_lose": Heading("built lose", "points", ".1f"),
+    "built_lose_95": Heading("95 of 100 lose less", "points", ".1f"),
 }
 
 
@@ -80,9 +141,31 @@ def columns(table: pandas.DataFrame) -> list[str]:
 def number(name: str, row: Mapping[Any, Any]) -> tuple[str, str]:
     """Return a number of a row and its standard deviation over seeds as texts; "" without a standard deviation."""
     column = heading(name)
+    digits = column.digits or (".0f" if isinstance(row[name], int) else ".2f")
     spread = row.get(f"{name}{STD}", math.nan)
-    text = "" if pandas.isna(spread) else format(column.factor * spread, column.digits.removeprefix("+"))
-    return format(column.factor * row[name], column.digits), text
+    text = "" if pandas.isna(spread) else format(column.factor * spread, digits.removeprefix("+"))
+    return format(column.factor * row[name], digits), text
+
+
+def is_number(column: pandas.Series) -> bool:
+    """Return whether a column holds numbers, not texts or truth values."""
+    return pandas.api.types.is_numeric_dtype(column) and column.dtype != bool
+
+
+def cell(name: str, row: Mapping[Any, Any], numeric: bool) -> str:
+    """Format a cell: a text, a dash for a gap, or a number with its standard deviation."""
+    value = row[name]
+    if pandas.isna(value) or value == "":
+        return GAP
+    return " ± ".join(filter(None, number(name, row))) if numeric else str(value)
+
+
+def texts(table: pandas.DataFrame) -> pandas.DataFrame:
+    """Format a table: headings with units, numbers with their spread, gaps as dashes, the paper's columns last."""
+    names = columns(table)
+    numeric = {name: is_number(table[name]) for name in names}
+    rows = [[cell(name, row, numeric[name]) for name in names] for row in table.to_dict("records")]
+    return pandas.DataFrame(rows, columns=[f"{heading(name).text}{', paper' * name.endswith(PAPER)}" for name in names])
 
 
 def best(table: pandas.DataFrame, name: str) -> Sequence[bool]:

@@ -19,17 +19,17 @@ from scipy.optimize import nnls
 
 from tasklens.optics.io import psf_files
 from tasklens.report.measurements import Measurements
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.runtime.files import FileError, replacing
 from tasklens.study.report_jobs import MeritFunctionJob
 
 _LEAST_LENSES = 3
 BANDS = numpy.linspace(0, 0.5, 9)  # bounds of the bands [cycles per pixel], up to the Nyquist frequency
 _NOTE = """\
-Study `{study}`. For each classifier, before any fine-tuning: weights w of exp(c - sum w M), the loss at a field as a
-function of the mean modulation M in bands of spatial frequency [cycles per pixel], by {fields} fields of {lenses}
-lenses. `r2`: of the logarithm of the loss of lenses that were left out of the fit. `ranked_by_supervisor`: rank
-correlation of the losses with what the merit function of {supervisor} predicts."""
+Study `{study}`. For each classifier before fine-tuning, the loss at a field is fitted by exp(c - sum w M): weights w
+of the mean modulation M in bands of spatial frequency [cycles per pixel], from {fields} fields of {lenses} lenses.
+"r2" is for the logarithm of the loss of lenses that were left out of the fit. "Ranked by supervisor" is the rank
+correlation of the losses with those that the merit function of {supervisor} predicts."""
 
 
 def modulation(psf: numpy.ndarray) -> numpy.ndarray:
@@ -99,9 +99,8 @@ def make(
     predicted = {name: left_out(modulations, loss, lenses) for name, loss in losses.items()}
     ranking = fits[supervisor].log_loss(modulations)
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
-    texts = rounded(table, dict.fromkeys(table.columns[1:], ".2f"))
     note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)
-    publish(csv, md, "Merit functions of the classifiers", table, texts, note)
+    publish(csv, md, "Merit functions of the classifiers", table, note)
     _draw(figure, fits, losses, predicted)
 
 

@@ -18,7 +18,7 @@ from tasklens.report import predictions
 from tasklens.report.bootstrap import holm, interval, p_value, resampled_means
 from tasklens.report.figures import section_svg
 from tasklens.report.page import pictures
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.report.tolerance_page import distribution
 from tasklens.runtime.files import read_table, write_text
 from tasklens.study.names import SHARP
@@ -28,9 +28,9 @@ SIGNIFICANCE = 0.05
 _FIELD = "field_of_view_deg"  # key of a specification
 _SCALE = 5.0  # step of the axis of accuracies on the page [%]
 _NOTE = """\
-Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Accuracy [%] and its 95 % interval
-over the photographs; `behind`: points behind the first lens, on the same photographs, with the interval of that. Lenses
-of a `group` cannot be told apart from its first one (paired, Holm's correction, 5 %)."""
+Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Intervals are 95 % over the
+photographs. "Behind" is the accuracy of the first lens minus that of this one, on the same photographs. Lenses of a
+group cannot be distinguished from the first of the group (paired test, Holm's correction, 5 %)."""
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,7 @@ def sentences(ranks: Sequence[Rank], titles: Mapping[str, str]) -> list[str]:
             answer.append(f"{names} is the best.")
         else:
             most = max(rank.behind_high for rank in group)
-            answer.append(
-                f"{names} cannot be told apart by these photographs: they are equal within {most:.1f} points."
-            )
+            answer.append(f"{names} cannot be distinguished by these photographs: they agree within {most:.1f} points.")
     return answer
 
 
@@ -133,11 +131,12 @@ def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]
     needed = ranks[0].accuracy - order[0].accuracy
     least = max(mtf[name] for name in sieved)
     hope = "would be a surprise" if needed > surprise else "cannot be excluded"
+    count = "1 lens" if len(sieved) == 1 else f"{len(sieved)} lenses"
     return (
-        f"The sieve has left out {len(sieved)} lenses, with a mean MTF of at most {least:.2f}. Of those measured, "
-        f"accuracy follows the MTF with a rank correlation of {correlation:.2f}; a lens of less MTF was better by "
-        f"{surprise:.1f} points at most. The measured lens of the least MTF is {needed:.1f} points behind the first: a "
-        f"better lens among those left out {hope}."
+        f"Not measured: {count} with a mean MTF of at most {least:.2f}. Among the measured lenses, accuracy follows the "
+        f"MTF with a rank correlation of {correlation:.2f}; a lens with a lower MTF was better by at most "
+        f"{surprise:.1f} points. The measured lens with the lowest MTF is {needed:.1f} points behind the first, so a "
+        f"better lens among those not measured {hope}."
     )
 
 
@@ -175,7 +174,6 @@ def make(
         columns |= {"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
         rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
-    digits = {"": ".1f", "group": "d", "f_number": ".2f", "mtf": ".2f", "rms": ".1f"}
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
     count = len(next(iter(correct.values())))
     note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count)
@@ -183,7 +181,7 @@ def make(
     answer += [text for text in [sieve(ranks, settings.mtf, settings.sieved)] if text is not None]
     left_out = [f"- {name}: {why}" for name, why in settings.left_out.items()]
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
-    publish(csv, md, "Which lens for this network?", table, rounded(table, digits), below)
+    publish(csv, md, "Which lens for this network?", table, below)
     drawings = {
         lens: section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
         for lens, (prescribed, content) in contents.items()

@@ -9,15 +9,15 @@ import pandas
 from tasklens.materials.material import AIR
 from tasklens.report import verdicts
 from tasklens.report.measurements import Measurements
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.study.claims import Claims
 from tasklens.study.report_jobs import RegimesJob
 
 _NOTE = """\
-Study `{study}`. Accuracy of the task-driven lens minus that of the best imaging lens of the seed by minival [points],
-its 95 % interval; of both the mean RMS spots [um], and how many lenses were tried in the mean, with those that they
-were chosen from (core-minutes: target `effort`). A difference is undecided that is not significant at 5 %
-after Holm's correction for all rows; fewer than five seeds only suggest it."""
+Study `{study}`. Accuracy of the task-driven lens minus that of the best imaging lens, chosen for each seed by minival
+accuracy, with its 95 % interval. A difference is undecided if it is not significant at 5 % after Holm's correction
+for all rows; fewer than five seeds only suggest it. RMS spots and numbers of lenses tried are means over seeds; the
+lenses from which the start was chosen are included (core-minutes: target `effort`)."""
 
 
 def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements) -> pandas.DataFrame:
@@ -69,5 +69,4 @@ def make(
     """Write the table as CSV and Markdown."""
     claims = settings.claims
     rows = collect(claims, settings.tried, Measurements.of_claims(claims, lenses, metrics, predictions))
-    texts = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"rms": ".1f"})
-    publish(csv, md, "Where it pays", rows, texts, _NOTE.format(study=claims.study))
+    publish(csv, md, "Where it pays", rows, _NOTE.format(study=claims.study))

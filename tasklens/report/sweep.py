@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pandas
 
+from tasklens.report import headings
 from tasklens.report.differences import numbers_of
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.study.report_jobs import SweepJob
 
 _NOTE = """\
-Study `{study}`. Accuracy [%] at each point of the sweep; the CSV file has all numbers of all tables, and each point its
+Study `{study}`. Accuracy [%] at each point of the sweep. The CSV file has all numbers of all tables; each point has its
 own report, results/{study}/<point>/report.html."""
 
 
@@ -25,14 +26,15 @@ def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
 
 
 def beside(numbers: pandas.DataFrame) -> pandas.DataFrame:
-    """Return the accuracies with a row per row of a table, and a column per point."""
+    """Return the accuracies as texts, with a row per row of a table, and a column per point."""
     accuracies = numbers[numbers["column"] == "accuracy"]
-    wide = accuracies.pivot_table("value", ["table", "row"], "point", sort=False)
+    texts = accuracies.assign(value=[headings.cell("accuracy", {"accuracy": v}, True) for v in accuracies["value"]])
+    wide = texts.pivot_table("value", ["table", "row"], "point", aggfunc="first", sort=False)
     return wide[list(dict.fromkeys(accuracies["point"]))].reset_index()
 
 
 def make(settings: SweepJob, tables: Sequence[Path], csv: Path, md: Path) -> None:
     """Write the table as CSV and Markdown; the files are those of `settings.tables`."""
     numbers = collect(settings, tables)
-    texts = rounded(beside(numbers), {"": ".1f"})
-    publish(csv, md, "Sweep", numbers.drop(columns="point"), texts, _NOTE.format(study=settings.study))
+    note = _NOTE.format(study=settings.study)
+    publish(csv, md, "Sweep", numbers.drop(columns="point"), note, beside(numbers))

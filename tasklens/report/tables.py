@@ -16,7 +16,7 @@ from tasklens.report import headings, latex
 from tasklens.report.failure import failed
 from tasklens.report.headings import PAPER, STD
 from tasklens.report.measurements import Measurements
-from tasklens.report.publish import GAP, publish, rounded
+from tasklens.report.publish import publish
 from tasklens.runtime.files import write_text
 from tasklens.study import names
 from tasklens.study.names import SHARP
@@ -39,7 +39,6 @@ _COLUMNS = {
     "table3": ["accuracy", "frozen_loss", "energy_in_window", "worst_margin", "failed"],
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
-_DIGITS = {"": ".2f", "energy": ".3f", "frozen": ".3f", "gap": "+.3f", "worst": ".3f"}
 _ZERO_SHOT = "zero_shot_accuracy"  # in tables 1 and 2, if a network has more outputs than classes
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",
@@ -122,14 +121,6 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
     return table.merge(published[shared].add_suffix(PAPER).reset_index(), on=keys, how="left")
 
 
-def printed(table: pandas.DataFrame) -> pandas.DataFrame:
-    """Format the table: rounded, missing values as dashes, failures in per cent of the seeds."""
-    texts = rounded(table, _DIGITS)
-    for column in [column for column in table.columns if str(column).startswith("failed")]:
-        texts[column] = table[column].map(lambda v: GAP if pandas.isna(v) else f"{v:.0%}")
-    return texts
-
-
 def make(
     contents: TableContents,
     lenses: Sequence[Path],
@@ -158,12 +149,11 @@ def make(
     rows = collect(contents, measurements)
     rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name], "minival_accuracy"])))
     table = summarise(contents, rows, published)
-    texts = printed(table)
     title = f"Table {contents.name[-1]}: {_TITLES[contents.name]}"
-    note = f"Study `{contents.study}`. Columns `_paper`: Yang et al. 2024, measured on ImageNet with other networks."
-    publish(csv, md, title, table, texts, note)
-    seed_columns = [c for c in ("elements", "design", "classifier", "seed", *_columns(contents, rows)) if c in rows]
-    write_text(seeds_csv, rows[seed_columns].to_csv(index=False))
+    note = f"Study `{contents.study}`. Columns marked paper: Yang et al. 2024, on ImageNet with other networks."
+    publish(csv, md, title, table, note)
+    names = ("elements", "design", "classifier", "seed", *_columns(contents, rows), "reference_accuracy", "chance")
+    write_text(seeds_csv, rows[[name for name in dict.fromkeys(names) if name in rows]].to_csv(index=False))
     caption = _caption(contents, table)
     write_text(tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
     write_text(json, dumps(provenance(contents), indent=1) + "\n")

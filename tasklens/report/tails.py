@@ -6,14 +6,13 @@ from typing import Any
 
 import pandas
 
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 
 _NOTE = """\
-Study `{study}`. Means over the nine fields, of traced rays about the image point of the chief ray, on which the cached
-PSFs are centred. The core holds 50 % of the light that passes the clear apertures; `tail_energy` is the share outside
-3 core radii, `outside_window` that outside the PSF window; the RMS is of the rays that arrive (table 1: about their
-centroid). A sharp core with a long tail has a large `rms_over_core`: 1 for a disc of even light, 1.20 for a Gaussian
-spot."""
+Study `{study}`. Means over the nine fields of rays about the image point of the chief ray, on which PSFs are centred.
+The core holds 50 % of the light that passes the clear apertures; the tail is outside three core radii. The RMS spot
+is about the chief ray (in table 1 about the centroid). A sharp core with a long tail has a large ratio of RMS to core
+radius: 1 for a uniform disc, 1.2 for a Gaussian spot."""
 
 
 Rows = Sequence[Mapping[str, Any]]
@@ -42,5 +41,4 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
 def publish_tails(study: str, by_field: Rows, csv: Path, md: Path) -> None:
     """Write the table of rows (lens, seed, field, ...) as CSV and Markdown."""
     table = summarise(means(by_field))
-    texts = rounded(table, {"": ".2f", "tail": ".3f", "outside": ".3f"})
-    publish(csv, md, "Tails of the PSFs", table, texts, _NOTE.format(study=study))
+    publish(csv, md, "Tails of the PSFs", table, _NOTE.format(study=study))

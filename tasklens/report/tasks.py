@@ -6,15 +6,15 @@ from pathlib import Path
 import pandas
 
 from tasklens.report import figures
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.runtime.files import read_table
 from tasklens.study.task_jobs import TaskContents
 
 _NOTE = """\
-Study `{study}`. Scores [%] on test images with objects, means over fields and seeds: `miou`, mean intersection over
-union of classes and background; `box_ap` and `mask_ap`, COCO's average precision over IoU of 0.5 to 0.95, `ap50` at
-0.5. `frozen`: of the network that was trained on sharp images; `tuned`: after fine-tuning on the captures of the lens;
-`worst_field`: tuned, of the field with the least. The sharp images come first."""
+Study `{study}`. Scores [%] on test images with objects, means over fields and seeds. `miou`: mean intersection over
+union of classes and background. `box_ap` and `mask_ap`: COCO's average precision over IoU of 0.5 to 0.95; `ap50`: at
+0.5. Frozen: the network that was trained on sharp images. Tuned: after fine-tuning on the captures of the lens. Sharp
+images come first."""
 
 
 def collect(metrics: Mapping[tuple[str, str, int], Path]) -> pandas.DataFrame:
@@ -60,7 +60,6 @@ def make(
         lenses, psfs: files of `settings.drawn`.
     """
     rows = collect(dict(zip(settings.score_keys, metrics, strict=True)))
-    texts = rounded(rows, {"": ".1f", "seeds": "d"})
-    publish(csv, md, "Other tasks", rows, texts, _NOTE.format(study=settings.study))
+    publish(csv, md, "Other tasks", rows, _NOTE.format(study=settings.study))
     panels = [figures.panel(*arguments) for arguments in zip(settings.drawn, lenses, psfs, strict=True)]
     figures.compare_psfs(figure, panels)

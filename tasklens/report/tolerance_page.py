@@ -6,7 +6,8 @@ from typing import Any
 import numpy
 import pandas
 
-from tasklens.report.publish import right_aligned, rounded
+from tasklens.report import headings
+from tasklens.report.publish import right_aligned
 
 POINTS = (1.0, 3.0)  # largest losses of accuracy with which a built lens passes
 _SHOWN = 10  # errors with the largest displacement
@@ -31,7 +32,7 @@ def distribution(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
         "rms_um": float(numpy.median([float(row["rms_um"]) for row in built])),
         "mtf_design": float(design["mtf"]),
         "mtf": float(numpy.median([float(row["mtf"]) for row in built])),
-        "failed": sum(int(row["failed"]) for row in built),
+        "failed_lenses": sum(int(row["failed"]) for row in built),
         "built": len(built),
     }
 
@@ -47,7 +48,7 @@ def markdown(
         images: number of images on which each lens is measured.
     """
     stats = distribution(rows)
-    failed = f" {stats['failed']} of them let no light through to some field." if stats["failed"] else ""
+    failed = f" {stats['failed_lenses']} of them let no light through to some field." if stats["failed_lenses"] else ""
     summary = (
         f"{stats['built']} lenses were built in simulation to {grade.replace('_', ' ')}, focused by their MTF, and "
         f"measured by the classifier of the design on {images} images at nine fields. The design has "
@@ -67,16 +68,15 @@ def markdown(
         if frame["allotted"].isna().all()
         else "With the tolerances in the last column, loose where they cost little, at least 95 % of the lenses "
         "that were built to choose them lose at most one point, on minival images.\n\n"
-        + right_aligned(rounded(allotted, {"tolerance": ".4g", "allotted": ".2g"}))
+        + right_aligned(headings.texts(allotted))
     )
-    digits = {"tolerance": ".4g", "moved_um": ".2f", "traced_um": ".2f", "accuracy_change": "+.2f"}
     parts = [
         f"# Tolerances of {title}",
         summary,
         "## The errors that matter",
         "RMS displacement of the rays of the core by an error as large as its tolerance, refocused [um]: by "
         "derivative, and traced with this error alone; and the change of the accuracy [points], mean of both signs.",
-        right_aligned(rounded(worst, digits)),
+        right_aligned(headings.texts(worst)),
         "## Tolerances for a drawing",
         drawing,
     ]

@@ -6,25 +6,25 @@ from pathlib import Path
 import numpy
 import pandas
 
+from tasklens.report import headings
 from tasklens.report.bootstrap import holm, interval, p_value, resampled_means, resampled_over_seeds
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import markdown, publish
 from tasklens.report.tolerance_page import distribution
 from tasklens.report.verdicts import FAILS, HOLDS, verdict
 from tasklens.runtime.files import read_table
 from tasklens.study.built_lenses import BuiltContents
 
 _NOTE = """\
-Study `{study}`, {grade}, {built} built lenses of each design and seed, focused by their MTF, measured by the
-classifier of the design on the same test images, at most {images}, at nine fields. Accuracy [%] of the design and of
-built lenses (mean, and what 95 of 100 reach); `lost`: the difference [points]; `yield`: built lenses that lose at most
-1 and 3 points [%]; medians of the RMS spot [um] and of the MTF at a quarter of Nyquist's frequency; `failed`: lenses
-that let no light through to some field."""
+Study `{study}`, {grade}: {built} built lenses of each design and seed, focused by their MTF and measured by the
+classifier of the design on the same test images (at most {images}) at nine fields. RMS spot and MTF at a quarter of
+the Nyquist frequency are medians. A failed lens lets no light through to some field."""
 
 _QUESTION = """\
-**Do task-driven lenses tolerate more?** What a task-driven lens loses less what the baseline loses [points, 95 %
-interval over built lenses{over}]: negative where the task-driven lens tolerates more. Designs of the same elements are
-built with the same errors. Undecided is what is not significant at 5 % after Holm's correction for all rows; fewer than
-five seeds only suggest. Images are the same for all and not resampled."""
+**Do task-driven lenses tolerate more?** The accuracy that a task-driven lens loses in manufacture minus what its
+baseline loses, with the 95 % interval over built lenses{over}; negative if the task-driven lens tolerates more.
+Designs with the same elements are built with the same errors. A difference is undecided if it is not significant at 5
+% after Holm's correction for all rows; fewer than five seeds only suggest it. Test images are the same for all and
+not resampled."""
 
 
 # The claim is that a lens loses more than its baseline.
@@ -44,7 +44,7 @@ def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
     table = []
     for lens, by_seed in distributions.items():
         frame = pandas.DataFrame(by_seed)
-        total = frame[["failed", "built"]].sum().astype(int).to_dict()
+        total = frame[["failed_lenses", "built"]].sum().astype(int).to_dict()
         elements, _, design = lens.partition("-")
         table.append({"elements": elements, "design": design, **frame.mean().to_dict(), **total, "seeds": len(by_seed)})
     return pandas.DataFrame(table)
@@ -96,12 +96,10 @@ def make(settings: BuiltContents, built_lenses: Sequence[Path], csv: Path, md: P
     rows = collect(lenses)
     comparison = compare(lenses, settings.pairs, settings.seeds)
     over = ", and over seeds" if len(settings.seeds) > 1 else ""
-    digits = {"": ".1f", "mtf": ".2f", "failed": "d", "built": "d", "seeds": "d"}
     note = _NOTE.format(
         study=settings.study, grade=settings.grade.replace("_", " "), built=settings.built, images=settings.images
     )
     if len(comparison):
-        texts = rounded(comparison, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3g"})
-        note += f"\n\n{_QUESTION.format(over=over)}\n\n{texts.to_markdown(index=False, disable_numparse=True)}"
-    publish(csv, md, "Built lenses", rows, rounded(rows, digits), note)
+        note += f"\n\n{_QUESTION.format(over=over)}\n\n{markdown(headings.texts(comparison))}"
+    publish(csv, md, "Built lenses", rows, note)
     comparison.to_csv(compared_csv, index=False)

@@ -9,7 +9,7 @@ for "more accurate", stated beforehand for "at least as accurate" (non-inferiori
 
 each significantly at 5 % after Holm's correction for all lenses and classifiers of the same claim and table. With fewer
 than five seeds the verdict only suggests the difference. Otherwise the claim is undecided, and the reason gives the
-points within which the two lenses agree.
+largest difference that the interval allows.
 """
 
 import math
@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy
 import pandas
 
-from tasklens.report import bootstrap, predictions
+from tasklens.report import answers_file, bootstrap, predictions
 from tasklens.report.failure import LEAST_ENERGY, least_accuracy
 from tasklens.report.measurements import Measurements
-from tasklens.report.publish import publish, rounded
+from tasklens.report.publish import publish
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.names import SHARP
 
@@ -35,11 +35,11 @@ COLUMNS = [
 ]
 
 _NOTE = """\
-Study `{study}`. Differences in points of accuracy with their 95 % interval, over test images{seeds}. A claim holds
-where the difference is above zero{margin}, and does not hold where it is below, significantly at 5 % after Holm's
-correction for the rows of the same claim and table (`p_holm`); it is undecided else. Fewer than {least} seeds only
-suggest. The baseline of each seed is the best of its kind by minival accuracy (in brackets: in how many seeds). For the
-claim about failure, the difference is how far the rule of `failed` is missed: half of the light in the window, half of
+Study `{study}`. Differences in points of accuracy with their 95 % intervals over test images{seeds}. A claim holds if
+the difference is above zero{margin}, and does not hold if it is below, at 5 % significance after Holm's correction for
+the rows of the same claim and table; otherwise it is undecided. Fewer than {least} seeds only suggest a difference. The
+baseline of each seed is the one of its kind with the best minival accuracy; brackets count the seeds. For the claim
+about failure, the difference is the distance to the rule of failure: half of the light inside the window, or half of
 the accuracy above chance."""
 
 
@@ -166,12 +166,14 @@ def make(
     predictions: Sequence[Path],
     csv: Path,
     md: Path,
+    answers: Path,
 ) -> None:
-    """Write the verdicts as CSV and Markdown."""
-    rows = collect(claims, Measurements.of_claims(claims, lenses, metrics, predictions))
-    texts = rounded(rows, dict.fromkeys(("difference", "low", "high"), "+.2f") | {"p_holm": ".3f"})
+    """Write the verdicts as CSV and Markdown, and the answers from which they can be recomputed."""
+    measurements = Measurements.of_claims(claims, lenses, metrics, predictions)
+    rows = collect(claims, measurements)
+    answers_file.write(answers, claims, measurements)
     margin = max((claim.margin for claim in claims.claims), default=0.0)
     words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
     note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
-    publish(csv, md, "Verdicts on the paper's claims", rows, texts, note)
+    publish(csv, md, "Verdicts on the paper's claims", rows, note)

@@ -7,6 +7,7 @@ from tasklens.study import effort as paper_effort
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claim, Claims
+from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, RestorationSettings, Spec
 from tasklens.study.study import Study, StudyError, pick
@@ -163,6 +164,7 @@ class ReportJob(Frozen):
 
     Attributes:
         elements: name of the elements by lens.
+        descriptions: a sentence about each design.
         by_task: names of the task-driven lenses.
         by_classifier: names of the lenses whose design a network supervises.
         margins: margins of claims by their text.
@@ -178,6 +180,7 @@ class ReportJob(Frozen):
     supervisor: str
     tables: tuple[str, ...]
     elements: dict[str, str]
+    descriptions: dict[str, str]
     by_task: tuple[str, ...]
     by_classifier: tuple[str, ...]
     margins: dict[str, float]
@@ -198,6 +201,7 @@ class ReportJob(Frozen):
             supervisor=study.supervisor,
             tables=tuple(table.name for table in contents.tables),
             elements={lens: entry.elements for lens, entry in entries.items()},
+            descriptions={entry.design_name: description(entry) for entry in entries.values()},
             by_task=tuple(lens for lens, entry in entries.items() if entry.task_driven),
             by_classifier=tuple(lens for lens, entry in entries.items() if entry.classified),
             margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},

@@ -45,6 +45,7 @@ rule verdicts_table:
             labels={"study": "{study}", "table": "verdicts"},
         ),
         md="results/{study}/tables/verdicts.md",
+        answers="results/{study}/tables/verdicts.npz",
     log:
         "results/{study}/logs/verdicts_table.log",
     benchmark:
@@ -96,6 +97,7 @@ rule ablation:
             labels={"study": "{study}", "table": "ablation {ablation}"},
         ),
         md="results/{study}/tables/ablation_{ablation}.md",
+        answers="results/{study}/tables/ablation_{ablation}.npz",
     log:
         "results/{study}/logs/ablation/{ablation}.log",
     benchmark:
@@ -233,6 +235,7 @@ rule report_page:
     """Make the page that shows the results of a study, from its tables, drawings, captures and benchmarks."""
     input:
         table_files=tables_of(rules.table.output.csv),
+        seeds_files=tables_of(rules.table.output.seeds_csv),
         provenance=tables_of(rules.table.output.json),
         verdicts=rules.verdicts_table.output.csv,
         psf_tail=rules.psf_tail_table.output.csv,
@@ -257,6 +260,7 @@ rule report_page:
             category="Page",
             labels={"study": "{study}", "result": "page"},
         ),
+        answer="results/{study}/answer.svg",
     log:
         "results/{study}/logs/report_page.log",
     benchmark:

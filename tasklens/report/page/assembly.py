@@ -9,6 +9,7 @@ import pandas
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from tasklens.report import answer as answer_figure
 from tasklens.report.headings import STD
 from tasklens.report.optimality import Optimum, optimum
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
@@ -30,7 +31,7 @@ _CAPTIONS = {
     "tolerances": "Built lenses: what each design loses in manufacture",
     "tolerances_compared": "What a task-driven lens loses in manufacture minus what an imaging lens loses [points]",
     "tasks": "Other tasks: scores of their networks through each lens",
-    "merit_function": "Merit functions: what each classifier wants of a lens, by spatial frequency [cycles per pixel]",
+    "merit_function": "Merit functions: weight of each spatial frequency [cycles per pixel] for each classifier",
 }
 _SPREAD = " ± is the standard deviation over seeds."
 
@@ -38,6 +39,7 @@ _SPREAD = " ± is the standard deviation over seeds."
 def make(
     settings: ReportJob,
     table_files: Sequence[Path],
+    seeds_files: Sequence[Path],
     provenance: Sequence[Path],
     verdicts: Path,
     psf_tail: Path,
@@ -57,11 +59,12 @@ def make(
     drawn: Sequence[Path],
     benchmarks: Path,
     report: Path,
+    answer: Path,
 ) -> None:
-    """Write the page.
+    """Write the page, and the figure of its answer.
 
     Args:
-        table_files, provenance: files of `settings.tables`.
+        table_files, seeds_files, provenance: files of `settings.tables`.
         lenses, histories, pages, zemax, sections, spots, psfs, curves: files of the lenses in `settings.elements`.
         restorations: histories of the networks of `settings.restored`.
         optional, drawn: tables and figures that are shown if their files exist.
@@ -76,6 +79,7 @@ def make(
 
     files = PageFiles(
         tables=dict(zip(settings.tables, table_files, strict=True)),
+        by_seed=dict(zip(settings.tables, seeds_files, strict=True)),
         others={"verdicts": verdicts, "psf_tail": psf_tail, "effort": effort},
         asked=[*_named(optional)],
         optional={name: path for name, path in _named(optional).items() if path.exists()},
@@ -94,15 +98,16 @@ def make(
         answers=answers,
         benchmarks=benchmarks,
     )
-    page = render(settings, files)
+    _draw_answer(answer, settings, files)
+    page = render(settings, files, answer)
     size_mb = len(page.encode()) / 1e6
     if size_mb > LARGEST_MB:
         raise FileError(f"{report}: would have {size_mb:.1f} MB, more than {LARGEST_MB:.0f}: show fewer lenses")
     write_text(report, page)
 
 
-def render(settings: ReportJob, files: PageFiles) -> str:
-    """Return the page as HTML."""
+def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
+    """Return the page as HTML; `answer` is the figure of its answer, which may be missing."""
     frames = {name: read_table(path) for name, path in {**files.tables, **files.others, **files.optional}.items()}
     _check_tails(settings, files, frames)
     table1 = frames.get("table1")
@@ -112,7 +117,11 @@ def render(settings: ReportJob, files: PageFiles) -> str:
         "study": settings.study,
         "seeds": settings.seeds,
         "supervisor": settings.supervisor,
-        "summary": words.summary(frames["verdicts"], settings.margins, len(settings.seeds)),
+        "summary": words.summary(frames["verdicts"], settings.by_task, settings.margins, len(settings.seeds)),
+        "warnings": words.chance({name: read_table(path) for name, path in files.by_seed.items()}),
+        "tallies": words.tallies(frames["verdicts"], settings.margins),
+        "answer": pictures.link(answer) if answer.exists() else None,
+        "names": settings.descriptions,
         "answers": words.answers(frames["verdicts"], elements, settings.questions, settings.margins),
         "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
         "convergence": words.convergence(_optima(settings, files)),
@@ -125,7 +134,7 @@ def render(settings: ReportJob, files: PageFiles) -> str:
         ],
         "drawn": {name: pictures.link(path) for name, path in files.drawn.items()},
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
-        "comparisons": _comparisons(settings, frames),
+        "comparisons": _comparisons(frames),
         "gallery": gallery.entries(settings, files, table1),
         "captures": captures.shown(files.captures, files.answers, settings.supervisor),
         "histories": _histories(settings, files),
@@ -140,6 +149,18 @@ def render(settings: ReportJob, files: PageFiles) -> str:
         loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     return environment.get_template("page.html").render(sections, plotly=get_plotlyjs(), **parts)
+
+
+def _draw_answer(path: Path, settings: ReportJob, files: PageFiles) -> None:
+    """Draw the main comparisons and the accuracies of table 1, if the study has this table with a lens."""
+    if "table1" not in files.by_seed:
+        return
+    rows = read_table(files.by_seed["table1"], keep_default_na=False, na_values={"accuracy": ""})
+    verdicts = read_table(files.others["verdicts"])
+    main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == "table1")]
+    lenses = rows[rows["elements"] != ""]
+    sharp = float(rows.loc[rows["design"] == "reference", "accuracy"].mean())
+    answer_figure.draw(path, main, lenses, settings.by_task, sharp)
 
 
 def _check_tails(settings: ReportJob, files: PageFiles, frames: Mapping[str, pandas.DataFrame]) -> None:
@@ -170,12 +191,9 @@ def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
     return tables.build(name, caption, frame, spread + note)
 
 
-def _comparisons(settings: ReportJob, frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
-    """Return the charts of differences: main questions, regimes, tolerances and ablations."""
-    verdicts = frames["verdicts"]
-    main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == "table1")]
-    labels = [f"{row['lens']} − {row['baseline']}" for row in main.to_dict("records")]
-    comparisons = [charts.differences("questions", "Task-driven lenses against others", main, labels)]
+def _comparisons(frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
+    """Return the charts of differences: regimes, tolerances and ablations."""
+    comparisons: list[charts.Chart | None] = []
     if "regimes" in frames:
         regimes = frames["regimes"]
         labels = [

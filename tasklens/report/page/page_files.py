@@ -10,12 +10,14 @@ class PageFiles:
     """Files of a page, by name of a table or figure, or by lens.
 
     Attributes:
+        by_seed: rows of the tables by seed.
         asked: names of all optional tables.
         optional, drawn: optional tables and figures that exist.
         pictures: drawings by name (section, spots, psfs, curves) and lens.
     """
 
     tables: Mapping[str, Path]
+    by_seed: Mapping[str, Path]
     others: Mapping[str, Path]
     asked: Sequence[str]
     optional: Mapping[str, Path]

@@ -7,8 +7,7 @@ from typing import Any
 import pandas
 
 from tasklens.report import headings
-from tasklens.report.headings import PAPER
-from tasklens.report.publish import GAP
+from tasklens.report.headings import GAP, PAPER
 
 
 @dataclass(frozen=True)
@@ -23,10 +22,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: heading, unit, whether it holds numbers, and whether its values are the paper's."""
+    """A column: heading, unit, meaning, whether it holds numbers, and whether its values are the paper's."""
 
     words: str
     unit: str
+    meaning: str
     number: bool
     paper: bool
 
@@ -56,10 +56,10 @@ def build(key: str, caption: str, frame: pandas.DataFrame, note: str = "") -> Ta
     """Build a table from the contents of a CSV file."""
     names = headings.columns(frame)
     best = {name: headings.best(frame, name) for name in names}
-    columns, numbers = [], {name: pandas.api.types.is_numeric_dtype(frame[name]) for name in names}
+    columns, numbers = [], {name: headings.is_number(frame[name]) for name in names}
     for name in names:
         heading = headings.heading(name)
-        columns.append(Column(heading.words, heading.unit, numbers[name], name.endswith(PAPER)))
+        columns.append(Column(heading.words, heading.unit, heading.meaning, numbers[name], name.endswith(PAPER)))
     rows = [
         [_cell(name, row, numbers[name], bool(best[name][k])) for name in names]
         for k, row in enumerate(frame.to_dict("records"))
@@ -68,10 +68,8 @@ def build(key: str, caption: str, frame: pandas.DataFrame, note: str = "") -> Ta
 
 
 def _cell(name: str, row: Mapping[Any, Any], number: bool, best: bool) -> Cell:
-    value = row[name]
-    if pandas.isna(value) or value == "":
+    text = headings.cell(name, row, number)
+    if text == GAP:
         return Cell(GAP, "")
-    if not number:
-        return Cell(str(value), str(value))
-    text = " ± ".join(filter(None, headings.number(name, row)))
-    return Cell(text, float(value), best, wrong=name == "worst_margin" and value < 0)
+    value = float(row[name]) if number else text
+    return Cell(text, value, best, wrong=name == "worst_margin" and row[name] < 0)

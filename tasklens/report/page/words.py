@@ -1,7 +1,7 @@
 """The answer of a study in sentences, derived by rules from its verdicts."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,9 @@ import pandas
 
 from tasklens.report.optimality import Optimum
 from tasklens.report.verdicts import FAILS, HOLDS, LEAST_SEEDS, SUGGESTS
+from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES, PAPER_CLAIMS, STRONGER_CLAIM
 
+_LEARNT = 0.1  # share of the way from chance to 100 % that a network has to reach
 SHOWN, SUGGESTED, UNDECIDED = "shown", "suggested", "undecided"
 FOR, AGAINST = "for", "against"
 
@@ -38,33 +40,100 @@ def judged(row: Mapping[Any, Any], margin: float) -> tuple[str, str]:
     return UNDECIDED, UNDECIDED
 
 
-def summary(verdicts: pandas.DataFrame, margins: Mapping[str, float], seeds: int) -> list[Sentence]:
-    """Say how many claims hold, and how certain that is."""
+def summary(
+    verdicts: pandas.DataFrame, task_driven: Sequence[str], margins: Mapping[str, float], seeds: int
+) -> list[Sentence]:
+    """Answer the study in three sentences: the gain by elements, the paper's claims, and how certain this is.
+
+    Args:
+        task_driven: names of the task-driven lenses; the first one of each elements is compared.
+    """
     if verdicts.empty:
         return [Sentence("The paper's claims are about no lenses of this study.")]
-    counts = Counter(judged(row, margins.get(row["claim"], 0.0)) for row in verdicts.to_dict("records"))
-    words = {
-        (FOR, SHOWN): ("holds", "hold"),
-        (AGAINST, SHOWN): ("does not hold", "do not hold"),
-        (FOR, SUGGESTED): ("is suggested to hold", "are suggested to hold"),
-        (AGAINST, SUGGESTED): ("is suggested not to hold", "are suggested not to hold"),
-        (UNDECIDED, UNDECIDED): ("is undecided", "are undecided"),
-    }
-    parts = [f"{counts[key]} {one if counts[key] == 1 else many}" for key, (one, many) in words.items() if counts[key]]
-    claims = "1 claim" if len(verdicts) == 1 else f"{len(verdicts)} claims"
-    sentences = [Sentence(f"Of {claims} tested here, {_listed(parts)}.")]
+    sentences = [_gains(verdicts, task_driven, margins), _claims(tallies(verdicts, margins))]
     if seeds < LEAST_SEEDS:
-        number, over = ("is only one seed", "") if seeds == 1 else (f"are only {seeds} seeds", " and seeds")
-        sentences.append(
-            Sentence(
-                f"There {number} of design, fine-tuning and order of the data: differences are suggested, not shown. "
-                f"Their intervals of 95 % are over test images{over}; {LEAST_SEEDS} seeds are needed to show one."
-            )
-        )
+        number, over = ("one seed", "") if seeds == 1 else (f"{seeds} seeds", " and seeds")
+        text = f"With {number}, differences are suggested, not shown: it takes {LEAST_SEEDS} seeds to show one."
+        sentences.append(Sentence(f"{text} Intervals are 95 % over test images{over}."))
     else:
-        sentences.append(
-            Sentence(f"Intervals of 95 % are over test images and {seeds} seeds; errors by Holm's correction.")
-        )
+        text = f"Intervals are 95 % over test images and {seeds} seeds; p-values are corrected by Holm's method."
+        sentences.append(Sentence(text))
+    return [sentence for sentence in sentences if sentence is not None]
+
+
+def _claims(counted: Iterable["Tally"]) -> Sentence | None:
+    """Say how many of the paper's claims are true; None if none of them is tested."""
+    words = {FOR: "true in every comparison", UNDECIDED: "mixed or undecided", AGAINST: "true in none"}
+    outcomes = Counter(tally.outcome for tally in counted if tally.of_the_paper)
+    if outcomes.total() == 1:
+        return Sentence(f"The one claim of the paper that is tested here is {words[next(iter(outcomes))]}.")
+    parts = [f"{outcomes[key]} {'is' if outcomes[key] == 1 else 'are'} {words[key]}" for key in words if outcomes[key]]
+    return Sentence(f"Of the paper's {outcomes.total()} claims tested here, {_listed(parts)}.") if parts else None
+
+
+def _gains(verdicts: pandas.DataFrame, task_driven: Sequence[str], margins: Mapping[str, float]) -> Sentence | None:
+    """Give the gain of the first task-driven lens of each elements over the strongest kind of baseline."""
+    table1 = verdicts[verdicts["table"] == "table1"]
+    for text, words in ((OVER_IMAGE_QUALITY, "for image quality"), (OVER_LEAST_SQUARES, "by least squares")):
+        claims = table1[table1["claim"] == text].drop_duplicates("lens").set_index("lens")
+        first = {lens.partition("-")[0]: lens for lens in reversed(task_driven) if lens in claims.index}
+        lenses = [lens for lens in task_driven if first.get(lens.partition("-")[0]) == lens]
+        if not lenses:
+            continue
+        parts = []
+        for lens in lenses:
+            elements, _, design = lens.partition("-")
+            row = claims.loc[lens].to_dict()
+            certainty = judged(row | {"claim": text}, margins.get(text, 0.0))[1]
+            parts.append(f"{elements} {design} {_points(row)}, {certainty}")
+        return Sentence(f"Accuracy compared with the best lens {words}: {'; '.join(parts)}.")
+    return None
+
+
+def _points(row: Mapping[Any, Any]) -> str:
+    """Format a difference with its interval."""
+    unit = "point" if f"{abs(row['difference']):.1f}" == "1.0" else "points"
+    text = f"{row['difference']:+z.1f} {unit} ({row['low']:+z.1f} to {row['high']:+z.1f})"
+    return text.replace("-", "−")
+
+
+@dataclass(frozen=True)
+class Tally:
+    """A claim of the paper, with the number of comparisons for it, against it, and undecided."""
+
+    sentence: str
+    of_the_paper: bool
+    directions: Counter[str]
+
+    @property
+    def outcome(self) -> str:
+        """FOR or AGAINST if all comparisons agree, else UNDECIDED."""
+        for direction in (FOR, AGAINST):
+            if self.directions[direction] == self.directions.total():
+                return direction
+        return UNDECIDED
+
+
+def tallies(verdicts: pandas.DataFrame, margins: Mapping[str, float]) -> list[Tally]:
+    """Count the comparisons of each claim of the paper, and of the stronger claim about image quality."""
+    counted = []
+    for claim in (*PAPER_CLAIMS, STRONGER_CLAIM):
+        rows = verdicts[(verdicts["table"] == claim.table) & verdicts["claim"].isin(claim.texts)].to_dict("records")
+        directions = Counter(judged(row, margins.get(row["claim"], 0.0))[0] for row in rows)
+        if rows:
+            counted.append(Tally(claim.sentence, claim in PAPER_CLAIMS, directions))
+    return counted
+
+
+def chance(by_seed: Mapping[str, pandas.DataFrame]) -> list[Sentence]:
+    """Warn about networks that are near chance on images without a lens, from the tables by seed."""
+    sentences = []
+    rows = pandas.concat(list(by_seed.values())).dropna(subset=["reference_accuracy"])
+    means = rows.groupby("classifier", sort=False)[["reference_accuracy", "chance"]].mean()
+    for classifier, accuracy, guessing in means.itertuples():
+        if accuracy < guessing + _LEARNT * (100 - guessing):
+            text = f"{classifier} recognises {accuracy:.1f} % of the sharp images; chance is {guessing:.1f} %"
+            sentences.append(Sentence(f"Warning: {text}. Comparisons with it mean nothing.", AGAINST))
     return sentences
 
 
@@ -93,14 +162,8 @@ def comparison(row: Mapping[Any, Any], margin: float) -> Sentence:
     baseline = ", ".join(part.strip().removeprefix(same) for part in str(baseline).split(","))
     kind = row["claim"].removeprefix("more accurate than ")
     other = baseline if baseline == kind else f"{baseline}, {kind}"
-    interval = f"{row['low']:+z.1f} to {row['high']:+z.1f}".replace("-", "−")
-    if direction == UNDECIDED:
-        return Sentence(f"Undecided: {lens} is {row['reason']} ({interval}) of {other}.", direction)
-    points = abs(row["difference"])
-    unit = "point" if f"{points:.1f}" == "1.0" else "points"
-    more = "more" if row["difference"] > 0 else "less"
-    label = {SHOWN: "Shown", SUGGESTED: "Suggested"}[certainty]
-    return Sentence(f"{label}: {lens} is {points:.1f} {unit} {more} accurate ({interval}) than {other}.", direction)
+    label = {SHOWN: "Shown", SUGGESTED: "Suggested", UNDECIDED: "Undecided"}[certainty]
+    return Sentence(f"{label}: {lens} {_points(row)} compared with {other}.", direction)
 
 
 def best_lenses(table1: pandas.DataFrame, task_driven: Iterable[str]) -> dict[str, Sentence]:

@@ -1,0 +1,73 @@
+"""Recompute every published interval from the published answers: `python docs/results/recompute.py`.
+
+A file of answers (`*.npz`) lies beside the table of the same name (`*.csv`). `comparisons.csv` lists the differences
+that pages quote and no table has, `accuracies.csv` the accuracies that they quote. The program ends with 1 if a number
+differs.
+"""
+
+import sys
+from pathlib import Path
+
+import pandas
+
+from tasklens.report import answers_file, verdicts
+from tasklens.study.claims import Claim, Claims
+
+FOLDER = Path(__file__).parent
+_KEYS = ["table", "claim", "lens", "baseline", "classifier"]
+_NUMBERS = ["difference", "low", "high"]
+_TOLERANCE = 1e-6  # points; published tables have all digits
+_ROUNDED = 0.051  # points; comparisons have one decimal
+
+
+def table_differences(path: Path) -> list[str]:
+    """Return the rows of a table whose difference or interval is not that of the answers beside it."""
+    claims, packed = answers_file.read(path)
+    recomputed = verdicts.collect(claims, packed)
+    published = pandas.read_csv(path.with_suffix(".csv"), keep_default_na=False)
+    keys = [key for key in _KEYS if key in published]
+    rows = published[published["difference"] != ""].merge(recomputed, on=keys, how="left", suffixes=("", "_again"))
+    changes = [
+        (rows[name].astype(float) - rows[f"{name}_again"]).abs().fillna(float("inf")) > _TOLERANCE for name in _NUMBERS
+    ]
+    wrong = rows[pandas.concat(changes, axis=1).any(axis=1)]
+    return [f"{path.with_suffix('.csv')}: {', '.join(map(str, row))}" for row in wrong[keys].itertuples(index=False)]
+
+
+def comparison_differences(path: Path) -> list[str]:
+    """Return the rows of a list of comparisons whose difference or interval is not that of the answers."""
+    wrong = []
+    for row in pandas.read_csv(path).to_dict("records"):
+        claims, packed = answers_file.read(path.parent / row["answers"])
+        keys = {key: row[key] for key in ("lens", "classifier")}
+        claim = Claim(table="", text="", baselines=(row["baseline"],), reference=row["classifier"], **keys)
+        frame = verdicts.collect(Claims(study="", claims=(claim,), seeds=claims.seeds), packed)
+        if any(abs(row[name] - frame[name].iloc[0]) > _ROUNDED for name in _NUMBERS):
+            wrong.append(f"{path}: {row} is {frame[_NUMBERS].iloc[0].round(2).to_dict()}")
+    return wrong
+
+
+def accuracy_differences(path: Path) -> list[str]:
+    """Return the rows of a list of accuracies [%] that are not the mean over images, fields and seeds."""
+    wrong = []
+    for row in pandas.read_csv(path).to_dict("records"):
+        claims, packed = answers_file.read(path.parent / row["answers"])
+        by_seed = [packed.correct(row["lens"], row["classifier"], seed).to_numpy().mean() for seed in claims.seeds]
+        accuracy = 100 * sum(by_seed) / len(by_seed)
+        if abs(accuracy - row["accuracy"]) > _ROUNDED:
+            wrong.append(f"{path}: {row} is {accuracy:.2f}")
+    return wrong
+
+
+def main() -> int:
+    """Check all files, and print what differs."""
+    packed = sorted(FOLDER.rglob("*.npz"))
+    wrong = [line for path in packed for line in table_differences(path)]
+    wrong += comparison_differences(FOLDER / "comparisons.csv")
+    wrong += accuracy_differences(FOLDER / "accuracies.csv")
+    print("\n".join([*wrong, f"{len(packed)} tables and two lists recomputed: {len(wrong)} differences."]))
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

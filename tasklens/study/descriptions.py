@@ -1,0 +1,44 @@
+"""One sentence about each design of a study, from its settings; no torch here."""
+
+from tasklens.study.design_settings import GradientDesignSettings
+from tasklens.study.lens_entries import ImportedLens, LensEntry
+
+_CRITERIA = {
+    "task": "the loss of the frozen network",
+    "spot": "the RMS spot radius",
+    "image_error": "the squared error of the captures",
+    "log_image_error": "the logarithm of the squared error of the captures (PSNR)",
+    "correlation": "the correlation of captures and sharp images",
+    "contrast": "the contrast (MTF) at a quarter and half of the Nyquist frequency",
+}
+
+
+def description(lens: LensEntry) -> str:
+    """Describe how a lens is designed, in one sentence."""
+    design = lens.design
+    if isinstance(design, ImportedLens):
+        return f"A lens from the file {design.file.name}, scaled to the specification."
+    if not isinstance(design, GradientDesignSettings):
+        stop = " until the spot is as large as the paper's" if design.spot_um else ""
+        vignetting = (
+            f", with apertures that stop up to {design.vignetting:.0%} of the light" if design.vignetting else ""
+        )
+        reference = design.reference.replace("_", " ")
+        return f"Least squares on ray positions about the {reference}, from {design.starts} starts{stop}{vignetting}."
+    last = design.descents[-1]
+    criterion = _CRITERIA[last.criterion]
+    if lens.other_task:
+        criterion = f"the loss of a network for {lens.other_task}"
+    if last.network_learning_rate is not None:
+        criterion = "the loss of a network that is trained together with the lens"
+    verb = "Maximises" if last.criterion in ("correlation", "contrast") else "Minimises"
+    steps = sum(descent.steps * descent.lenses for descent in design.descents)
+    return f"{verb} {criterion}, {_start(design.start)}; {steps} lenses tried."
+
+
+def _start(start: str | tuple[str, ...]) -> str:
+    if start == "flat":
+        return "from flat plates"
+    if start == "best_imaging":
+        return "from the most accurate imaging lens"
+    return f"from {start[0]}" if len(start) == 1 else f"from the best of {', '.join(start)}"

@@ -1,0 +1,148 @@
+"""The figure of the answer, and files of answers from which verdicts are recomputed."""
+
+import importlib.util
+import re
+import shutil
+from pathlib import Path
+
+import numpy
+import pandas
+import pytest
+
+from tasklens.report import answer, answers_file, verdicts
+from tasklens.report.measurements import Measurements
+from tasklens.runtime.files import FileError
+from tasklens.study.claims import FLAT_FAILS, OVER_IMAGING1, Claim, Claims
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs/results"
+_spec = importlib.util.spec_from_file_location("recompute", RESULTS / "recompute.py")
+recompute = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(recompute)
+
+
+class RandomAnswers(Measurements):
+    """Measurements with random answers."""
+
+    def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+        generator = numpy.random.default_rng([len(lens), seed])
+        fields = 1 if lens == "sharp" else 9
+        index = pandas.MultiIndex.from_arrays([range(50), ["07"] * 50], names=["image", "label"])
+        return pandas.DataFrame(generator.integers(2, size=(50, fields)), index=index)
+
+    def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
+        return {"minival_accuracy": 10.0 * len(lens) + seed, "chance": 10.0, "psnr_db": 20.0}
+
+    def lens_values(self, lens: str, seed: int) -> dict[str, float]:
+        return {"energy_in_window": 0.3 if "flat" in lens else 0.9, "rms_spot_um": 3.0}
+
+
+def claim(text: str, lens: str, *baselines: str) -> Claim:
+    return Claim(table="table3", text=text, lens=lens, baselines=baselines, classifier="small", reference="small")
+
+
+CLAIMS = Claims(
+    study="known",
+    claims=(claim(OVER_IMAGING1, "doublet-task", "doublet-a", "doublet-imaging1"), claim(FLAT_FAILS, "doublet-flat")),
+    seeds=(0, 1, 2),
+)
+
+
+def test_verdicts_from_a_file_of_answers_are_those_of_the_measurements(tmp_path):
+    """Of several baselines, and of a design that fails; to the last digit, also the claims themselves."""
+    measurements, path = RandomAnswers({}, {}), tmp_path / "verdicts.npz"
+    answers_file.write(path, CLAIMS, measurements)
+    claims, packed = answers_file.read(path)
+    assert claims == CLAIMS
+    pandas.testing.assert_frame_equal(verdicts.collect(claims, packed), verdicts.collect(CLAIMS, measurements))
+    assert path.stat().st_size < 4000  # 12 lenses and seeds, 50 images, 9 fields: a bit each
+
+
+def test_a_study_without_claims_has_a_file(tmp_path):
+    none = Claims(study="known", claims=(), seeds=(0,))
+    answers_file.write(tmp_path / "verdicts.npz", none, RandomAnswers({}, {}))
+    assert answers_file.read(tmp_path / "verdicts.npz")[0] == none
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 and nothing more", b"text"])
+def test_a_damaged_file_of_answers_is_named(tmp_path, content):
+    path = tmp_path / "verdicts.npz"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=r"verdicts\.npz: no packed answers .*; delete it and run again"):
+        answers_file.read(path)
+
+
+def test_published_intervals_are_those_of_the_published_answers():
+    assert recompute.main() == 0
+    assert len(list(RESULTS.rglob("*.npz"))) >= 5
+
+
+@pytest.mark.parametrize("column", ["difference", "low", "high"])
+def test_a_changed_interval_is_noticed(tmp_path, column):
+    """In a table, and in the list of comparisons."""
+    for name in ("verdicts.npz", "verdicts.csv"):
+        shutil.copy(RESULTS / "diffraction" / name, tmp_path / name)
+    assert recompute.table_differences(tmp_path / "verdicts.npz") == []
+    table = pandas.read_csv(tmp_path / "verdicts.csv")
+    table.loc[1, column] += 0.01
+    table.to_csv(tmp_path / "verdicts.csv", index=False)
+    assert len(recompute.table_differences(tmp_path / "verdicts.npz")) == 1
+    quoted = pandas.read_csv(RESULTS / "comparisons.csv")
+    quoted = quoted[quoted["answers"] == "diffraction/verdicts.npz"].assign(answers="verdicts.npz")
+    quoted.to_csv(tmp_path / "comparisons.csv", index=False)
+    assert recompute.comparison_differences(tmp_path / "comparisons.csv") == []
+    quoted.assign(**{column: quoted[column] + 0.2}).to_csv(tmp_path / "comparisons.csv", index=False)
+    assert len(recompute.comparison_differences(tmp_path / "comparisons.csv")) == len(quoted)
+
+
+def test_the_figure_of_the_answer_has_every_comparison_and_design(tmp_path):
+    """Names of designs and comparisons are text; the same data give the same file."""
+    rows = [("doublet-task", "doublet-psnr", 1.0, 0.5, 1.5), ("doublet-task", "triplet-psnr", -1.0, -1.5, -0.5)]
+    comparisons = pandas.DataFrame(rows, columns=["lens", "baseline", "difference", "low", "high"])
+    columns = {"elements": ["doublet"] * 3 + ["triplet"], "design": ["task", "psnr", "task", "psnr"]}
+    accuracies = pandas.DataFrame(columns | {"accuracy": [98.0, 97.0, 100.0, 99.0]})
+    for name in ("a.svg", "b.svg"):
+        answer.draw(tmp_path / name, comparisons, accuracies, ["doublet-task"], 99.9)
+    text = (tmp_path / "a.svg").read_text()
+    labels = re.findall(r">([^<>]+)</text>", text)
+    assert {"task − psnr", "task − triplet-psnr", "doublet", "triplet", "task", "psnr"} <= {*labels}
+    assert text == (tmp_path / "b.svg").read_text()
+
+
+def test_a_changed_accuracy_is_noticed(tmp_path):
+    quoted = pandas.read_csv(RESULTS / "accuracies.csv").head(1).assign(answers="verdicts.npz")
+    shutil.copy(RESULTS / "headline/verdicts.npz", tmp_path)
+    quoted.assign(accuracy=quoted["accuracy"] + 0.2).to_csv(tmp_path / "accuracies.csv", index=False)
+    assert len(recompute.accuracy_differences(tmp_path / "accuracies.csv")) == 1
+
+
+INTERVAL = re.compile(r"(-?\d+\.\d)(?: points?)? \((-?\d+\.\d) to (-?\d+\.\d)\)")
+
+
+def published() -> set[tuple[float, ...]]:
+    """Differences with their intervals in all published tables, to one decimal; without sign, as pages turn them."""
+    intervals = set()
+    for path in RESULTS.rglob("*.csv"):
+        table = pandas.read_csv(path)
+        if {"difference", "low", "high"} <= {*table}:
+            for row in table[["difference", "low", "high"]].dropna().itertuples(index=False):
+                intervals.add(unsigned(*row))
+    return intervals
+
+
+def unsigned(difference: float, low: float, high: float) -> tuple[float, ...]:
+    return round(abs(difference), 1), *sorted((round(abs(low), 1), round(abs(high), 1)))
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
+def test_every_interval_of_a_page_is_in_a_published_table(page):
+    quoted = INTERVAL.findall((ROOT / page).read_text())
+    assert [numbers for numbers in quoted if unsigned(*map(float, numbers)) not in published()] == []
+    assert quoted or page == "README.md"
+
+
+def test_every_listed_accuracy_is_on_a_page():
+    """Accuracies are recomputed from the answers; a page that is changed has to change the list."""
+    text = "".join((ROOT / page).read_text() for page in ("README.md", "docs/results.md"))
+    for accuracy in pandas.read_csv(RESULTS / "accuracies.csv")["accuracy"]:
+        assert f"| {accuracy:.1f} |" in text, accuracy
