@@ -1,8 +1,9 @@
 """Time of a task-driven step by part (rays and PSFs, captures, network), and the share of the optics.
 
-The benchmark times two steps: the default study's, and the paper's (ResNet50 with random weights, 64 images of 224 px
-at nine fields). For the paper's step it times 2 images, and multiplies times proportional to the captures by 32. The
-parts are those of `design.supervision`; a second run with a trivial network gives the share of the network.
+The benchmark times three steps: the default study's, and the paper's with MobileNetV2 and ResNet50 (random weights, 64
+images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies times proportional to the
+captures by 32. The parts are those of `design.supervision`; a second run with a trivial network gives the share of the
+network. The floor is the time of the network's operations at the speed of a large matrix product.
 """
 
 import statistics
@@ -16,6 +17,7 @@ import timm
 import torch
 import yaml
 from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
 from tasklens.design import least_squares
 from tasklens.design.constraints import penalty
@@ -109,11 +111,27 @@ def noise(count: int, size: int) -> ImageDataset:
     return ImageDataset(images, torch.arange(count) % 10, tuple(map(str, range(10))))
 
 
-def rows_of(times: dict[str, float], captures: int) -> list[tuple]:
-    """Rows of a table: each part per step and per capture, and the sums."""
+def floor(network: nn.Module, pixels: int, rounds: int) -> float:
+    """Least time [s] of a capture in the frozen network, forward and backward, at the speed of a matrix product."""
+    network = frozen(network, noise(1, pixels).images)
+    image = torch.rand(1, 3, pixels, pixels, requires_grad=True)
+    with FlopCounterMode(display=False) as counter:
+        network(image).sum().backward()
+    left, right = torch.rand(2, 1024, 1024)
+    seconds = []
+    for _ in range(rounds + 1):
+        begin = time.process_time()
+        left @ right
+        seconds.append(time.process_time() - begin)
+    return counter.get_total_flops() * min(seconds) / (2 * 1024**3)
+
+
+def rows_of(times: dict[str, float], captures: int, least: float) -> list[tuple]:
+    """Rows of a table: each part per step and per capture, the sums, and the floor of the network."""
     total = sum(times.values())
     parts = [(part, times[part]) for part in ORDER]
     parts += [("**optics**", sum(times[part] for part in OPTICS)), ("**step**", total)]
+    parts += [("floor of the network", least * captures)]
     return [(name, f"{1e3 * t:.4g}", f"{1e3 * t / captures:.3g}", f"{100 * t / total:.1f}") for name, t in parts]
 
 
@@ -129,11 +147,13 @@ def main(arguments: list[str] | None = None) -> None:
     images = 1 if options.tiny else design.batch_size
     times = timed_steps(network, images, images, study.images.size, design.rays, options.rounds)
     title = f"Default study: {images} images x 9 fields, {supervisor.model}, {study.images.size} px"
-    timing.report(title, columns, rows_of(times, 9 * images), options.save)
-    if not options.tiny:
-        network = Classifier(timm.create_model("resnet50", num_classes=10))
+    rows = rows_of(times, 9 * images, floor(network, study.images.size, options.rounds))
+    timing.report(title, columns, rows, options.save)
+    for model in () if options.tiny else ("mobilenetv2_100", "resnet50"):
+        network = Classifier(timm.create_model(model, num_classes=10))
         times = timed_steps(network, 64, 2, 224, 256, max(1, options.rounds // 3))
-        timing.report("Paper: 64 images x 9 fields, ResNet50, 224 px", columns, rows_of(times, 576), options.save)
+        rows = rows_of(times, 576, floor(network, 224, options.rounds))
+        timing.report(f"Paper: 64 images x 9 fields, {model}, 224 px", columns, rows, options.save)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,9 @@ from tasklens.runtime.files import write_tensors
 from tasklens.study.settings import TrainingSettings
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/reference/*.md")])
+PAGES = sorted(
+    [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/notes/*.md"), *ROOT.glob("docs/reference/*.md")]
+)
 
 
 def blocks(page: Path, language: str) -> list[str]:
