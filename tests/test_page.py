@@ -39,7 +39,7 @@ BEYOND = row(OVER_END_TO_END, difference=-2.0, low=-3.0, high=-1.0, seeds=1)
 
 
 @pytest.mark.parametrize(
-    "found, direction, certainty",
+    "verdict, direction, certainty",
     [
         (HOLDS, words.FOR, words.SHOWN),
         (FAILS, words.AGAINST, words.SHOWN),
@@ -50,8 +50,8 @@ BEYOND = row(OVER_END_TO_END, difference=-2.0, low=-3.0, high=-1.0, seeds=1)
         (UNDECIDED, words.UNDECIDED, words.UNDECIDED),
     ],
 )
-def test_direction_and_certainty_of_a_verdict(found, direction, certainty):
-    assert words.judged(found, MARGINS.get(found["claim"], 0.0)) == (direction, certainty)
+def test_direction_and_certainty_of_a_verdict(verdict, direction, certainty):
+    assert words.judged(verdict, MARGINS.get(verdict["claim"], 0.0)) == (direction, certainty)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ TABLE = pandas.DataFrame(
 
 
 @pytest.fixture(scope="module")
-def built() -> tables.Table:
+def built_table() -> tables.Table:
     return tables.build("table1", "Table 1", TABLE)
 
 
@@ -181,32 +181,51 @@ def cells(table: tables.Table, heading: str, paper: bool = False) -> list[tables
     return [row[index] for row in table.rows]
 
 
-def test_the_best_of_the_same_elements_is_marked(built):
+def test_the_best_of_the_same_elements_is_marked(built_table):
     """Values equal after rounding tie; sharp images and a lens without competitors are never the best."""
-    assert [cell.best for cell in cells(built, "accuracy")] == [False, True, True, False, False]
-    assert [cell.best for cell in cells(built, "RMS spot")] == [False, False, True, False, False]  # the least
-    assert not any(cell.best for cell in cells(built, "accuracy", paper=True))
+    assert [cell.best for cell in cells(built_table, "accuracy")] == [False, True, True, False, False]
+    assert [cell.best for cell in cells(built_table, "RMS spot")] == [False, False, True, False, False]  # the least
+    assert not any(cell.best for cell in cells(built_table, "accuracy", paper=True))
 
 
-def test_the_spread_stands_beside_its_mean(built):
-    assert [cell.text for cell in cells(built, "accuracy")][:4] == ["90.0 ± 0.5", "71.0 ± 1.4", "71.0 ± 0.2", "65.0"]
-    assert not any("std" in column.words for column in built.columns)
+def test_the_spread_stands_beside_its_mean(built_table):
+    assert [cell.text for cell in cells(built_table, "accuracy")][:4] == [
+        "90.0 ± 0.5",
+        "71.0 ± 1.4",
+        "71.0 ± 0.2",
+        "65.0",
+    ]
+    assert not any("std" in column.words for column in built_table.columns)
 
 
-def test_the_papers_columns_are_last(built):
-    assert [column.paper for column in built.columns] == [False] * (len(built.columns) - 1) + [True]
-    assert built.paper == 1 and [cell.text for cell in cells(built, "accuracy", paper=True)][1:3] == ["70.1", "–"]
+def test_the_papers_columns_are_last(built_table):
+    assert [column.paper for column in built_table.columns] == [False] * (len(built_table.columns) - 1) + [True]
+    assert built_table.paper == 1 and [cell.text for cell in cells(built_table, "accuracy", paper=True)][1:3] == [
+        "70.1",
+        "–",
+    ]
 
 
-def test_violated_limits_are_marked(built):
-    assert [cell.wrong for cell in cells(built, "worst margin")] == [False, False, True, False, False]
-    assert [cell.text for cell in cells(built, "failed")][1:] == ["0", "0", "20", "100"]  # % of the seeds
+def test_violated_limits_are_marked(built_table):
+    assert [cell.wrong for cell in cells(built_table, "worst margin")] == [False, False, True, False, False]
+    assert [cell.text for cell in cells(built_table, "failed")][1:] == ["0", "0", "20", "100"]  # % of the seeds
 
 
 def test_a_chart_has_a_point_per_lens_and_names_the_most_accurate():
     chart = charts.accuracy_over_rms(TABLE)
     assert chart is not None and "of 4 lenses. Most accurate: doublet tasklens, 71.0 % at 12.0 um" in chart.words
     assert charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
+
+
+def test_accuracy_by_field_is_a_line_per_design_from_axis_to_corner():
+    """Mean over seeds, of the designs of one name of elements; None for a table without fields."""
+    rows = {"elements": ["", "doublet", "doublet", "triplet"], "design": ["reference", "task", "task", "task"]}
+    rows |= {"accuracy_field0": [None, 90.0, 94.0, 99.0], "accuracy_field1": [None, 80.0, 70.0, 98.0]}
+    chart = charts.accuracy_by_field("doublet", pandas.DataFrame(rows))
+    (line,) = json.loads(chart.json)["data"]
+    assert (line["name"], line["x"], line["y"]) == ("task", [0, 1], [92.0, 75.0])
+    assert "In the corner: task 75.0." in chart.words
+    assert charts.accuracy_by_field("doublet", TABLE) is None
 
 
 def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from examples import changed, lens_file, measurement, measurements_of, read_rows, tiny_study, write
 from rules import finish
+from study_results import IMAGES, write_results
 
 from tasklens.report import verdicts
 from tasklens.report.bootstrap import holm
@@ -25,9 +26,7 @@ from tasklens.study.claims import (
 )
 from tasklens.study.effort import tried_in_all
 from tasklens.study.loading import dump, parse
-from tasklens.study.names import SHARP, restored
 
-IMAGES, FIELDS = 200, 9
 DOUBLET = ["COC", "OKP4"]
 
 
@@ -44,39 +43,12 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
-    """Write files of a study in which a fraction accuracy(lens, classifier, seed) of all captures is correct.
-
-    One random number per image and field, shared by all lenses, decides: a capture that is correct through a lens is
-    also correct through a better one.
-    """
-    luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
-    index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
-    for seed in study.seeds:
-        for lens in lenses or (SHARP, *study.lenses):
-            for name in [*study.classifiers, *map(restored, study.classifiers)]:
-                fields = 1 if lens == SHARP else FIELDS
-                right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
-                minival_share = (minival or accuracy)(lens, name, seed)
-                columns = {f"field{k}": right[:, k] for k in range(fields)}
-                for kind in ("-predictions", "-frozen"):
-                    path = measurement(study.name, lens, name, seed, kind)
-                    write(path, pandas.DataFrame(index | columns).to_csv(index=False))
-                rows = [("minival_accuracy", k, 100 * minival_share) for k in range(fields)] + [("chance", "", 10.0)]
-                rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
-                frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
-                write(measurement(study.name, lens, name, seed), frame.to_csv(index=False))
-            figures = {"rms_centroid_um": [9.0], "core_radius_um": [3.0], "energy_in_window": [inside]}
-            text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
-            write(lens_file(study.name, lens, seed), text)
+def verdicts_of(study, accuracy, **others) -> pandas.DataFrame:
+    write_results(study, accuracy, **others)
+    return collect(study).set_index(["table", "claim", "lens", "classifier"])
 
 
-def judged(study, accuracy, **others) -> pandas.DataFrame:
-    results(study, accuracy, **others)
-    return collected(study).set_index(["table", "claim", "lens", "classifier"])
-
-
-def collected(study) -> pandas.DataFrame:
+def collect(study) -> pandas.DataFrame:
     """The verdicts from the files of their job."""
     return verdicts.collect(claims.claims(study), measurements_of(study.name, claims.claims(study)))
 
@@ -175,8 +147,8 @@ def test_the_same_claim_of_a_table_is_one_family():
     """P-values of two numbers of elements equal the uncorrected ones of single studies, corrected by Holm's method."""
     accuracy = by_design(tasklens=0.525, imaging1=0.52, imaging2=0.49, image_error=0.51)
     kinds = {"doublet": DOUBLET, "other": DOUBLET}
-    alone = {name: judged(study_of(5, **{name: plastics}), accuracy)["p_holm"] for name, plastics in kinds.items()}
-    both = judged(study_of(5, **kinds), accuracy)["p_holm"]
+    alone = {name: verdicts_of(study_of(5, **{name: plastics}), accuracy)["p_holm"] for name, plastics in kinds.items()}
+    both = verdicts_of(study_of(5, **kinds), accuracy)["p_holm"]
     for claim in (OVER_IMAGING1, OVER_LEAST_SQUARES, OVER_IMAGE_QUALITY):
         keys = [("table1", claim, f"{name}-tasklens", "small") for name in kinds]
         p_values = [alone[name][key] for name, key in zip(kinds, keys, strict=True)]
@@ -192,7 +164,7 @@ def test_five_seeds_decide():
             0.01 * seed
         )
 
-    frame = judged(study_of(5, doublet=DOUBLET), accuracy)
+    frame = verdicts_of(study_of(5, doublet=DOUBLET), accuracy)
     better = frame.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert better["verdict"] == HOLDS and better["difference"] == pytest.approx(20, abs=2)
     assert better["low"] < better["difference"] < better["high"] and better["seeds"] == 5
@@ -203,10 +175,25 @@ def test_five_seeds_decide():
 
 
 def test_fewer_than_five_seeds_suggest():
-    frame = judged(study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
+    frame = verdicts_of(study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
     row = frame.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
     assert row["verdict"].startswith("suggests +") and row["reason"] == "fewer than five seeds"
     assert 50 < row["low"] <= row["difference"] <= row["high"] < 70
+
+
+def test_one_lost_seed_moves_the_mean_and_not_the_median():
+    """The number of seeds above zero shows it too; a claim with a margin counts seeds above minus the margin."""
+
+    def accuracy(lens, name, seed):
+        lost = lens == "doublet-imaging1" and seed == 3
+        return 0.1 if lost else by_design(tasklens=0.6, imaging1=0.5)(lens, name, seed)
+
+    frame = verdicts_of(study_of(5, doublet=DOUBLET), accuracy)
+    row = frame.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
+    assert row["difference"] == pytest.approx(18, abs=1.5) and row["median"] == pytest.approx(10, abs=1.5)
+    assert row["above"] == 5
+    same = frame.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
+    assert same["median"] > 0 and same["above"] == 5
 
 
 def test_the_baseline_is_chosen_on_the_minival():
@@ -219,7 +206,7 @@ def test_the_baseline_is_chosen_on_the_minival():
             else by_design(imaging3=0.6, imaging2=0.1)(lens, name, seed)
         )
 
-    frame = judged(study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
+    frame = verdicts_of(study_of(1), by_design(tasklens=0.6, imaging2=0.8), minival=minival)
     assert frame.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]["baseline"] == "doublet-imaging3"
     assert frame.loc["table1", FEWER_ELEMENTS, "doublet-tasklens", "small"]["baseline"] == "triplet-imaging3"
     assert frame.loc["table2", OVER_LEAST_SQUARES, "doublet-tasklens", "other"]["baseline"] == "doublet-imaging2"
@@ -233,7 +220,7 @@ def test_each_seed_chooses_its_baseline():
             lens, name, seed
         )
 
-    frame = judged(study_of(5, doublet=DOUBLET), accuracy)
+    frame = verdicts_of(study_of(5, doublet=DOUBLET), accuracy)
     row = frame.loc["table1", OVER_LEAST_SQUARES, "doublet-tasklens", "small"]
     assert row["baseline"] == "doublet-imaging2 (4), doublet-imaging3 (1)"
     assert row["difference"] == pytest.approx((4 * 10 + 20) / 5, abs=3)
@@ -246,7 +233,7 @@ def test_each_seed_chooses_its_baseline():
 def test_convergence_is_judged_by_the_rule_of_table_3(accuracy, inside, expected, difference):
     """Sharp images 100 %, chance 10 %: half-way is 55 %. The light misses its half by 50 % minus the light inside."""
     accuracies = by_design(sharp=1.0, end_to_end_from_flat=accuracy)
-    row = judged(study_of(5, doublet=DOUBLET), accuracies, inside=inside)
+    row = verdicts_of(study_of(5, doublet=DOUBLET), accuracies, inside=inside)
     row = row.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
     assert row["verdict"] == expected and row["baseline"] == ""
     assert row["difference"] == pytest.approx(difference, abs=3)
@@ -255,7 +242,7 @@ def test_convergence_is_judged_by_the_rule_of_table_3(accuracy, inside, expected
 def test_interval_is_of_images_not_of_captures():
     """If all captures of an image agree, the error is that of 200 images, whatever the number of captures."""
     study = study_of(1)
-    results(study, by_design())
+    write_results(study, by_design())
     generator = numpy.random.default_rng(3)
     share = {}
     for lens in ("doublet-tasklens", "doublet-imaging1"):
@@ -263,7 +250,7 @@ def test_interval_is_of_images_not_of_captures():
         share[lens] = right
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | {f"field{k}": right for k in range(9)})
         write(predictions(study, lens), frame.to_csv(index=False))
-    row = collected(study).iloc[0]
+    row = collect(study).iloc[0]
     assert (row["lens"], row["baseline"]) == tuple(share)
     difference = 100 * (share["doublet-tasklens"] - share["doublet-imaging1"])
     assert row["difference"] == pytest.approx(difference.mean())
@@ -277,16 +264,16 @@ def predictions(study, lens) -> Path:
 
 def test_other_images_are_refused():
     study = study_of(1)
-    results(study, by_design())
+    write_results(study, by_design())
     path = predictions(study, "doublet-imaging1")
     pandas.read_csv(path).iloc[::-1].to_csv(path, index=False)
     with pytest.raises(FileError, match=r"doublet-imaging1.*same test images"):
-        collected(study)
+        collect(study)
 
 
 def test_files_of_the_verdicts_agree():
     study = study_of(1)
-    results(study, by_design(tasklens=0.6))
+    write_results(study, by_design(tasklens=0.6))
     paths = finish("verdicts_table", study)
     rows = pandas.read_csv(paths.csv)
     body = [line for line in paths.md.read_text().splitlines() if line.startswith("|")][2:]
@@ -317,7 +304,7 @@ def test_map_of_regimes():
     """A row per elements: the planted difference from the baseline with the best minival, and the specification."""
     study = study_of(1).model_copy(update={"specs": {"triplet": {"f_number": 2.0}}})
     share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
-    results(study, lambda lens, *_: share.get(lens, 0.3))
+    write_results(study, lambda lens, *_: share.get(lens, 0.3))
     for lens in study.lenses.values():
         path = lens_file(study.name, lens.name)
         spec = study.spec_of(lens.elements).model_dump(mode="json")

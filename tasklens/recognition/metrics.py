@@ -12,13 +12,18 @@ def mean_metrics(path: Path) -> dict[str, float]:
     return {str(metric): float(value) for metric, value in _values(path).groupby(level=0).mean().items()}
 
 
+def accuracy_by_field(path: Path) -> list[float]:
+    """Read a metrics file, and return the accuracy [%] at each field; raises FileError if damaged."""
+    return [float(value) for value in _values(path).loc["accuracy"].sort_index()]
+
+
 def least_metrics(path: Path) -> dict[str, float]:
     """Read a metrics file, and return the minimum over fields of every metric by name; raises FileError if damaged."""
     return {str(metric): float(value) for metric, value in _values(path).groupby(level=0).min().items()}
 
 
 def _values(path: Path) -> pandas.Series:
-    """Read the values of a metrics file, a row per metric and field.
+    """Read the values of a metrics file, by metric and field.
 
     Raises:
         FileError: the file is not a metrics file: it has other columns, a value is not a number, or a metric lacks a
@@ -36,4 +41,4 @@ def _values(path: Path) -> pandas.Series:
     for metric, numbers in by_field.items():
         if numbers != list(range(count)):
             raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in numbers)} of {count}")
-    return values.set_axis(rows["metric"])
+    return values.set_axis(pandas.MultiIndex.from_arrays([rows["metric"], fields]))

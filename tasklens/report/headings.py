@@ -85,6 +85,8 @@ HEADINGS = {
     "low": Heading("from", "points", "+.1f", meaning="Lower end of the 95 % interval"),
     "high": Heading("to", "points", "+.1f", meaning="Upper end of the 95 % interval"),
     "p_holm": Heading("p (Holm)", "", ".3f", meaning="p-value, corrected for all rows of the same claim and table"),
+    "median": Heading("median", "points", "+.1f", meaning="Median of the differences of the seeds"),
+    "above": Heading("seeds above", "", ".0f", meaning="Seeds with a difference above zero, or minus the margin"),
     "jobs": Heading("jobs", "", ".0f"),
     "seeds": Heading("seeds", "", ".0f"),
     "total_min": Heading("in all", "min", ".1f"),

@@ -8,11 +8,13 @@ from typing import Any
 import pandas
 
 from tasklens.optics.io import lens_digest
-from tasklens.recognition.metrics import mean_metrics
+from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
 from tasklens.report import predictions
 from tasklens.report.optimality import Gap, gap
 from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.study.claims import Claim, Claims
+
+FIELD = "accuracy_field"  # beginning of the columns of accuracy by field, from 0 on the axis to 8 in the corner
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
@@ -66,6 +68,11 @@ class Measurements:
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
         """Return each metric, mean over fields."""
         return mean_metrics(self.metrics[lens, classifier, seed])
+
+    def accuracy_by_field(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
+        """Return the accuracy [%] at each field by the name of its column in tables by seed."""
+        values = accuracy_by_field(self.metrics[lens, classifier, seed])
+        return {f"{FIELD}{k}": value for k, value in enumerate(values)}
 
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read predictions: 1 if an image is classified correctly, else 0; a row per image, a column per field."""

@@ -133,8 +133,8 @@ def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]
     hope = "would be a surprise" if needed > surprise else "cannot be excluded"
     count = "1 lens" if len(sieved) == 1 else f"{len(sieved)} lenses"
     return (
-        f"Not measured: {count} with a mean MTF of at most {least:.2f}. Among the measured lenses, accuracy follows the "
-        f"MTF with a rank correlation of {correlation:.2f}; a lens with a lower MTF was better by at most "
+        f"Not measured: {count} with a mean MTF of at most {least:.2f}. Among the measured lenses, accuracy follows "
+        f"the MTF with a rank correlation of {correlation:.2f}; a lens with a lower MTF was better by at most "
         f"{surprise:.1f} points. The measured lens with the lowest MTF is {needed:.1f} points behind the first, so a "
         f"better lens among those not measured {hope}."
     )

@@ -15,7 +15,7 @@ import pandas
 from tasklens.report import headings, latex
 from tasklens.report.failure import failed
 from tasklens.report.headings import PAPER, STD
-from tasklens.report.measurements import Measurements
+from tasklens.report.measurements import FIELD, Measurements
 from tasklens.report.publish import publish
 from tasklens.runtime.files import write_text
 from tasklens.study import names
@@ -60,6 +60,7 @@ def collect(contents: TableContents, measurements: Measurements) -> pandas.DataF
         for lens in contents.lenses:
             values = measurements.values(lens, names.measured(classifier, contents.restored), seed)
             row = _row(lens, classifier, seed, sharp, values, measurements)
+            row |= measurements.accuracy_by_field(lens, names.measured(classifier, contents.restored), seed)
             rows.append(row | _frozen_values(lens, contents.gaps.get(lens, ()), classifier, seed, measurements))
     return pandas.DataFrame(rows)
 
@@ -152,7 +153,9 @@ def make(
     title = f"Table {contents.name[-1]}: {_TITLES[contents.name]}"
     note = f"Study `{contents.study}`. Columns marked paper: Yang et al. 2024, on ImageNet with other networks."
     publish(csv, md, title, table, note)
-    names = ("elements", "design", "classifier", "seed", *_columns(contents, rows), "reference_accuracy", "chance")
+    by_field = [name for name in rows if str(name).startswith(FIELD)]
+    keys = ("elements", "design", "classifier", "seed")
+    names = (*keys, *_columns(contents, rows), "reference_accuracy", "chance", *by_field)
     write_text(seeds_csv, rows[[name for name in dict.fromkeys(names) if name in rows]].to_csv(index=False))
     caption = _caption(contents, table)
     write_text(tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))

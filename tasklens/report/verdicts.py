@@ -31,7 +31,7 @@ LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
 HOLDS, FAILS, UNDECIDED, SUGGESTS = "holds", "does not hold", "undecided", "suggests"
 COLUMNS = [
     *("table", "claim", "lens", "baseline", "classifier"),
-    *("difference", "low", "high", "p_holm", "seeds", "verdict", "reason"),
+    *("difference", "low", "high", "p_holm", "median", "above", "seeds", "verdict", "reason"),
 ]
 
 _NOTE = """\
@@ -136,7 +136,8 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
         keys = (claim.table, claim.text, claim.lens, _named(baseline.values()), claim.classifier)
         difference = float(observed.mean())
         p_value = bootstrap.p_value(means, seeds, -claim.margin)
-        rows.append((*keys, difference, *bootstrap.interval(means), p_value, seeds, "", ""))
+        by_sign = (float(numpy.median(observed)), int((observed > -claim.margin).sum()))
+        rows.append((*keys, difference, *bootstrap.interval(means), p_value, *by_sign, seeds, "", ""))
     table = pandas.DataFrame(rows, columns=COLUMNS)
     table["p_holm"] = table.groupby(["table", "claim"])["p_holm"].transform(
         lambda family: bootstrap.holm(family.tolist())

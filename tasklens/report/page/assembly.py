@@ -1,6 +1,6 @@
 """Assembly of the page from the files of a study; the answer in words comes first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -111,6 +111,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
     frames = {name: read_table(path) for name, path in {**files.tables, **files.others, **files.optional}.items()}
     _check_tails(settings, files, frames)
     table1 = frames.get("table1")
+    by_seed = {name: read_table(path) for name, path in files.by_seed.items()}
     elements = dict.fromkeys(settings.elements.values())
     time = machine.durations(files.benchmarks)
     sections: dict[str, Any] = {
@@ -118,7 +119,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "seeds": settings.seeds,
         "supervisor": settings.supervisor,
         "summary": words.summary(frames["verdicts"], settings.by_task, settings.margins, len(settings.seeds)),
-        "warnings": words.chance({name: read_table(path) for name, path in files.by_seed.items()}),
+        "warnings": words.chance(by_seed),
         "tallies": words.tallies(frames["verdicts"], settings.margins),
         "answer": pictures.link(answer) if answer.exists() else None,
         "names": settings.descriptions,
@@ -134,6 +135,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         ],
         "drawn": {name: pictures.link(path) for name, path in files.drawn.items()},
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
+        "by_field": _by_field(elements, by_seed),
         "comparisons": _comparisons(frames),
         "gallery": gallery.entries(settings, files, table1),
         "captures": captures.shown(files.captures, files.answers, settings.supervisor),
@@ -189,6 +191,14 @@ def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
     caption = _CAPTIONS.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
     spread = _SPREAD if any(str(column).endswith(STD) for column in frame) else ""
     return tables.build(name, caption, frame, spread + note)
+
+
+def _by_field(elements: Iterable[str], by_seed: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
+    """Return the charts of accuracy by field in table 1, one for each name of elements."""
+    if "table1" not in by_seed:
+        return []
+    by_elements = [charts.accuracy_by_field(name, by_seed["table1"]) for name in elements]
+    return [chart for chart in by_elements if chart is not None]
 
 
 def _comparisons(frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:

@@ -11,6 +11,8 @@ from typing import Any
 import pandas
 import plotly.graph_objects as go
 
+from tasklens.report.measurements import FIELD
+
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D31", "#777777")
 SYMBOLS = (
     *("circle", "square", "diamond", "cross", "x", "triangle-up", "triangle-down", "star", "pentagon"),
@@ -88,6 +90,29 @@ def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
         "yaxis": {"title": {"text": "accuracy [%]"}},
     }
     return _chart("accuracy", "Accuracy and sharpness", words, figure, 600, legend=_LEGEND, hovermode="closest", **axes)
+
+
+def accuracy_by_field(elements: str, by_seed: pandas.DataFrame) -> Chart | None:
+    """Chart the accuracy of the designs of some elements at each field, mean over seeds; None without such columns."""
+    fields = [name for name in by_seed if str(name).startswith(FIELD)]
+    rows = by_seed[by_seed["elements"] == elements].dropna(subset=fields)
+    if not fields or rows.empty:
+        return None
+    means = rows.groupby("design", sort=False)[fields].mean()
+    figure = go.Figure()
+    for k, (design, values) in enumerate(means.iterrows()):
+        figure.add_scatter(
+            x=list(range(len(fields))),
+            y=values.round(2).tolist(),
+            mode="lines+markers",
+            name=str(design),
+            line={"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]},
+        )
+    corner = "; ".join(f"{design} {value:.1f}" for design, value in means[fields[-1]].items())
+    words = f"Accuracy [%] at the fields from the axis (0) to the corner ({len(fields) - 1}). In the corner: {corner}."
+    axes = {"xaxis": {"title": {"text": "field"}, "dtick": 1}, "yaxis": {"title": {"text": "accuracy [%]"}}}
+    title = f"Accuracy by field: {elements}"
+    return _chart(f"fields-{elements}", title, words, figure, 420, legend=_LEGEND, showlegend=True, **axes)
 
 
 def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[str]) -> Chart | None:
