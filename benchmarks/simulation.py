@@ -19,22 +19,22 @@ from torch import Tensor
 from tasklens import load_lens
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.simulation.blend import FieldPsfs, _fast_size, _hats, blend
-from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
+from tasklens.simulation.blend import SensorPsfs, _fast_size, _hats, blend
+from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
 LENSES = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 FRAME, TINY = (1080, 1920), (96, 128)
 
 
-def trace(lens: Lens, view: View, shape: tuple[int, int]) -> FieldPsfs:
+def trace(lens: Lens, view: View, shape: tuple[int, int]) -> SensorPsfs:
     """PSFs over the sensor; 4096 rays each."""
-    return trace_field_psfs(lens, view, shape, pitch_on_sensor(view, shape), 64 if shape == TINY else 4096)
+    return trace_sensor_psfs(lens, view, shape, pitch_on_sensor(view, shape), 64 if shape == TINY else 4096)
 
 
 def once(path: Path, shape: tuple[int, int]) -> tuple[float, float, float]:
     """Processor time of tracing and of blending [s], and peak memory [GB], in a separate process."""
     lens, view = load_lens(path)
-    trace_field_psfs(lens, view, (16, 16), 50.0, 16)  # compiled code is loaded
+    trace_sensor_psfs(lens, view, (16, 16), 50.0, 16)  # compiled code is loaded
     image = torch.rand(3, *shape, generator=torch.Generator().manual_seed(0))
     begin = time.process_time()
     psfs = trace(lens, view, shape)
@@ -43,7 +43,7 @@ def once(path: Path, shape: tuple[int, int]) -> tuple[float, float, float]:
     return middle - begin, time.process_time() - middle, timing.peak_memory_gib() * 1.0737
 
 
-def patches(image: Tensor, psfs: FieldPsfs, by_fft: bool) -> Tensor:
+def patches(image: Tensor, psfs: SensorPsfs, by_fft: bool) -> Tensor:
     """Convolve each patch of the frame, reflected at the edges, with the core of the PSF of its node."""
     _, height, width = image.shape
     reach = psfs.core.shape[-1] // 2
@@ -64,7 +64,7 @@ def patches(image: Tensor, psfs: FieldPsfs, by_fft: bool) -> Tensor:
     return capture
 
 
-def transforms(psfs: FieldPsfs) -> None:
+def transforms(psfs: SensorPsfs) -> None:
     """The transforms of all tiles and their PSFs, and back, a row of tiles at once."""
     for kernels, step in ((psfs.core, 1), (psfs.halo, psfs.halo_pixel)):
         if kernels is None:
@@ -95,7 +95,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name, (traced, blended, memory) in first.items():
         path = LENSES / f"{name}.yaml"
         psfs = trace(*load_lens(path), shape)
-        core = FieldPsfs(psfs.shape, psfs.y, psfs.x, psfs.core)
+        core = SensorPsfs(psfs.shape, psfs.y, psfs.x, psfs.core)
         image = torch.rand(3, *shape, generator=torch.Generator().manual_seed(0))
         work = {
             "blend": lambda image=image, psfs=psfs: blend(image, psfs),

@@ -7,7 +7,7 @@ Functions for notebooks (see `help()` of each):
     trace, psf, analyse     rays, point spread functions, figures of a lens
     simulate                captures of an image, each entirely at one field
     simulate_sensor         capture of an image by the whole sensor
-    design                  a new lens
+    design_lens             a new lens
     rank                    ranking of lenses for a network
     Camera                  a lens in front of a network, for your own training loop
 """
@@ -22,7 +22,7 @@ warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarn
 __all__ = [
     "Camera",
     "analyse",
-    "design",
+    "design_lens",
     "draw",
     "lens",
     "load_lens",
@@ -37,8 +37,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use: `import tasklens` alone imports neither torch nor numba."""
-    if name == "design":  # a callable package; see tasklens/design/__init__.py
-        return import_module("tasklens.design")
+    if name == "design_lens":
+        return import_module("tasklens.design.single").design_lens
     if name == "__version__":
         return import_module("importlib.metadata").version("tasklens")
     if name in __all__:

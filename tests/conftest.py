@@ -1,4 +1,4 @@
-"""One CPU thread for every test, so that sums have the same order everywhere, and a lens that many tests share."""
+"""One CPU thread for every test, so that sums have the same order everywhere, and two lenses that many tests share."""
 
 import os
 
@@ -9,12 +9,11 @@ os.environ["CUDA_VISIBLE_DEVICES"] = ""
 import numpy
 import pytest
 import torch
+from designs import LIMITS, SPEC, VIEW, spot_descent
 from examples import materials
 
 from tasklens.design.random_starts import random_starts
 from tasklens.design.start import flat
-from tasklens.optics.view import view_of_spec
-from tasklens.study.settings import Constraints, Spec
 
 torch.set_num_threads(1)
 
@@ -22,9 +21,14 @@ torch.set_num_threads(1)
 @pytest.fixture(scope="session")
 def start():
     """A random doublet of the right focal length."""
-    spec, limits = Spec(kernel_size=11), Constraints()
-    flat_lens = flat(materials("COC", "OKP4"), spec, limits)
-    return random_starts(flat_lens, view_of_spec(spec), limits, 1, numpy.random.default_rng(0))[0]
+    plates = flat(materials("COC", "OKP4"), SPEC, LIMITS)
+    return random_starts(plates, VIEW, LIMITS, 1, numpy.random.default_rng(0))[0]
+
+
+@pytest.fixture(scope="session")
+def spot_lens(start):
+    """The doublet after 200 steps of spot descent, which violates limits a little."""
+    return spot_descent(start)
 
 
 # The longest tests, with which two processes begin: otherwise the last of them would leave one process idle.

@@ -61,6 +61,13 @@ def cooke_triplet(**changes) -> Lens:
     return replace(lens, **changes)
 
 
+def hyperboloid(shift: float = 0.0, f: float = 50.0, radius: float = 0.5) -> Lens:
+    """A plano-hyperboloid, k = -n^2, that images the axis perfectly at `shift` in front of the image plane."""
+    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices(WAVELENGTHS[1:2])[1, 0])
+    curvature, thickness = [0.0, -1 / (f * (n - 1))], [1.0, f + shift]
+    return make_lens(curvature, thickness, ("COC", "air"), conic=[0, -(n**2)], semi_diameter=[radius, torch.inf])
+
+
 def random_lens(seed: int) -> Lens:
     """A stop and two elements with random conics and aspheres up to alpha_10."""
     generator = torch.Generator().manual_seed(seed)
@@ -80,12 +87,12 @@ def random_lens(seed: int) -> Lens:
     return replace(lens, curvature=lens.curvature * flat_stop, alpha=lens.alpha * flat_stop[:, None])
 
 
-def seen_lens() -> tuple[Lens, View]:
+def lens_and_view() -> tuple[Lens, View]:
     """A short real lens with its stop in front, and a view of three of its fields."""
-    looks = view_of_spec(Spec(kernel_size=31))
-    fields = looks.fields[[0, 4, 8]] * 0.5
+    view = view_of_spec(Spec(kernel_size=31))
+    fields = view.fields[[0, 4, 8]] * 0.5
     stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    return stopped, View(fields, looks.efl, looks.wavelengths, 9.0, 31)
+    return stopped, View(fields, view.efl, view.wavelengths, 9.0, 31)
 
 
 def random_rays(count: int, seed: int, height: float = 0.4, tangent: float = 0.25) -> Rays:
@@ -103,7 +110,7 @@ def parallel_rays(heights) -> Rays:
     return launch(zero, y, zero, zero, zero, torch.ones_like(y))
 
 
-def landed(x, y, valid=None) -> Rays:
+def rays_on_image(x, y, valid=None) -> Rays:
     """Rays that meet the image plane at (x, y), any shape; lost where not `valid`."""
     x, y = f64(x), f64(y)
     rays = launch(x, y, torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x), torch.ones_like(x))
@@ -121,6 +128,12 @@ def difference(function: Callable[[Tensor], Tensor], x: Tensor, step: float) -> 
         columns.append((8 * near - far) / (12 * step))
     stacked = torch.stack(columns, -1)
     return stacked.reshape(*stacked.shape[:-1], *x.shape)
+
+
+def assert_close(actual: Tensor, expected, atol: float) -> None:
+    """Assert that every element is within `atol` of the expected one, or of one number."""
+    expected = torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual)
+    torch.testing.assert_close(actual, expected, rtol=0, atol=atol)
 
 
 def random_images(count: int, size: int, classes: int, seed: int) -> ImageDataset:

@@ -47,7 +47,7 @@ class Points(BaseDistribution):
         raise NotImplementedError
 
 
-def in_optiland(lens: Lens, looks: View) -> tuple[Optic, numpy.ndarray]:
+def in_optiland(lens: Lens, view: View) -> tuple[Optic, numpy.ndarray]:
     """The lens at all fields and wavelengths, without clear apertures; and the fields as Optiland normalises them."""
     optiland.backend.set_backend("numpy")
     optic = Optic()
@@ -67,11 +67,11 @@ def in_optiland(lens: Lens, looks: View) -> tuple[Optic, numpy.ndarray]:
         optic.surfaces[lens.stop + 1].set_semi_aperture(radius)
         optic.ray_tracer.set_aiming("iterative", max_iter=30, tol=1e-11)
     else:
-        optic.set_aperture("EPD", 2 * float(paraxial(lens, looks.reference).entrance_pupil_radius))
+        optic.set_aperture("EPD", 2 * float(paraxial(lens, view.reference).entrance_pupil_radius))
     optic.fields.set_type("angle")
-    degrees = numpy.degrees(numpy.arctan(looks.tangents.numpy()))
+    degrees = numpy.degrees(numpy.arctan(view.tangents.numpy()))
     for x, y in degrees:
         optic.fields.add(x=x, y=y)
-    for i, wavelength in enumerate(looks.wavelengths):
-        optic.wavelengths.add(value=wavelength, is_primary=i == len(looks.wavelengths) // 2)
+    for i, wavelength in enumerate(view.wavelengths):
+        optic.wavelengths.add(value=wavelength, is_primary=i == len(view.wavelengths) // 2)
     return optic, degrees / numpy.hypot(*degrees.T).max()

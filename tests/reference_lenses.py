@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 
 import torch
-from examples import f64
+from examples import WAVELENGTHS, f64
 from reference_files import reference_files
 
 from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
@@ -49,6 +49,32 @@ def reference_lens(path: Path, apertures: bool = False) -> Lens:
     )
     radius = zemax.stop_radius(lens, ("entrance_pupil_diameter_mm", content["epd"]), D_LINE)
     lens.semi_diameter[stop] = radius
+    return lens
+
+
+class Tabulated(Lens):
+    """A lens whose indices come from the reference file, column by wavelength."""
+
+    def refractive_indices(self, wavelengths):
+        return torch.tensor([[1.0] * 3, *self.table], dtype=self.dtype)[:, [WAVELENGTHS.index(w) for w in wavelengths]]
+
+
+def tabulated_lens(entry: dict, dtype=torch.float64) -> Lens:
+    """The lens of an entry of rays.json or tilted.json, without clear apertures."""
+    surfaces = entry["surfaces"]
+    orders = max(len(s["even_asphere"]) for s in surfaces)
+    alpha = [s["even_asphere"] + [0.0] * (orders - len(s["even_asphere"])) for s in surfaces]
+    column = lambda key: torch.tensor([s[key] for s in surfaces], dtype=dtype)  # noqa: E731
+    lens = Tabulated(
+        column("curvature"),
+        column("conic"),
+        torch.tensor(alpha, dtype=dtype).reshape(len(surfaces), orders),
+        column("thickness"),
+        torch.full((len(surfaces),), torch.inf, dtype=dtype),
+        (AIR,) * len(surfaces),
+        entry["stop_index"],
+    )
+    object.__setattr__(lens, "table", [s["n_after"] for s in surfaces])
     return lens
 
 

@@ -17,7 +17,7 @@ from tasklens.optics.view import View
 REFERENCE = WAVELENGTHS[1]
 
 
-def looking(tangents, wavelengths=(REFERENCE,)) -> View:
+def view_at(tangents, wavelengths=(REFERENCE,)) -> View:
     """Fields on +y with these tangents, for a pinhole of 1 mm."""
     tangents = f64(tangents)
     return View(torch.stack([torch.zeros_like(tangents), tangents], -1), 1.0, wavelengths, 9.0, 31)
@@ -56,7 +56,7 @@ def test_real_rays_keep_to_the_third_order(shape, seed, stop):
     residuals, sizes = [], []
     for scale in (1.0, 0.5):
         lens = focused(shape(replace(random_lens(seed), stop=stop)), 0.05 * scale)
-        view = looking(scale * f64([0.0, 0.02, 0.04]))
+        view = view_at(scale * f64([0.0, 0.02, 0.04]))
         field = (view.radii / view.radii.max())[:, None]
         s1, s2, s3, s4, s5, *_ = totals(seidel_sums(lens, view))
         slope_x = s1 * square * px / 2 + s2 * field * px * py + (s3 + s4) * field**2 * px / 2
@@ -79,7 +79,7 @@ def test_a_conic_by_its_power_series_is_the_same_surface():
     alpha[:, 0] += c / 2
     alpha[:, 1] += (1 + lens.conic) * c**3 / 8
     series = replace(lens, curvature=0 * c, conic=f64([5.0] * 5), alpha=alpha)
-    view = looking([0.2], WAVELENGTHS)
+    view = view_at([0.2], WAVELENGTHS)
     expected, sums = (vars(seidel_sums(x, view)) for x in (lens, series))
     for name, values in expected.items():
         torch.testing.assert_close(sums[name], values, rtol=1e-12, atol=1e-15, msg=name)
@@ -91,7 +91,7 @@ def test_a_hyperboloid_has_no_spherical_aberration():
     n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
     for conic, perfect in ((-(n**2), True), (0.0, False)):
         lens = make_lens([0.0, -0.4], [1.0, 2.0], ("COC", "air"), conic=[0.0, conic], semi_diameter=[0.5, torch.inf])
-        spherical = seidel_sums(lens, looking([0.1])).spherical
+        spherical = seidel_sums(lens, view_at([0.1])).spherical
         assert bool(spherical.sum().abs() < 1e-15) is perfect and float(spherical.abs().max()) < 1
 
 
@@ -102,7 +102,7 @@ def test_a_thin_lens_at_its_stop(bending):
     red, n, blue = (float(v) for v in make_lens([0.0], [1.0], ("COC",)).refractive_indices(WAVELENGTHS)[1])
     curvature = power / (n - 1) / 2 * (f64([1.0, -1.0]) + bending)
     lens = make_lens(curvature, [0.0, 1 / power], ("COC", "air"), semi_diameter=[y, torch.inf])
-    _, _, s3, s4, s5, c1, c2 = (float(v) for v in totals(seidel_sums(lens, looking([tangent], WAVELENGTHS))))
+    _, _, s3, s4, s5, c1, c2 = (float(v) for v in totals(seidel_sums(lens, view_at([tangent], WAVELENGTHS))))
     h = y * tangent
     assert s3 == pytest.approx(h**2 * power, rel=1e-12)
     assert s4 == pytest.approx(h**2 * power / n, rel=1e-12)
@@ -117,7 +117,7 @@ def test_shifting_the_stop(seed):
 
     Q is the change of yb / y and is the same on every surface (Welford 1986, chapter 8).
     """
-    view = looking([0.2], WAVELENGTHS)
+    view = view_at([0.2], WAVELENGTHS)
     first, second = (focused(replace(random_lens(seed), stop=stop), 0.1) for stop in (0, 3))
     q = -0.2 * (paraxial(second, REFERENCE).entrance_pupil_z - paraxial(first, REFERENCE).entrance_pupil_z) / 0.1
     s1, s2, s3, s4, s5, c1, c2 = vars(seidel_sums(first, view)).values()
@@ -141,7 +141,7 @@ def test_colour_sums_are_those_of_close_wavelengths(seed, stop):
     """Paraxial rays of two colours through the same pupil point miss each other on the image by C / (n' u')."""
     wavelengths = (REFERENCE + 1e-4, REFERENCE, REFERENCE - 1e-4)
     lens = focused(replace(random_lens(seed), stop=stop), 0.1)
-    *_, axial, lateral = totals(seidel_sums(lens, looking([0.2], wavelengths)))
+    *_, axial, lateral = totals(seidel_sums(lens, view_at([0.2], wavelengths)))
     first_order = paraxial(lens, REFERENCE)
     marginal = torch.stack([first_order.entrance_pupil_radius, torch.zeros_like(first_order.efl)])
     chief = torch.stack([-0.2 * first_order.entrance_pupil_z, f64(0.2)])
@@ -162,7 +162,7 @@ def test_colour_sums_are_those_of_close_wavelengths(seed, stop):
 def test_focus_is_where_neighbours_meet_the_chief_ray(seed, stop):
     """Rays 1e-4 of the pupil on both sides of the chief ray cross it there, in and across the meridian."""
     lens = focused(replace(random_lens(seed), stop=stop), 0.2)
-    view = looking([0.0, 0.1, 0.3])
+    view = view_at([0.0, 0.1, 0.3])
     step = 1e-4
     rays = trace_fields(lens, view, step * f64([[0, 1], [0, -1], [1, 0], [-1, 0]]))
     assert rays.valid.all()
@@ -178,7 +178,7 @@ def test_focus_is_where_neighbours_meet_the_chief_ray(seed, stop):
 @pytest.mark.parametrize("seed", range(3))
 def test_focus_of_small_fields_is_that_of_the_third_order(seed):
     """-(3 S_III + S_IV) / (2 n' u'^2) and -(S_III + S_IV) / (2 n' u'^2); at S_III = 0 only S_IV remains."""
-    lens, view = focused(random_lens(seed), 0.1), looking([3e-3])
+    lens, view = focused(random_lens(seed), 0.1), view_at([3e-3])
     _, _, s3, s4, *_ = totals(seidel_sums(lens, view))
     tangential, sagittal = (float(v) for v in field_curvature(lens, view))
     square = 2 * float(last_angle(lens)) ** 2
@@ -191,7 +191,7 @@ def test_a_stop_at_the_centre_of_curvature_makes_no_astigmatism():
     """All foci lie on a sphere around the centre, through the focus on the axis."""
     lens = make_lens([0.0, -0.5], [2.0, 5.0], ("air", "COC"), semi_diameter=[1e-3, torch.inf])
     tangents = [0.0, 0.2, 0.7]
-    tangential, sagittal = field_curvature(lens, looking(tangents))
+    tangential, sagittal = field_curvature(lens, view_at(tangents))
     torch.testing.assert_close(tangential, sagittal, rtol=1e-12, atol=1e-12)
     from_centre = tangential + 7.0
     expected = from_centre[0] * f64([math.cos(math.atan(t)) for t in tangents])
@@ -200,11 +200,11 @@ def test_a_stop_at_the_centre_of_curvature_makes_no_astigmatism():
 
 def test_a_lost_chief_ray_has_no_focus_and_parallel_neighbours_an_infinite_one():
     lens = make_lens([0.0, 0.3], [1.0, 2.0], ("air", "COC"), semi_diameter=[0.1, 0.5])
-    tangential, sagittal = field_curvature(lens, looking([0.0, 0.4, 0.6]))
+    tangential, sagittal = field_curvature(lens, view_at([0.0, 0.4, 0.6]))
     assert tangential.isnan().tolist() == sagittal.isnan().tolist() == [False, False, True]
-    assert chief_rays(lens, looking([0.6])).valid.sum() == 0
+    assert chief_rays(lens, view_at([0.6])).valid.sum() == 0
     plate = make_lens([0.0, 0.0], [1.0, 2.0], ("COC", "air"), semi_diameter=[0.1, torch.inf])
-    assert all(v.isinf().all() for v in field_curvature(plate, looking([0.0, 0.4])))
+    assert all(v.isinf().all() for v in field_curvature(plate, view_at([0.0, 0.4])))
 
 
 @pytest.mark.parametrize("stop", [0, 2])
@@ -213,7 +213,7 @@ def test_gradients_of_the_foci_are_those_of_differences(name, stop):
     """The chief ray moves with the lens; a field with a lost chief ray contributes no gradient."""
     lens = focused(replace(random_lens(1), stop=stop), 0.2)
     lens.semi_diameter[4] = 1.0
-    view = looking([0.0, 0.1, 0.3, 2.0])
+    view = view_at([0.0, 0.1, 0.3, 2.0])
     assert chief_rays(lens, view).valid[:, 0, 0].tolist() == [True, True, True, False]
 
     def foci(values: torch.Tensor) -> torch.Tensor:

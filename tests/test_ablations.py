@@ -7,7 +7,7 @@ import pytest
 import yaml
 from examples import changed, tiny_study
 from rules import finish, job_of, outputs, slices
-from test_verdicts import results
+from study_results import write_results
 
 from tasklens.report.verdicts import HOLDS
 from tasklens.study import claims
@@ -107,8 +107,8 @@ def test_an_unknown_ablation_is_named():
         claims.ablation_claims(parse(with_ablation(RAYS)), "theirs")
 
 
-@pytest.mark.parametrize("seeds, judged", [(5, HOLDS), (1, "suggests +")])
-def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
+@pytest.mark.parametrize("seeds, verdict", [(5, HOLDS), (1, "suggests +")])
+def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, verdict):
     """The design is first, then its variants with their gains; a single seed only suggests a gain."""
     monkeypatch.chdir(tmp_path)
     study = parse(changed(with_ablation(RAYS), "seeds", list(range(seeds))))
@@ -116,7 +116,7 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     compared = claims.ablation_claims(study, "mine")
     assert compared.base == base and [claim.lens for claim in compared.claims.claims] == [variant]
     lenses = {base: 0.5, variant: 0.8}
-    results(study, lambda lens, *_: lenses[lens], lenses=lenses)
+    write_results(study, lambda lens, *_: lenses[lens], lenses=lenses)
     worst = outputs("design", study, lens=variant, seed=seeds - 1).lens
     content = yaml.safe_load(worst.read_text())
     content["worst_margin"]["value"] = -0.2  # the worst margin counts even if only one seed of five has it
@@ -125,10 +125,10 @@ def test_table_of_an_ablation(tmp_path, monkeypatch, seeds, judged):
     rows = pandas.read_csv(job.csv).set_index("lens")
     assert list(rows.index) == list(lenses)
     first, other = (rows.loc[lens] for lens in lenses)
-    assert pandas.isna(first["difference"]) and other["verdict"].startswith(judged)
+    assert pandas.isna(first["difference"]) and other["verdict"].startswith(verdict)
     assert other["difference"] == pytest.approx(30, abs=3)
     assert other["low"] < other["difference"] < other["high"]
     assert other["rms_spot_um"] == 9.0 and other["worst_margin"] == -0.2
     assert first["worst_margin"] == 0.01
     text = job.md.read_text()
-    assert variant in text and f"{other['difference']:+.2f}" in text and "nan" not in text
+    assert variant in text and f"{other['difference']:+.1f}" in text and "nan" not in text

@@ -49,7 +49,7 @@ def tangents_of(*degrees: float) -> torch.Tensor:
     return f64([[0.6 * math.tan(math.radians(a)), -0.8 * math.tan(math.radians(a))] for a in degrees])
 
 
-def looking(tangents: torch.Tensor, wavelengths: tuple[float, ...] = WAVELENGTHS) -> View:
+def view_at(tangents: torch.Tensor, wavelengths: tuple[float, ...] = WAVELENGTHS) -> View:
     """Fields by their tangents, for a pinhole of 1 mm."""
     return View(tangents, 1.0, wavelengths, 1.8, 31)
 
@@ -87,7 +87,7 @@ def test_lenses_of_every_kind_are_there():
 def test_stops_of_other_kinds(make):
     lens, tangents = make(), tangents_of(0, 10, 20)
     for points in (FEW, MANY):
-        rays = launch_fields(lens, looking(tangents), points)
+        rays = launch_fields(lens, view_at(tangents), points)
         assert rays.valid.all()
         assert_on_stop(lens, rays, points, WAVELENGTHS)
 
@@ -96,7 +96,7 @@ def test_a_wide_angle_lens_keeps_its_full_field():
     """70 degrees off the axis the paraxial entrance pupil misses the real one altogether."""
     lens, tangents = reverse_telephoto(), tangents_of(0, 30, 50, 60, 70)
     indices = lens.refractive_indices(WAVELENGTHS)
-    aimed = launch_fields(lens, looking(tangents), MANY)
+    aimed = launch_fields(lens, view_at(tangents), MANY)
     assert_on_stop(lens, aimed, MANY, WAVELENGTHS)
     assert trace(lens, aimed, indices).valid.all()
     first_order = paraxial(lens, WAVELENGTHS[1])
@@ -110,7 +110,7 @@ def test_a_curved_first_surface_is_filled_as_a_stop():
     """Rays meet the curved stop itself, not its vertex plane, at their pupil points, and pass."""
     glass = model_glass(1.6, 60.0, 0.0)
     lens = make_lens([1 / 20, -1 / 60], [8.0, 25.0], (glass, "air"), conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
-    rays = launch_fields(lens, looking(f64([[0.0, 0.0], [0.1, 0.2]])), FEW)
+    rays = launch_fields(lens, view_at(f64([[0.0, 0.0], [0.1, 0.2]])), FEW)
     _, behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))
     assert behind[0].valid.all()
     for coordinate, expected in ((behind[0].x, FEW[:, 0]), (behind[0].y, FEW[:, 1])):
@@ -119,7 +119,7 @@ def test_a_curved_first_surface_is_filled_as_a_stop():
 
 def test_the_chief_ray_passes_the_centre_of_the_stop():
     lens = reverse_telephoto()
-    view = looking(tangents_of(0, 30, 70))
+    view = view_at(tangents_of(0, 30, 70))
     stop_rays = chief_rays_full(lens, view)[2][lens.stop]
     assert float(torch.hypot(stop_rays.x, stop_rays.y).max()) < 1e-13
 
@@ -139,8 +139,8 @@ def test_rays_on_the_rim_pass_the_stop(path, dtype):
 
 def test_a_smaller_stop_is_the_inner_part_of_the_pupil():
     lens, tangents = reverse_telephoto(), tangents_of(0, 50)
-    inner = launch_fields(lens, looking(tangents), 0.5 * FEW)
-    stopped = launch_fields(lens.with_stop_scaled(0.5), looking(tangents), FEW)
+    inner = launch_fields(lens, view_at(tangents), 0.5 * FEW)
+    stopped = launch_fields(lens.with_stop_scaled(0.5), view_at(tangents), FEW)
     for name in ("x", "y"):
         torch.testing.assert_close(getattr(stopped, name), getattr(inner, name), rtol=0, atol=1e-13)
 
@@ -171,7 +171,7 @@ def test_a_stop_in_front_changes_nothing(monkeypatch):
     for lens in [*lenses, in_air, *plane]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)
         expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
-        rays = launch_fields(lens, looking(tangents_of(0, 2), wavelengths), FEW)
+        rays = launch_fields(lens, view_at(tangents_of(0, 2), wavelengths), FEW)
         for name, value in vars(expected).items():
             assert torch.equal(getattr(rays, name), value), name
 
@@ -201,7 +201,7 @@ def image_points(make, name: str):
             inputs[name] = value
         else:
             changed = replace(lens, **{name: value})
-        rays = launch_fields(changed, looking(inputs["tangents"]), inputs["pupil"])
+        rays = launch_fields(changed, view_at(inputs["tangents"]), inputs["pupil"])
         # The rim of the stop is not an aperture here: a difference moves rays across it.
         opened = replace(changed, semi_diameter=torch.full_like(changed.curvature.detach(), torch.inf))
         rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
@@ -239,7 +239,7 @@ def test_derivatives_of_bundles_that_a_polynomial_starts():
 
     def merit(t: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: getattr(lens, name) + t * d for name, d in directions.items()})
-        rays = launch_fields(changed, looking(tangents_of(0, 40)), MANY)
+        rays = launch_fields(changed, view_at(tangents_of(0, 40)), MANY)
         opened = replace(changed, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
         rays = trace(opened, rays, lens.refractive_indices(WAVELENGTHS))
         return (rays.x.square() + rays.y.square()).mean()
@@ -258,7 +258,7 @@ def test_what_no_ray_reaches_is_lost():
     lens = cooke_triplet(curvature=cooke_triplet().curvature.requires_grad_())
     tangents = tangents_of(0, 20, 60, 80)
     for points in (FEW, MANY):
-        rays = launch_fields(lens, looking(tangents), points)
+        rays = launch_fields(lens, view_at(tangents), points)
         assert rays.valid[:2].all() and not rays.valid[3].any()
         image = trace(lens, rays, lens.refractive_indices(WAVELENGTHS))
         lost = ~rays.valid
@@ -269,7 +269,7 @@ def test_what_no_ray_reaches_is_lost():
             assert value.isfinite().all()
         (gradient,) = torch.autograd.grad(image.x[2:].sum() + image.y.sum(), lens.curvature)
         assert gradient.isfinite().all() and gradient.any()
-        outside = trace_fields(lens, looking(tangents[3:]), points)
+        outside = trace_fields(lens, view_at(tangents[3:]), points)
         (gradient,) = torch.autograd.grad(outside.x.sum(), lens.curvature)
         assert not gradient.any()
 
@@ -280,8 +280,8 @@ def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
     indices = lens.refractive_indices(WAVELENGTHS)
     clipped = replace(lens, semi_diameter=lens.semi_diameter.clone())
     clipped.semi_diameter[0] = 8.0
-    rays = launch_fields(lens, looking(tangents), MANY)
-    clipped_rays = launch_fields(clipped, looking(tangents), MANY)
+    rays = launch_fields(lens, view_at(tangents), MANY)
+    clipped_rays = launch_fields(clipped, view_at(tangents), MANY)
     assert torch.equal(rays.x, clipped_rays.x) and torch.equal(rays.y, clipped_rays.y)
     behind = trace_full(lens, rays, indices)[1][0]
     image = trace(clipped, clipped_rays, indices)
@@ -312,7 +312,7 @@ def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_widt
 
     areas = []
     for tangent in tangents:
-        centre = launch_fields(lens, looking(tangent[None], (wavelength,)), CENTRE)  # only centres the square
+        centre = launch_fields(lens, view_at(tangent[None], (wavelength,)), CENTRE)  # only centres the square
         behind = partial(cosines, tangent, centre)
         _, (lx, mx), valid = torch.func.jvp(behind, (x, y), (one, zero), has_aux=True)
         _, (ly, my), _ = torch.func.jvp(behind, (x, y), (zero, one), has_aux=True)
@@ -331,11 +331,11 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
     """Compared with 400 x 400 rays over the first surface: within 4e-3 if an aperture cuts the pupil, else 1e-3."""
     lens, tangents = make(), tangents_of(*angles)
     if clipped:  # smaller than the beam of the largest field
-        rays = launch_fields(lens, looking(tangents), rim(64))
+        rays = launch_fields(lens, view_at(tangents), rim(64))
         behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))[1][-2]
         height = torch.hypot(behind.x, behind.y)[-1]
         lens.semi_diameter[-2] = float(height.mean())
-    view = looking(tangents)
+    view = view_at(tangents)
     area = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
     expected = area / area[0]
     illumination = relative_illumination(lens, view)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, f64, landed, make_lens, seen_lens
+from examples import WAVELENGTHS, cooke_triplet, f64, lens_and_view, make_lens, rays_on_image
 
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
@@ -32,7 +32,7 @@ ALONG_Y = f64([[0.0, 1.0]])
 def test_spot_figures_of_a_ring():
     """n points on a circle: RMS and every encircled-energy radius are its radius, the centroid its centre."""
     angle = torch.arange(8, dtype=torch.float64) * math.pi / 4
-    rays = landed((2 + 0.5 * torch.cos(angle))[None, None], (1 + 0.5 * torch.sin(angle))[None, None])
+    rays = rays_on_image((2 + 0.5 * torch.cos(angle))[None, None], (1 + 0.5 * torch.sin(angle))[None, None])
     middle = centroid(rays)
     torch.testing.assert_close(middle, f64([[2.0, 1.0]]), rtol=0, atol=1e-15)
     for radius in (rms_spot_radius(rays, middle), *(encircled_energy_radius(rays, middle, q) for q in (0.1, 0.5, 1))):
@@ -43,7 +43,7 @@ def test_spot_figures_of_a_ring():
 
 def test_rms_is_a_root_of_a_mean_square_and_lost_rays_count_in_energy_only():
     """Rays at 1, 2 and 3 from the centre, a fourth lost: RMS sqrt(14 / 3), half of the launched light within 2."""
-    rays = landed([[[1.0, -2.0, 3.0, 0.0]]], [[[0.0] * 4]], torch.tensor([[[True, True, True, False]]]))
+    rays = rays_on_image([[[1.0, -2.0, 3.0, 0.0]]], [[[0.0] * 4]], torch.tensor([[[True, True, True, False]]]))
     assert float(rms_spot_radius(rays, ORIGIN)) == pytest.approx(math.sqrt(14 / 3), rel=1e-15)
     assert float(encircled_energy_radius(rays, ORIGIN, 0.5)) == 2
     assert float(encircled_energy_radius(rays, ORIGIN, 0.75)) == 3
@@ -54,13 +54,13 @@ def test_rms_is_a_root_of_a_mean_square_and_lost_rays_count_in_energy_only():
 def test_encircled_energy_counts_exactly(count):
     """Rays at 1 .. N from the centre: k of N rays lie within k, whatever k / N rounds to."""
     x = torch.arange(1, count + 1, dtype=torch.float64)[None, None]
-    rays = landed(x, torch.zeros_like(x))
+    rays = rays_on_image(x, torch.zeros_like(x))
     for k in range(1, 11):
         assert float(encircled_energy_radius(rays, ORIGIN, k / 10)) == k * count // 10
 
 
 def test_a_field_without_rays_is_no_perfect_spot():
-    rays = landed([[[0.0, 0.0]]], [[[0.0, 0.0]]], torch.zeros(1, 1, 2, dtype=torch.bool))
+    rays = rays_on_image([[[0.0, 0.0]]], [[[0.0, 0.0]]], torch.zeros(1, 1, 2, dtype=torch.bool))
     assert math.isinf(float(rms_spot_radius(rays, centroid(rays))))
     assert spot_diagram(rays, ORIGIN).isnan().all()
     assert all(float(v) == 0 for v in geometric_mtf(rays, ALONG_Y, [0.0]))
@@ -69,7 +69,7 @@ def test_a_field_without_rays_is_no_perfect_spot():
 def test_spot_diagram_is_about_its_centre_and_without_lost_rays():
     points = torch.randn(2, 3, 2, 50, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     valid = torch.rand(3, 2, 50, generator=torch.Generator().manual_seed(1)) < 0.8
-    rays = landed(*points, valid)
+    rays = rays_on_image(*points, valid)
     spots = spot_diagram(rays, centroid(rays))
     assert torch.equal(spots.isnan().any(-1), ~valid)
     torch.testing.assert_close(spots.nanmean((1, 2)), torch.zeros(3, 2, dtype=torch.float64), rtol=0, atol=1e-15)
@@ -78,7 +78,7 @@ def test_spot_diagram_is_about_its_centre_and_without_lost_rays():
 
 @pytest.fixture(scope="module")
 def lens():
-    return seen_lens()
+    return lens_and_view()
 
 
 def test_clear_semi_diameters_pass_all_light_and_not_more(lens):
@@ -136,7 +136,7 @@ def test_mtf_of_two_points():
     along = f64([0.6, -0.8])
     d = 7e-3
     ends = f64([2.0, 1.0]) + d / 2 * f64([[-1.0], [1.0]]) * along
-    tangential, sagittal = geometric_mtf(landed(*ends.T[:, None, None]), along[None], FREQUENCIES)
+    tangential, sagittal = geometric_mtf(rays_on_image(*ends.T[:, None, None]), along[None], FREQUENCIES)
     torch.testing.assert_close(tangential[0], torch.cos(math.pi * d * FREQUENCIES).abs(), rtol=0, atol=1e-11)
     torch.testing.assert_close(sagittal[0], torch.ones(5, dtype=torch.float64), rtol=0, atol=1e-11)
 
@@ -144,7 +144,7 @@ def test_mtf_of_two_points():
 def test_mtf_is_that_of_the_light_of_all_colours():
     """Each colour is a perfect point; a lateral colour of d leaves |cos(pi f d)|."""
     d = 5e-3
-    rays = landed(torch.zeros(1, 2, 8), f64([0.0, d])[None, :, None].expand(1, 2, 8))
+    rays = rays_on_image(torch.zeros(1, 2, 8), f64([0.0, d])[None, :, None].expand(1, 2, 8))
     tangential, _ = geometric_mtf(rays, ALONG_Y, FREQUENCIES)
     torch.testing.assert_close(tangential[0], torch.cos(math.pi * d * FREQUENCIES).abs(), rtol=0, atol=1e-13)
 
@@ -159,7 +159,7 @@ def test_mtf_of_a_uniform_disc():
         worst = 0.0
         for seed in range(4):
             points = radius * sobol_disc(count, seed) + f64([0.3, -0.7])
-            mtf = geometric_mtf(landed(*points.T[:, None, None]), f64([[0.8, 0.6]]), FREQUENCIES[1:])
+            mtf = geometric_mtf(rays_on_image(*points.T[:, None, None]), f64([[0.8, 0.6]]), FREQUENCIES[1:])
             worst = max(worst, *(float((v[0] - exact.abs()).abs().max()) for v in mtf))
         errors.append(worst)
     assert errors[1] < errors[0] / 8 and errors[2] < errors[1] / 8  # a random set would gain 4 each time
@@ -171,7 +171,7 @@ def test_mtf_of_a_gaussian():
     sigma = f64([4e-3, 1.5e-3])
     uniform = torch.quasirandom.SobolEngine(2, scramble=True, seed=0).draw(8192, dtype=torch.float64)
     points = sigma * math.sqrt(2) * torch.erfinv(2 * uniform - 1)
-    tangential, sagittal = geometric_mtf(landed(*points.T[:, None, None]), f64([[1.0, 0.0]]), FREQUENCIES)
+    tangential, sagittal = geometric_mtf(rays_on_image(*points.T[:, None, None]), f64([[1.0, 0.0]]), FREQUENCIES)
     expected = torch.exp(-2 * (math.pi * FREQUENCIES[:, None] * sigma) ** 2)
     torch.testing.assert_close(torch.stack([tangential[0], sagittal[0]], -1), expected, rtol=0, atol=2e-3)
 
@@ -180,8 +180,8 @@ def test_losing_rays_gains_no_contrast():
     """Only the core of a disc arrives: the MTF begins at the valid fraction and stays below it."""
     points = 6e-3 * sobol_disc(1024, 0)
     core = points.norm(dim=-1) < 3e-3
-    tangential, _ = geometric_mtf(landed(*points.T[:, None, None], core[None, None]), ALONG_Y, FREQUENCIES)
-    alone, _ = geometric_mtf(landed(*points[core].T[:, None, None]), ALONG_Y, FREQUENCIES)
+    tangential, _ = geometric_mtf(rays_on_image(*points.T[:, None, None], core[None, None]), ALONG_Y, FREQUENCIES)
+    alone, _ = geometric_mtf(rays_on_image(*points[core].T[:, None, None]), ALONG_Y, FREQUENCIES)
     share = float(core.double().mean())
     assert 0.2 < share < 0.3
     torch.testing.assert_close(tangential, share * alone, rtol=1e-12, atol=0)

@@ -11,11 +11,11 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-import test_zemax
 import torch  # noqa: F401  # imported once, before the processes are forked
 import yaml
 from examples import changed, tiny_study, write
-from test_messages import INNER_WORDS
+from inner_words import INNER_WORDS
+from zemax_texts import LENS_TEXT
 
 from tasklens.cli.app import main
 from tasklens.materials.catalogues import PLASTICS
@@ -61,8 +61,8 @@ def lens(case: Mapping) -> list[str]:
 
 
 def zemax(case: Mapping) -> list[str]:
-    assert case["old"] in test_zemax.TEXT
-    write("lens.zmx", test_zemax.TEXT.replace(case["old"], case["new"], 1))
+    assert case["old"] in LENS_TEXT
+    write("lens.zmx", LENS_TEXT.replace(case["old"], case["new"], 1))
     return ["lens", "show", "lens.zmx"]
 
 
@@ -88,7 +88,7 @@ def folder(case: Mapping) -> list[str]:
 def command(case: Mapping) -> list[str]:
     write("study.yaml", yaml.safe_dump(tiny_study()))
     shutil.copy(DOUBLET, "lens.yaml")
-    write("lens.zmx", test_zemax.TEXT)
+    write("lens.zmx", LENS_TEXT)
     write("words.png", "no image")
     for name in ("pipe.yaml", "pipe.zmx", "pipe.png"):
         os.mkfifo(name)

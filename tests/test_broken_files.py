@@ -3,16 +3,15 @@
 import random
 
 import pytest
-import test_catalogues
-import test_prescription
-import test_zemax
 import yaml
+from prescriptions import random_prescription
+from zemax_texts import CATALOGUE_TEXT, LENS_TEXT, whole_catalogue
 
 from tasklens.materials import catalogues
 from tasklens.optics.io import prescription, zemax
 from tasklens.runtime.files import FileError
 
-LENS = yaml.safe_dump(prescription.to_dict(test_prescription.random_prescription(6)), sort_keys=False)
+YAML_TEXT = yaml.safe_dump(prescription.to_dict(random_prescription(6)), sort_keys=False)
 JUNK = (
     "",
     "-",
@@ -34,7 +33,7 @@ JUNK = (
 )
 
 
-def damaged(text: str, generator: random.Random) -> str:
+def damage(text: str, generator: random.Random) -> str:
     """The text with one to three words replaced, lines removed or repeated, or characters overwritten."""
     for _ in range(generator.randint(1, 3)):
         lines = text.split("\n")
@@ -58,16 +57,16 @@ def damaged(text: str, generator: random.Random) -> str:
 @pytest.mark.parametrize(
     "name, text, read",
     [
-        ("lens.zmx", test_zemax.TEXT, zemax.read),
-        ("lens.yaml", LENS, prescription.read),
-        ("maker.agf", test_catalogues.AGF, test_catalogues.whole_catalogue),
+        ("lens.zmx", LENS_TEXT, zemax.read),
+        ("lens.yaml", YAML_TEXT, prescription.read),
+        ("maker.agf", CATALOGUE_TEXT, whole_catalogue),
         ("plastics.yaml", catalogues.PLASTICS.read_text(), catalogues.read),
     ],
 )
 def test_a_damaged_file_is_read_or_refused(tmp_path, name, text, read):
     generator, refused = random.Random(5), 0
     for _ in range(150):
-        (tmp_path / name).write_text(damaged(text, generator))
+        (tmp_path / name).write_text(damage(text, generator))
         try:
             read(tmp_path / name)
         except FileError as error:

@@ -2,6 +2,7 @@
 
 import pytest
 import yaml
+from zemax_texts import CATALOGUE_TEXT, whole_catalogue
 
 from tasklens.materials import catalogues
 from tasklens.materials.catalogues import builtin
@@ -9,30 +10,13 @@ from tasklens.materials.library import Library
 from tasklens.materials.material import Material
 from tasklens.runtime.files import FileError
 
-AGF = """CC a catalogue
-NM CROWN 1 517642 1.5168 64.2 0 0
-GC
-CD 2.29 -0.0102 0.0134 2.0E-004 0 0 0 0 0 0
-TD 0
-LD 0.4 0.8
-NM FLINT 5 0 1.62 36
-CD 1.5 0.01 0.002
-LD 3.5E-001 9.0E-001
-"""
-
-
-def whole_catalogue(path) -> dict[str, Material]:
-    """All glasses of a catalogue; raises FileError for the first one that cannot be used."""
-    glasses, errors = catalogues.read_agf(path)
-    for error in errors.values():
-        raise error
-    return glasses
-
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
-    text = AGF.replace("a catalogue", "a catalogue" if encoding == "ascii" else "Gläser").replace("\n", newline)
+    text = CATALOGUE_TEXT.replace("a catalogue", "a catalogue" if encoding == "ascii" else "Gläser").replace(
+        "\n", newline
+    )
     bom = b"\xfe\xff" if encoding == "utf-16-be" else b""
     (tmp_path / "mine.AGF").write_bytes(bom + text.encode(encoding))
     materials = catalogues.read(tmp_path / "mine.AGF")
@@ -57,8 +41,8 @@ def test_a_catalogue_is_read_in_every_encoding(tmp_path, encoding, newline):
 )
 def test_a_broken_glass_is_refused_with_its_line(tmp_path, old, new, words):
     """Only if it is used; the other glass is read. Bad lines in front of the first glass refuse the file."""
-    assert old in AGF
-    (tmp_path / "mine.agf").write_text(AGF.replace(old, new))
+    assert old in CATALOGUE_TEXT
+    (tmp_path / "mine.agf").write_text(CATALOGUE_TEXT.replace(old, new))
     with pytest.raises(FileError) as error:
         whole_catalogue(tmp_path / "mine.agf")
     assert all(word in str(error.value) for word in ["mine.agf", *words]), error.value

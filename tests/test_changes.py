@@ -52,7 +52,7 @@ def jobs_of(study: Study) -> dict[str, PlannedJob]:
 
 
 @pytest.fixture
-def found():
+def find_overwrites():
     """Function: results that a changed study overwrites if every job of the first study but `missing` is finished."""
     before = parse(base())
     write("results/tiny/study.yaml", dump(before))
@@ -71,8 +71,8 @@ def found():
     return find
 
 
-def said(found, tmp_path, cores: int = 1) -> list[str]:
-    text = refusal(found, "tiny", Durations("tiny", str(tmp_path)), cores)
+def refusal_lines(overwrites, tmp_path, cores: int = 1) -> list[str]:
+    text = refusal(overwrites, "tiny", Durations("tiny", str(tmp_path)), cores)
     return [] if text is None else text.splitlines()
 
 
@@ -87,7 +87,7 @@ def said(found, tmp_path, cores: int = 1) -> list[str]:
         ("images.folder", "/a" + 40 * "/photographs", "images.folder: null -> /a/photographs"),
     ],
 )
-def test_a_changed_value_is_told_in_one_line(key, value, words):
+def test_a_changed_value_is_reported_in_one_line(key, value, words):
     """With its dotted key; nothing else differs, not even defaults."""
     (change,) = changes(resolved(parse(base())), resolved(parse(changed(base(), key, value))))
     assert str(change).startswith(words) and len(str(change)) < 100 and "\n" not in str(change)
@@ -101,27 +101,27 @@ def test_changes_are_those_of_the_values_alone():
     assert gone == [Change("a.b", {"c": 1}, None)] and str(gone[0]) == "a.b: removed"
 
 
-def test_a_changed_value_overwrites_what_reads_it(found, tmp_path):
+def test_a_changed_value_overwrites_what_reads_it(find_overwrites, tmp_path):
     """F/2 instead of F/2.8: both lenses and their measurements; networks of sharp images stay."""
     after = changed(base(), "spec.f_number", 2.0)
     only = ("design", "fine_tune", "table")  # Snakemake plans only these
     write(tmp_path / "benchmarks/design/a.tsv", "s\tmax_rss\n300\t1\n")
-    head, line, *ways = said(found(after, only=only), tmp_path, cores=2)
+    head, line, *ways = refusal_lines(find_overwrites(after, only=only), tmp_path, cores=2)
     assert "finished results of the study tiny" in head and "nothing was changed" in head
     # two lenses of 5 minutes on two cores; each measured by the supervisor and by two other networks
     assert line == "  spec.f_number: 2.8 -> 2.0: 2 lenses, 6 classifiers again, 5 min"
     assert "--config name=tiny_2" in ways[0] and "--config overwrite=true" in ways[1]
 
 
-def test_several_changed_values_are_told_together(found, tmp_path):
+def test_several_changed_values_are_reported_together(find_overwrites, tmp_path):
     """The first ten changes, and the number of the others."""
     after = changed(changed(base(), "spec.f_number", 2.0), "constraints.max_track", 4.2)
-    first, second, total = (line.strip() for line in said(found(after), tmp_path)[1:-2])
+    first, second, total = (line.strip() for line in refusal_lines(find_overwrites(after), tmp_path)[1:-2])
     assert {first.split(":")[0], second.split(":")[0]} == {"spec.f_number", "constraints.max_track"}
     assert total == "together: 2 lenses, 6 classifiers again"
     for k in range(10):
         after = changed(after, f"elements.mine{k}", ["COC"])
-    lines = said(found(after), tmp_path)
+    lines = refusal_lines(find_overwrites(after), tmp_path)
     assert lines[11:-2] == ["  and 2 more changed values", "  together: 2 lenses, 6 classifiers again"]
 
 
@@ -143,8 +143,8 @@ def test_what_takes_long_is_not_overwritten_without_consent():
         ("tables", ["table1"], {}),
     ],
 )
-def test_only_what_depends_on_a_changed_value_is_asked_about(found, key, value, counts):
-    rules = found(changed(base(), key, value)).by_values
+def test_only_what_depends_on_a_changed_value_is_asked_about(find_overwrites, key, value, counts):
+    rules = find_overwrites(changed(base(), key, value)).by_values
     assert {rule: rules.count(rule) for rule in rules} == counts
 
 
@@ -157,31 +157,31 @@ def test_only_what_depends_on_a_changed_value_is_asked_about(found, key, value, 
         ("classifiers.fourth", tiny_study()["classifiers"]["small"]),
     ],
 )
-def test_what_is_added_asks_nothing(found, tmp_path, key, value):
+def test_what_is_added_asks_nothing(find_overwrites, tmp_path, key, value):
     """Additional seeds, lenses or classifiers."""
     after = changed(base(), key, value)
-    assert found(after).by_values == () and said(found(after), tmp_path) == []
+    assert find_overwrites(after).by_values == () and refusal_lines(find_overwrites(after), tmp_path) == []
 
 
-def test_what_is_not_finished_asks_nothing(found, tmp_path):
+def test_what_is_not_finished_asks_nothing(find_overwrites, tmp_path):
     """No question about a study that never ran, jobs without results, or jobs of a table."""
     after = changed(base(), "spec.f_number", 2.0)
     none = tuple(jobs_of(parse(base())))
-    assert said(found(after, missing=none), tmp_path) == []
-    assert said(found(after, only=("table",)), tmp_path) == []
+    assert refusal_lines(find_overwrites(after, missing=none), tmp_path) == []
+    assert refusal_lines(find_overwrites(after, only=("table",)), tmp_path) == []
 
 
-def test_a_removed_result_does_not_hide_what_is_made_of_it(found):
+def test_a_removed_result_does_not_hide_what_is_made_of_it(find_overwrites):
     """The lens is deleted, but not the networks fine-tuned on it: changed limits would overwrite these."""
     missing = tuple(f"design/singlet-{name}-seed0" for name in LENSES)
     after = changed(base(), "constraints.max_track", 4.2)
-    assert found(after, missing=missing).by_values == 6 * ("fine_tune",)
+    assert find_overwrites(after, missing=missing).by_values == 6 * ("fine_tune",)
 
 
-def test_changed_code_is_told_but_not_asked_about(found, tmp_path):
+def test_changed_code_is_reported_but_needs_no_consent(find_overwrites, tmp_path):
     """If values are equal, every job runs for another reason, and Snakemake knows it."""
-    overwrites = found(base())
-    assert overwrites.changes == () and overwrites.by_values == () and said(overwrites, tmp_path) == []
+    overwrites = find_overwrites(base())
+    assert overwrites.changes == () and overwrites.by_values == () and refusal_lines(overwrites, tmp_path) == []
     assert amount(overwrites.otherwise, Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
 
 
@@ -193,7 +193,7 @@ def test_settings_of_the_outputs_count(tmp_path):
     job = replace(jobs_of(after)[label], made_with=jobs_of(before)[label].settings)
     overwrites = overwritten(after, {label: job})
     assert overwrites.by_values == ("design",)
-    (head, line, *_) = said(overwrites, tmp_path)
+    (head, line, *_) = refusal_lines(overwrites, tmp_path)
     assert "finished results" in head and line == "  entry.design.descents.0.steps: 2 -> 3: 1 lens again"
     unknown = overwritten(after, {label: replace(job, made_with=None)})
     assert unknown.by_values == () and unknown.otherwise == ("design",)

@@ -204,7 +204,7 @@ def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
     assert sorted(pairs) == sorted((k, label) for k in range(6) for label in (0, 1))
     assert all(2 * int(split.labels.sum()) == len(split) for split in splits.values())
     for wrong, words in (
-        ({"test": None}, "has neither train nor test; say by images.test or images.train"),
+        ({"test": None}, "has neither train nor test; set images.test or images.train"),
         ({"test": 12}, "has 12 images; test, minival and train of `images` ask for 15"),
     ):
         with pytest.raises(FileError, match=words):

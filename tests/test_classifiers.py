@@ -56,12 +56,12 @@ def test_a_supervisor_is_built_for_every_size_that_it_sees():
 
 def test_a_published_head_for_other_classes_is_no_reference():
     """Untrained, it would classify at random; the error comes before any download."""
-    with pytest.raises(InputError, match="1000 outputs, 10 are wanted"):
+    with pytest.raises(InputError, match="1000 outputs, but 10 are needed"):
         classifiers.build(ClassifierSettings(model="resnet18.a1_in1k", pretrained=True), names(10))
     untrained = ClassifierSettings(
         model="resnet18.a1_in1k", pretrained=True, training={"epochs": 0, "learning_rate": 1e-3}
     )
-    with pytest.raises(InputError, match="1000 outputs, 10 are wanted"):
+    with pytest.raises(InputError, match="1000 outputs, but 10 are needed"):
         classifiers.build(untrained, names(10))
 
 
@@ -108,10 +108,10 @@ def _state() -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize(
     "write, words",
     [
-        (lambda path: torch.save({"state_dict": _state(), "acc": numpy.float64(0.9)}, path), "save the weights alone"),
+        (lambda path: torch.save({"state_dict": _state(), "acc": numpy.float64(0.9)}, path), "save only the weights"),
         (lambda path: torch.save({f"model.{k}": v for k, v in _state().items()}, path), "begin with 'model.': remove"),
         (lambda path: path.write_bytes(b""), "the file is empty"),
-        (lambda path: path.write_text("hello"), "it is no file of weights (.safetensors, .pth, .npz)"),
+        (lambda path: path.write_text("hello"), "it is not a file of weights (.safetensors, .pth, .npz)"),
     ],
     ids=["objects", "prefix", "empty", "text"],
 )
@@ -268,7 +268,7 @@ def test_batch_norms_of_a_frozen_network_by_the_batch():
     assert all(torch.equal(v, before[k]) for k, v in state.items() if "num_batches" not in k)
 
 
-def test_a_hub_out_of_reach_is_said_at_once(monkeypatch):
+def test_a_hub_out_of_reach_is_reported_at_once(monkeypatch):
     """At once, without a minute of retries; with cached weights the hub is not contacted."""
     asked = []
 
@@ -280,7 +280,7 @@ def test_a_hub_out_of_reach_is_said_at_once(monkeypatch):
     monkeypatch.setattr(classifiers.urllib.request, "getproxies", dict)
     monkeypatch.setattr(classifiers.huggingface_hub, "try_to_load_from_cache", lambda *_: None)
     settings = ClassifierSettings(model="resnet18.a1_in1k", pretrained=True, outputs="imagenet")
-    with pytest.raises(InputError, match=r"resnet18\.a1_in1k: .* not within reach .*not known.*`weights`") as error:
+    with pytest.raises(InputError, match=r"resnet18\.a1_in1k: .* cannot be reached .*not known.*`weights`") as error:
         classifiers.build(settings, ["n01440764"])
     assert len(asked) == 1 and asked[0][0] in str(error.value)
     monkeypatch.setattr(classifiers.huggingface_hub, "try_to_load_from_cache", lambda *_: "there")
@@ -338,8 +338,8 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
     [
         ("absent", "expected package.module:function, installed or in this folder"),
         ("number", "expected a torch.nn.Module, got int"),
-        ("features", "answers 1 images with a tensor .1, 10, 30, 30.; expected logits .1, 10."),
-        ("detached", "has no gradient at its images"),
+        ("features", "returns a tensor .1, 10, 30, 30. for 1 images; expected logits .1, 10."),
+        ("detached", "has no gradient with respect to its images"),
     ],
 )
 def test_a_function_that_makes_no_classifier_is_refused(own_module, function, words):
@@ -351,7 +351,7 @@ def test_weights_with_the_head_of_imagenet(tmp_path):
     """With images of ten classes, the message names the setting that accepts its thousand outputs."""
     path = tmp_path / "published.safetensors"
     save_file(timm.create_model("test_resnet", num_classes=1000).state_dict(), path)
-    with pytest.raises(FileError, match="its head has 1000 outputs: those of ImageNet are `outputs: imagenet`"):
+    with pytest.raises(FileError, match="its head has 1000 outputs: for those of ImageNet, set `outputs: imagenet`"):
         classifiers.build(ClassifierSettings(model="test_resnet", weights=path), names(10))
     with pytest.raises(FileError, match="size mismatch"):
         classifiers.build(ClassifierSettings(model="test_resnet", weights=path, arguments={"in_chans": 1}), names(1000))

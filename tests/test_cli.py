@@ -41,7 +41,7 @@ def fine_tune(lens: str, measured_name: str = "small") -> None:
     finish("fine_tune", STUDY, lens=lens, measured_name=measured_name, seed=0)
 
 
-def of_lens(lens: str, name: str = "lens.yaml") -> Path:
+def lens_path(lens: str, name: str = "lens.yaml") -> Path:
     return lens_file("tiny", lens, name=name)
 
 
@@ -93,8 +93,8 @@ def test_every_design_leaves_a_readable_lens(lenses):
         assert content["origin"]["design"] == name and content["spec"]["kernel_size"] == 11
         assert len(content["figures"]["rms_centroid_um"]) == 9
         assert content["worst_margin"]["value"] == min(content["margins"].values())
-        assert read_rows(of_lens(f"singlet-{name}", "history.csv"))
-    phases = [row["phase"] for row in read_rows(of_lens("singlet-tasklens", "history.csv"))]
+        assert read_rows(lens_path(f"singlet-{name}", "history.csv"))
+    phases = [row["phase"] for row in read_rows(lens_path("singlet-tasklens", "history.csv"))]
     first = [f"descent 1, lens {k} of 2" for k in (1, 1, 2, 2)]
     assert phases == first + ["descent 2"] * 2 + ["descent 3", "descent 4"]
 
@@ -109,14 +109,14 @@ def test_a_design_that_diverges_says_so_in_its_lens_file(workplace, monkeypatch)
 
 def test_design_from_imaging_begins_with_the_better_lens(lenses):
     baselines = [f"singlet-{name}" for name in ("image_error", "imaging1", "imaging2")]
-    judged = {name: sum(values(metrics(name), "minival_accuracy")) for name in baselines}
+    accuracies = {name: sum(values(metrics(name), "minival_accuracy")) for name in baselines}
     start = lens_content("singlet-end_to_end_from_imaging")["origin"]["start"]
-    assert judged[start] == max(judged.values())
+    assert accuracies[start] == max(accuracies.values())
 
 
 def test_a_design_is_repeatable_to_the_last_byte(lenses):
     for name in ("imaging1", "tasklens"):
-        files = [of_lens(f"singlet-{name}", file) for file in ("lens.yaml", "history.csv")]
+        files = [lens_path(f"singlet-{name}", file) for file in ("lens.yaml", "history.csv")]
         before = [path.read_bytes() for path in files]
         design(name)
         assert [path.read_bytes() for path in files] == before
@@ -124,7 +124,7 @@ def test_a_design_is_repeatable_to_the_last_byte(lenses):
 
 def test_psf_file_says_what_it_holds(lenses):
     """9 fields, 3 colours, 11 x 11 pixels; the metadata's energies are the sums of the PSFs."""
-    tensors, notes = read_tensors(of_lens("singlet-imaging1", "psf.safetensors"))
+    tensors, notes = read_tensors(lens_path("singlet-imaging1", "psf.safetensors"))
     assert tensors["psf"].shape == (9, 3, 11, 11) and tensors["psf"].dtype == torch.float32
     assert len(notes["fields_mm"]) == 9 and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
     torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
@@ -179,7 +179,7 @@ def test_analyse_prints_the_table_of_a_lens_file(lenses, capsys):
     """From the prescription and the spec in the file, without a study: the numbers that the design wrote."""
     content = lens_content("singlet-imaging1")
     capsys.readouterr()
-    assert main(["lens", "analyse", str(of_lens("singlet-imaging1")), "--rays", "64"]) == 0
+    assert main(["lens", "analyse", str(lens_path("singlet-imaging1")), "--rays", "64"]) == 0
     printed = capsys.readouterr().out
     assert f"{content['figures']['efl_mm']:.4f}" in printed and content["worst_margin"]["limit"] in printed
     assert all(f" {value:.2f} |" in printed for value in content["figures"]["rms_centroid_um"])

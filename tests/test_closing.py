@@ -14,13 +14,13 @@ COLUMNS = "table,claim,lens,baseline,classifier,difference,low,high,p_holm,seeds
 CLAIMS = (
     ("table1", OVER_IMAGING1, 36.0, 34.0, 38.0, "suggests +36.0 points", ""),
     ("table1", OVER_LEAST_SQUARES, 3.56, 3.0, 4.1, "suggests +3.6 points", ""),
-    ("table1", OVER_IMAGE_QUALITY, 0.4, -0.2, 1.0, "undecided", "within 1.0 points"),
+    ("table1", OVER_IMAGE_QUALITY, 0.4, -0.2, 1.0, "undecided", "at most 1.0 points either way"),
 )
 SENTENCES = [
-    "Accuracy compared with the best lens for image quality: singlet tasklens +0.4 points (−0.2 to +1.0), undecided.",
-    "The one claim of the paper that is tested here is true in every comparison.",
-    "With one seed, differences are suggested, not shown: it takes 5 seeds to show one. "
-    "Intervals are 95 % over test images.",
+    "Accuracy compared with the best lens for image quality (chosen on minival images): "
+    "singlet tasklens +0.4 points (−0.2 to +1.0) compared with x, undecided.",
+    "The one claim of the paper that is tested here is supported by every comparison.",
+    "One seed can only suggest a difference; at least 5 are needed to show one. Intervals are 95 % over test images.",
 ]
 
 
@@ -105,7 +105,7 @@ def test_a_failed_run_says_what_failed_and_how_to_go_on():
     assert "Study tiny: 1 of 4 jobs done." in lines
     at = lines.index("FAILED  design a: tasklens: no such file")
     assert lines[at + 1].strip() == f"{FOLDER}/logs/design/a.log"
-    assert "FAILED  design b: no word in its log" in lines
+    assert "FAILED  design b: its log is empty" in lines
     assert lines[-1].startswith("The same command continues from here; with --keep-going ")
 
 

@@ -5,16 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from designs import LIMITS, SPEC, VIEW
 from examples import f64, materials
 
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, penalty, violation, worst_margin
 from tasklens.design.start import flat
 from tasklens.optics.rays import launch
-from tasklens.optics.view import view_of_spec
-from tasklens.study.settings import Constraints, Spec
-
-SPEC, LIMITS = Spec(kernel_size=11), Constraints()
-LOOKS = view_of_spec(SPEC)
 
 
 def sphere_sag(radius: float, r: float) -> float:
@@ -77,7 +73,7 @@ def test_focal_length_and_distortion_margins(start):
 
     If it is limited, the chief-ray angle is the angle to the axis, in any meridian; the axis field has no limit.
     """
-    longer = replace(LOOKS, efl=LOOKS.efl / 1.05)
+    longer = replace(VIEW, efl=VIEW.efl / 1.05)
     x, y = 1.06 * longer.fields.T[..., None, None]
     zero = torch.zeros_like(x)
     chief = launch(x, y, zero, zero + 0.3, zero + 0.4, zero + math.sqrt(0.75))
@@ -94,17 +90,17 @@ def test_penalty_is_zero_inside_and_pushes_outward():
     """Steepest descent of the penalty thickens a plate that is too thin and flattens a surface that is too steep."""
     limits = LIMITS.model_copy(update={"efl_tolerance": 9.0, "distortion": 9.0})  # plates have no focal length
     good = plates([0.2, 0.9, 2.0])
-    assert float(penalty(good, limits, LOOKS)) == 0
+    assert float(penalty(good, limits, VIEW)) == 0
 
     def slope(lens, name):
         leaf = getattr(lens, name).clone().requires_grad_()
-        return torch.autograd.grad(penalty(replace(lens, **{name: leaf}), limits, LOOKS), leaf)[0]
+        return torch.autograd.grad(penalty(replace(lens, **{name: leaf}), limits, VIEW), leaf)[0]
 
     assert slope(plates([0.2, 0.1, 2.0]), "thickness")[1] < 0
     assert slope(plates([0.2, 1.0, 3.5]), "thickness").min() > 0  # the track limit shrinks every space
     for sign in (1, -1):
         assert sign * slope(plates([0.6, 1.0, 2.0], [0, sign / 1.1, 0]), "curvature")[1] > 0
-    assert float(penalty(good, LIMITS, LOOKS)) > 0.9  # zero power instead of the full power
+    assert float(penalty(good, LIMITS, VIEW)) > 0.9  # zero power instead of the full power
 
 
 def test_shortfall_begins_before_the_limit():

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from designs import LIMITS, VIEW, problem
 from examples import by_descents, difference, f64, materials, random_images
-from test_design import LIMITS, LOOKS, problem
 
 from tasklens.design.criteria import Contrast, Correlation
 from tasklens.design.start import flat
@@ -60,7 +60,7 @@ def test_contrast_of_a_gaussian():
 def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
     """At PSFs of a lens, without images: the loss is linear in the PSFs, so finite differences are exact."""
     lens = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    criterion = Contrast(LOOKS.directions)
+    criterion = Contrast(VIEW.directions)
     supervisor = Supervisor(criterion, problem(), None, False, 1)
     pupil = sobol_disc(64, 0)
 
@@ -78,7 +78,7 @@ def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
 def test_contrast_alone_makes_a_lens():
     """From plates, without classifier or images: the loss of contrast falls by a quarter."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast(LOOKS.directions)
+    steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast(VIEW.directions)
     lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
     supervisor = Supervisor(contrast, problem(), None, False, 1)
     before, after = (supervisor.validation_loss(candidate, 10.0) for candidate in (plates, lens))

@@ -28,7 +28,7 @@ def paths_in(folder: Path) -> dict[str, tuple[Path, Path]]:
     return {split: (folder / f"{split}.npy", folder / f"{split}.json") for split in SPLITS}
 
 
-def made(folder: Path, images: ImageSettings) -> dict[str, data.ImageDataset]:
+def make_splits(folder: Path, images: ImageSettings) -> dict[str, data.ImageDataset]:
     """The splits, written to and read from files in `folder`."""
     data.make(images, paths_in(folder))
     return {split: data.read(*paths) for split, paths in paths_in(folder).items()}
@@ -41,13 +41,13 @@ def as_set(dataset: data.ImageDataset) -> set[bytes]:
 def test_splits_are_disjoint_and_deterministic(tmp_path):
     """The minival comes from the training images; no image is in two splits."""
     settings = ImageSettings(size=16, train=40, minival=15, test=55, seed=3)
-    splits, again = (made(tmp_path / name, settings) for name in ("first", "again"))
+    splits, again = (make_splits(tmp_path / name, settings) for name in ("first", "again"))
     assert {name: len(part) for name, part in splits.items()} == {"train": 40, "minival": 15, "test": 55}
     sets = [as_set(part) for part in splits.values()]
     assert len(set.union(*sets)) == sum(map(len, sets)) == 110
     for name, part in splits.items():
         assert torch.equal(part.images, again[name].images) and torch.equal(part.labels, again[name].labels)
-    other = made(tmp_path / "other", settings.model_copy(update={"seed": 4}))
+    other = make_splits(tmp_path / "other", settings.model_copy(update={"seed": 4}))
     assert not as_set(splits["train"]) & as_set(other["train"])
     assert not as_set(splits["test"]) & as_set(other["train"])
 
@@ -80,7 +80,7 @@ def test_a_file_of_images_that_is_cut_is_named(tmp_path, kept):
     path, labels = paths_in(tmp_path)["train"]
     data.write(random_images(6, 16, 3, seed=0), path, labels)
     path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(FileError, match=r"train\.npy: no complete array; remove it"):
+    with pytest.raises(FileError, match=r"train\.npy: not a complete array; remove it"):
         data.read(path, labels)
     path.unlink()
     with pytest.raises(FileNotFoundError):
@@ -90,8 +90,8 @@ def test_a_file_of_images_that_is_cut_is_named(tmp_path, kept):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("", "no JSON"),
-        ('{"classes": ["a"], "labels": [0, 0', "no JSON"),
+        ("", "not valid JSON"),
+        ('{"classes": ["a"], "labels": [0, 0', "not valid JSON"),
         ('{"classes": ["a"]}', "no labels of images"),
         ('{"classes": ["a"], "labels": ["cat"]}', "no labels of images"),
         ("[]", "no labels of images"),
@@ -119,7 +119,7 @@ def make_folder(root, train=4, test=2, test_name="val", classes=("cat", "dog")):
 
 def test_folder_of_photographs(tmp_path):
     """train/ and val/ with a folder per class; every image keeps its class, minival and train stay apart."""
-    splits = made(tmp_path, ImageSettings(size=16, minival=3, folder=make_folder(tmp_path)))
+    splits = make_splits(tmp_path, ImageSettings(size=16, minival=3, folder=make_folder(tmp_path)))
     assert {name: len(part) for name, part in splits.items()} == {"train": 5, "minival": 3, "test": 4}
     for name, part in splits.items():
         assert part.classes == ("cat", "dog") and part.images.shape[1:] == (3, 16, 16)
@@ -130,7 +130,7 @@ def test_folder_of_photographs(tmp_path):
 
 
 def test_counts_limit_a_folder_evenly(tmp_path):
-    splits = made(
+    splits = make_splits(
         tmp_path, ImageSettings(size=16, train=2, minival=2, test=2, folder=make_folder(tmp_path, test_name="test"))
     )
     assert torch.bincount(torch.cat([splits["train"].labels, splits["minival"].labels])).tolist() == [2, 2]
@@ -145,7 +145,7 @@ def test_any_kind_of_image_becomes_rgb(tmp_path, mode, colour):
     image = Image.new(mode, (24, 24), colour)
     image.save(folder / "train" / "cat" / ("more.jpg" if mode == "CMYK" else "more.png"))
     expected = image.convert("RGB").getpixel((0, 0))
-    splits = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))
+    splits = make_splits(tmp_path, ImageSettings(size=16, minival=1, folder=folder))
     images = torch.cat([splits["train"].images, splits["minival"].images])
     assert images.shape == (9, 3, 16, 16)
     assert (images == torch.tensor(expected)[:, None, None]).flatten(1).all(1).any()
@@ -155,7 +155,7 @@ def test_sixteen_bits_are_scaled(tmp_path):
     """Half of full scale stays half of full scale."""
     folder = make_folder(tmp_path)
     Image.new("I;16", (16, 16), 30000).save(folder / "val" / "cat" / "deep.png")
-    test = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
+    test = make_splits(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1).int() - 30000 * 255 // 65535).abs().max(1).values.min() <= 1
 
 
@@ -192,7 +192,7 @@ def test_the_central_square_is_kept(tmp_path):
     wide = Image.new("RGB", (60, 20), "white")
     wide.paste((0, 0, 0), (15, 0, 45, 20))
     wide.save(folder / "val" / "cat" / "wide.png")
-    test = made(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
+    test = make_splits(tmp_path, ImageSettings(size=16, minival=1, folder=folder))["test"]
     assert (test.images.flatten(1) == 0).all(1).sum() == 1
 
 
@@ -204,7 +204,7 @@ def test_a_turned_camera_is_turned_back(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     sideways.save(folder / "val" / "cat" / "turned.png", exif=exif)
-    test = made(tmp_path, ImageSettings(size=32, minival=1, folder=folder))["test"]
+    test = make_splits(tmp_path, ImageSettings(size=32, minival=1, folder=folder))["test"]
     bright = test.images[test.images.flatten(1).float().std(1).argmax()]
     assert (bright[:, :15] == 255).all() and (bright[:, 17:] == 0).all()
 
@@ -221,9 +221,9 @@ def test_threads_change_nothing(tmp_path, monkeypatch):
     pools = []
     pool = folders.ThreadPoolExecutor
     monkeypatch.setattr(folders, "ThreadPoolExecutor", lambda threads: (pools.append(threads), pool(threads))[1])
-    single = made(tmp_path / "1", settings)
+    single = make_splits(tmp_path / "1", settings)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
-    four = made(tmp_path / "4", settings)
+    four = make_splits(tmp_path / "4", settings)
     assert pools == [1, 1, 1, 4, 4, 4]
     for split, dataset in single.items():
         assert torch.equal(dataset.images, four[split].images) and torch.equal(dataset.labels, four[split].labels)
@@ -260,7 +260,7 @@ def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     assert {path: path.read_bytes() for path in all_paths} == expected
     assert len(decoded) == everything - 4 * writes
     assert sorted(tmp_path.glob("*.npy")) == sorted(path for path, _ in paths.values())
-    assert not [path for path in written(tmp_path) if path.name.startswith(".")]
+    assert not [path for path in files_in(tmp_path) if path.name.startswith(".")]
 
 
 def test_a_folder_is_known_by_its_digest(tmp_path):
@@ -279,7 +279,7 @@ def test_a_folder_is_known_by_its_digest(tmp_path):
     assert len(digests) == 4 and folder_digest(tmp_path / "nowhere") not in digests
 
 
-def written(folder: Path) -> list[Path]:
+def files_in(folder: Path) -> list[Path]:
     """Files in a folder, except lock files, which stay."""
     return sorted(path for path in folder.glob("*") if path.suffix != ".lock")
 
@@ -289,8 +289,8 @@ def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setattr(files.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000}))
     monkeypatch.setattr(data.folders, "read", lambda *rest: pytest.fail("an image was decoded"))
     with pytest.raises(FileError, match=r"train\.npy: needs 0\.0 MB"):
-        made(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
-    assert not written(tmp_path / "out")
+        make_splits(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
+    assert not files_in(tmp_path / "out")
 
 
 def spoil_missing(folder):
@@ -329,8 +329,8 @@ def test_a_bad_folder_is_named(tmp_path, spoil):
     folder = make_folder(tmp_path)
     words = spoil(folder)
     with pytest.raises(FileError) as error:
-        made(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
-    assert not written(tmp_path / "out")
+        make_splits(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
+    assert not files_in(tmp_path / "out")
     assert all(word in str(error.value) for word in words)
 
 
@@ -339,7 +339,7 @@ def test_a_folder_that_cannot_serve(tmp_path, folder, key):
     """A missing folder, or fewer images than the minival needs."""
     path = tmp_path / folder if folder else make_folder(tmp_path)
     with pytest.raises(FileError) as error:
-        made(tmp_path, ImageSettings(size=16, minival=8, folder=path))
+        make_splits(tmp_path, ImageSettings(size=16, minival=8, folder=path))
     assert key in str(error.value)
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from designs import LEARNING_RATES, LIMITS, VIEW, problem, tiny_network
 from examples import changed, difference, f64, make_lens, materials, tiny_study
 from pydantic import TypeAdapter, ValidationError
-from test_design import LIMITS, LOOKS, RATES, problem, small_network
 
 from tasklens.design import least_squares, methods
 from tasklens.design.constraints import incidence_penalty
@@ -36,7 +36,7 @@ COARSE = {"steps": 4, "pixels": (20, 10), "step_size": 0.6, "damping": 0.5}
 COLD = {
     "optimizer": "adamw",
     "steps": 4,
-    "learning_rates": RATES,
+    "learning_rates": LEARNING_RATES,
     "pixels": (20, 1),
     "duration": 0.5,
     "stop_scale": 0.3,
@@ -65,13 +65,13 @@ def test_steps_are_those_of_the_methods_before(settings, expected):
     part = DescentSettings(**settings)
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     criterion = {
-        "task": lambda: TaskLoss(small_network().eval().requires_grad_(False)),
+        "task": lambda: TaskLoss(tiny_network().eval().requires_grad_(False)),
         "log_image_error": lambda: ImageError(True),
-        "contrast": lambda: Contrast(LOOKS.directions),
+        "contrast": lambda: Contrast(VIEW.directions),
         "spot": SpotRadius,
     }[part.criterion]()
     if part.trains_network:
-        criterion = JointTaskLoss(small_network(), 1e-2, 4, 0.1)
+        criterion = JointTaskLoss(tiny_network(), 1e-2, 4, 0.1)
     design_problem = replace(problem(), seed=0)
     design = GradientDesignSettings(descents=[part], batch_size=4, rays=32)
     descent = Descent(plates, Supervisor(criterion, design_problem, None, False, 36), design, part, seed=0)
@@ -90,12 +90,18 @@ def test_steps_are_those_of_the_methods_before(settings, expected):
         ({"restarts": 3, "descents": [{"steps": 1}]}, "it is now `lenses` of the first of `descents`"),
         ({"descents": []}, "at least 1 item"),
         ({"start": [], "descents": [{"steps": 1}]}, "a list of designs or imported lenses"),
-        ({"descents": [{"steps": 1, "optimizer": "adamw", "momentum": 0.5}]}, "momentum: of `optimizer: ray_space`"),
-        ({"descents": [{"steps": 1, "penalty": 5}]}, "penalty: of `optimizer: adamw`"),
-        ({"descents": [{"steps": 1, "criterion": "spot", "temperature": 5}]}, "temperature: of `criterion: task`"),
-        ({"descents": [{"steps": 1, "pixels": [1, 2]}]}, "as coarse as the last, or coarser"),
-        ({"descents": [{"steps": 1}, {"steps": 1, "lenses": 2}]}, "at most 1, those of the descent before"),
-        ({"descents": [{"steps": 1, "criterion": "spot"}], "batch_norm": "batch"}, "which no descent has"),
+        (
+            {"descents": [{"steps": 1, "optimizer": "adamw", "momentum": 0.5}]},
+            "momentum: only for `optimizer: ray_space`",
+        ),
+        ({"descents": [{"steps": 1, "penalty": 5}]}, "penalty: only for `optimizer: adamw`"),
+        (
+            {"descents": [{"steps": 1, "criterion": "spot", "temperature": 5}]},
+            "temperature: only for `criterion: task`",
+        ),
+        ({"descents": [{"steps": 1, "pixels": [1, 2]}]}, "at least as coarse as the last"),
+        ({"descents": [{"steps": 1}, {"steps": 1, "lenses": 2}]}, "at most 1, as many as in the previous descent"),
+        ({"descents": [{"steps": 1, "criterion": "spot"}], "batch_norm": "batch"}, "only for designs with a descent"),
     ],
 )
 def test_keys_that_do_not_fit_each_other(design, words):
@@ -158,9 +164,9 @@ def test_gradient_of_the_incidence_penalty_is_that_of_differences(start):
     gradients = {}
     for name in ("curvature", "thickness", "alpha"):
         value = getattr(start, name).clone().requires_grad_()
-        (gradients[name],) = torch.autograd.grad(incidence_penalty(replace(start, **{name: value}), LOOKS, 25.0), value)
+        (gradients[name],) = torch.autograd.grad(incidence_penalty(replace(start, **{name: value}), VIEW, 25.0), value)
         expected = difference(
-            lambda v, name=name: incidence_penalty(replace(start, **{name: v}), LOOKS, 25.0), value.detach(), 1e-5
+            lambda v, name=name: incidence_penalty(replace(start, **{name: v}), VIEW, 25.0), value.detach(), 1e-5
         )
         assert float(expected.abs().max()) > 0
         torch.testing.assert_close(gradients[name], expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
@@ -190,7 +196,7 @@ def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
 def test_designs_that_begin_with_each_other_are_refused():
     study = changed(tiny_study(), "designs.image_error.start", ["sharp"])
     study = changed(study, "designs.sharp", study["designs"]["image_error"] | {"start": ["image_error"]})
-    with pytest.raises(StudyError, match="image_error would begin with itself, by way of sharp"):
+    with pytest.raises(StudyError, match="image_error would start from itself, through sharp"):
         parse(study)
 
 

@@ -6,11 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 import torch.nn.functional as F
-from examples import by_descents, changed, random_images, tiny_study
+from designs import LEARNING_RATES, LIMITS, VIEW, adamw_descent, tiny_network
+from examples import changed, random_images, tiny_study
 from torch import nn
 
 from tasklens.design import methods
-from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
+from tasklens.design.criteria import ImageError, TaskLoss
 from tasklens.design.descent import divergence
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor, loss_at_psf
@@ -20,25 +21,15 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.psf import psf
-from tasklens.optics.view import view_of_spec
-from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import DescentSettings, LearningRates
+from tasklens.study.design_settings import LearningRates
 from tasklens.study.loading import parse
-from tasklens.study.settings import CaptureSettings, Constraints, Spec
+from tasklens.study.settings import CaptureSettings
 from tasklens.study.tables import lens_design
 
-SPEC, LIMITS = Spec(kernel_size=11), Constraints()
-LOOKS = view_of_spec(SPEC)
 NAMES = ("COC", "OKP4")
 
 
-def small_network(seed: int = 0) -> nn.Module:
-    torch.manual_seed(seed)
-    layers = nn.Conv2d(3, 6, 3, stride=2), nn.BatchNorm2d(6), nn.ReLU(), nn.AdaptiveAvgPool2d(2), nn.Flatten()
-    return nn.Sequential(*layers, nn.Linear(24, 3))
-
-
-def coarse(lens, view=LOOKS):
+def coarse_psfs(lens, view=VIEW):
     """PSFs on coarse pixels, so that the light of a bad lens falls into the window."""
     rays = trace_fields(lens, view, sobol_disc(32, 0))
     return psf(rays, view.fields, 20.0, 11)
@@ -60,14 +51,14 @@ def whole_losses(criterion, captures, images, labels):
 @pytest.mark.parametrize("supervised_by", ["classifier", "image", "log image"])
 def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_by):
     """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once."""
-    dataset, network = random_images(5, 16, 3, seed=0), small_network().eval().requires_grad_(False)
+    dataset, network = random_images(5, 16, 3, seed=0), tiny_network().eval().requires_grad_(False)
     criterion = TaskLoss(network) if supervised_by == "classifier" else ImageError("log" in supervised_by)
     images, labels = dataset.batch(torch.arange(5))
     variables = Variables.plain(start)
     gradients = []
     for in_stages in (True, False):
         values = {name: v.requires_grad_() for name, v in variables.values().items()}
-        grid = coarse(variables.assemble(values))
+        grid = coarse_psfs(variables.assemble(values))
         if in_stages:
             losses, upstream = loss_at_psf(
                 criterion, images, labels, grid.float(), CaptureSettings(colour=colour), micro_batch
@@ -82,13 +73,6 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
 
 
-RATES = LearningRates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
-
-
-def problem(limits=LIMITS, classes=3):
-    return Problem(LOOKS, limits, 1, CaptureSettings(), random_images(12, 16, classes, seed=0))
-
-
 class Contrast(nn.Module):
     """A network whose first logit is the image contrast: it sees only blur."""
 
@@ -97,27 +81,14 @@ class Contrast(nn.Module):
         return torch.stack([1000 * contrast, 0 * contrast, 0 * contrast], 1)
 
 
-def descended(network, lens, checkpoint=NO_CHECKPOINT, classes=3, **settings):
-    """Lens and history of a descent by AdamW with this network, trained in place or frozen."""
-    defaults = {"optimizer": "adamw", "steps": 3, "learning_rates": RATES, "final": 1.0, "network_learning_rate": 1e-3}
-    part, design_problem = DescentSettings(**(defaults | settings)), problem(classes=classes)
-
-    def criterion(part):
-        if part.network_learning_rate is None:
-            return TaskLoss(network.eval().requires_grad_(False))
-        return JointTaskLoss(network, part.network_learning_rate, part.steps, part.final)
-
-    return by_descents(lens, criterion, design_problem, part, augment=True, micro_batch=36, checkpoint=checkpoint)[::2]
-
-
 def test_a_design_may_see_smaller_images(start):
     """Images are averaged down to `size`; without `size` they stay as they are."""
     dataset = random_images(4, 32, 3, seed=0)
     indices = torch.tensor([2, 0])
-    sharp = Problem(LOOKS, LIMITS, 0, CaptureSettings(), dataset)
-    whole, labels = Supervisor(TaskLoss(small_network()), sharp, None, False, 1).images(indices, augment=False)
+    sharp = Problem(VIEW, LIMITS, 0, CaptureSettings(), dataset)
+    whole, labels = Supervisor(TaskLoss(tiny_network()), sharp, None, False, 1).images(indices, augment=False)
     assert torch.equal(whole, dataset.images[indices].float() / 255) and torch.equal(labels, dataset.labels[indices])
-    small, _ = Supervisor(TaskLoss(small_network()), sharp, 16, False, 1).images(indices, augment=False)
+    small, _ = Supervisor(TaskLoss(tiny_network()), sharp, 16, False, 1).images(indices, augment=False)
     assert small.shape == (2, 3, 16, 16)
     means = (images.double().mean((1, 2, 3)) for images in (small, whole))
     torch.testing.assert_close(*means, rtol=0, atol=2.0 / 255)
@@ -126,18 +97,18 @@ def test_a_design_may_see_smaller_images(start):
 
 
 def test_end_to_end_design_moves_the_network_too(start):
-    network = small_network()
+    network = tiny_network()
     before = copy.deepcopy(network.state_dict())
-    lens, _ = descended(network, start)
+    lens, _ = adamw_descent(network, start)
     assert all(not torch.equal(v, before[k]) for k, v in network.state_dict().items())
     assert not torch.equal(lens.curvature, start.curvature)
 
 
 def test_the_plain_protocol_leaves_the_network_alone(start):
     """Without a learning rate of its own the classifier is frozen, in `eval()`, and only the lens changes."""
-    network = small_network()
+    network = tiny_network()
     before = copy.deepcopy(network.state_dict())
-    _, history = descended(network, start, network_learning_rate=None)
+    _, history = adamw_descent(network, start, network_learning_rate=None)
     assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items()) and not network.training
     assert len({row["rms_um"] for row in history}) == 3
 
@@ -145,11 +116,11 @@ def test_the_plain_protocol_leaves_the_network_alone(start):
 def test_a_descent_that_destroys_a_lens_returns_its_best(start):
     """At rates a hundred times too large: the lens with the least validation loss comes back."""
     options = {"network_learning_rate": None, "classes": 1}
-    rates = RATES.model_copy(update={"curvature": 1.0})
-    lens, history = descended(Contrast(), start, steps=20, learning_rates=rates, **options)
+    rates = LEARNING_RATES.model_copy(update={"curvature": 1.0})
+    lens, history = adamw_descent(Contrast(), start, steps=20, learning_rates=rates, **options)
     validated = [row["validation_loss"] for row in history]
     assert len(validated) == 20 and validated[-1] > min(validated) + 0.003
-    _, again = descended(Contrast(), lens, steps=2, **options)
+    _, again = adamw_descent(Contrast(), lens, steps=2, **options)
     assert again[0]["validation_loss"] == pytest.approx(min(validated), rel=1e-6)
 
 
@@ -166,17 +137,19 @@ class Confident(Contrast):
 
 def test_a_network_that_learns_does_not_hide_that_its_lens_is_destroyed(start):
     """The loss is least at the end, since the network has learned; the lens is still the one with the least blur."""
-    options = {"steps": 20, "learning_rates": RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
-    lens, history = descended(Confident(), start, network_learning_rate=0.5, **options)
+    options = {"steps": 20, "learning_rates": LEARNING_RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
+    lens, history = adamw_descent(Confident(), start, network_learning_rate=0.5, **options)
     validated = [row["validation_loss"] for row in history]
     assert min(validated) == validated[-1] < validated[0] - 0.1
     blur = {"network_learning_rate": None, "steps": 2, "classes": 1}
-    before, after = (descended(Contrast(), candidate, **blur)[1][0]["validation_loss"] for candidate in (start, lens))
+    before, after = (
+        adamw_descent(Contrast(), candidate, **blur)[1][0]["validation_loss"] for candidate in (start, lens)
+    )
     assert after <= before + 1e-9
 
 
 def test_descent_is_deterministic(start):
-    first, again = (descended(small_network(), start)[0] for _ in range(2))
+    first, again = (adamw_descent(tiny_network(), start)[0] for _ in range(2))
     for name in ("curvature", "thickness", "alpha"):
         assert torch.equal(getattr(first, name), getattr(again, name))
 
@@ -184,7 +157,7 @@ def test_descent_is_deterministic(start):
 def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
     """Both scales go to 1 in equal ratios by the end of their durations, and stay there."""
     scales = {"pixels": (16.0, 1.0), "duration": 0.5, "stop_scale": 0.25, "stop_duration": 0.25}
-    _, history = descended(small_network(), start, steps=8, **scales)
+    _, history = adamw_descent(tiny_network(), start, steps=8, **scales)
     assert [row["pixel_scale"] for row in history] == pytest.approx([16, 8, 4, 2, 1, 1, 1, 1])
     assert [row["stop_scale"] for row in history] == pytest.approx([0.25, 0.5, 1, 1, 1, 1, 1, 1])
 
@@ -192,7 +165,7 @@ def test_cold_start_shrinks_pixels_and_opens_the_stop(start):
 def test_a_design_that_diverges_is_a_result(start):
     """With huge steps the descent stops, returns the last finite lens, and the history says so."""
     rates = LearningRates.model_construct(curvature=1e200, thickness=1e200, alpha_4=1e200, decay=1.0, normalised=True)
-    lens, history = descended(small_network(), start, steps=6, learning_rates=rates)
+    lens, history = adamw_descent(tiny_network(), start, steps=6, learning_rates=rates)
     assert history[-1]["phase"] == "descent 1, diverged" and history[-1]["step"] <= 6
     assert history[-1]["cause"].startswith("no field;")  # the penalty overflowed
     for name in ("curvature", "thickness", "alpha"):
@@ -208,7 +181,7 @@ class Broken(nn.Module):
 
 def test_a_lens_of_nan_is_not_the_best(start):
     """Its grey captures may have a smaller loss than plates, and no limit is violated."""
-    lens, history = descended(Broken(), start, network_learning_rate=None)
+    lens, history = adamw_descent(Broken(), start, network_learning_rate=None)
     assert history[-1]["phase"] == "descent 1, diverged"
     for name in ("curvature", "thickness", "alpha"):
         assert torch.equal(getattr(lens, name), getattr(start, name))
@@ -218,29 +191,29 @@ def test_the_cause_of_a_divergence_has_a_name(start):
     """The field whose loss broke, and the surface whose numbers did; or the network, if neither did."""
     pupil, losses = sobol_disc(16, 0), torch.zeros(9)
     losses[[2, 5]] = torch.nan
-    x, y = LOOKS.fields[2].tolist()
-    assert str(divergence(start, LOOKS, pupil, losses)) == (
-        f"field 2 at ({x:.3f}, {y:.3f}) mm; all surfaces and rays are finite, the network or a limit is not"
+    x, y = VIEW.fields[2].tolist()
+    assert str(divergence(start, VIEW, pupil, losses)) == (
+        f"field 2 at ({x:.3f}, {y:.3f}) mm; all surfaces and rays are finite; the network or a limit is not"
     )
     alpha = start.alpha.clone()
     alpha[3, 1] = torch.inf
     broken = replace(start, alpha=alpha)
-    cause = str(divergence(broken, LOOKS, pupil, torch.zeros(9)))
-    assert cause == "no field; surface 3 has a shape that is not finite"
+    cause = str(divergence(broken, VIEW, pupil, torch.zeros(9)))
+    assert cause == "no field; the shape of surface 3 is not finite"
 
 
 def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
     job_settings = lens_design(study, "doublet-imaging1", 0)
-    lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, LOOKS), job_settings, {"method": "spot"})
+    lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, VIEW), job_settings, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()
     assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
-    valid = trace_fields(start, LOOKS, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
+    valid = trace_fields(start, VIEW, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
     assert notes["figures"]["valid_fraction"] == pytest.approx(valid, abs=1e-12)
     assert notes["figures"]["efl_mm"] == pytest.approx(study.spec.efl_mm, rel=1e-9)
     assert notes["worst_margin"]["value"] == min(notes["margins"].values())
     assert len(notes["margins"]) == 9
-    assert chief_points(lens, LOOKS).isfinite().all()
+    assert chief_points(lens, VIEW).isfinite().all()
     reopened = with_open_apertures(lens)
     assert torch.equal(reopened.semi_diameter, start.semi_diameter)
 
@@ -249,7 +222,7 @@ def test_rays_that_go_astray_are_stopped(start):
     """A clear aperture slightly below the beam cuts the outer rays, and limits apply within it."""
     study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
     job_settings = lens_design(study, "doublet-imaging1", 0)
-    semi_diameters = clear_semi_diameters(start, LOOKS)
+    semi_diameters = clear_semi_diameters(start, VIEW)
     clear = semi_diameters.clone()
     clear[-1] *= 0.97
     whole, cut = (

@@ -157,22 +157,23 @@ MISTAKES = [
     ),
     (
         (*TASK, "--method", "joint", "--weights", "words.pth", "--set", "start=[image_quality,spot]"),
-        "joint begins with one lens, got lens-image_quality, lens-spot; give it as `start` (on the command line --set",
+        "joint starts from one lens, got lens-image_quality, lens-spot; "
+        "choose one with `start` (on the command line --set",
     ),
     (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),
     (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
-    (("--set", "a=1", "--set", "a.b.c=2"), "--set a.b.c=2: a has the value 1 by another --set"),
-    (("--set", "a.b=2", "--set", "a=1"), "--set a=1: a has the values {'b': 2} by another --set"),
+    (("--set", "a=1", "--set", "a.b.c=2"), "--set a.b.c=2: a has the value 1 from another --set"),
+    (("--set", "a.b=2", "--set", "a=1"), "--set a=1: a has the values {'b': 2} from another --set"),
     (("--set", "evaluations=2001-99-99"), "--set evaluations=2001-99-99: expected KEY=VALUE"),
     (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as descents.0.steps=200"),
     (("--limit", "max_trak=6"), "--limit max_trak = 6: unknown key; did you mean max_track?"),
-    (("--field-of-view", "40"), "has room for its focus within --limit max_track = 4.4 mm"),
+    (("--field-of-view", "40"), "focuses within --limit max_track = 4.4 mm"),
     (("--f-number", "-1"), "--f-number = -1.0: expected greater than or equal to 0.5"),
     (("--kernel-size", "50"), "--kernel-size = 50: expected an odd number, so that the PSF has a central pixel"),
     (("--wavelengths", "2.4,0.6,0.5"), "2.4 um of lens is outside the 0.334 to 2.325 um"),
     (("--materials", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
     (("-o", "lens.txt"), "lens.txt: expected a name that ends in .yaml or .yml or .zmx"),
-    (("-o", "words.yaml"), "words.yaml: exists; --force overwrites it"),
+    (("-o", "words.yaml"), "words.yaml: already exists; --force overwrites it"),
 ]
 
 

@@ -23,7 +23,7 @@ def pretend(monkeypatch, names: list[str]) -> None:
 def test_a_group_larger_than_the_machine_is_refused(monkeypatch):
     """Otherwise it would wait for ever."""
     pretend(monkeypatch, ["a", "b"])
-    with pytest.raises(InputError, match="3 processes need a GPU each; visible are 2"):
+    with pytest.raises(InputError, match="3 processes need one GPU each, but 2 are visible"):
         devices.claim_several(3)
 
 
@@ -102,7 +102,7 @@ def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
 def test_a_process_group_larger_than_the_machine_is_refused(monkeypatch):
     pretend(monkeypatch, ["one", "other"])
     monkeypatch.setenv("WORLD_SIZE", "3")
-    with pytest.raises(InputError, match="3 processes need a GPU each, this machine has 2"), process_group():
+    with pytest.raises(InputError, match="3 processes need one GPU each, but this machine has 2"), process_group():
         pass
 
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from examples import cooke_triplet, f64
+from examples import cooke_triplet, f64, hyperboloid
 from reference_files import SHIPPED
 from scipy.special import j0, j1
-from test_wavefront import hyperboloid
 
 from tasklens.optics.analysis import diffraction
 from tasklens.optics.analysis.diffraction import diffraction_psf, irradiance
@@ -24,7 +23,7 @@ from tasklens.optics.view import View
 WAVELENGTH = 0.5893  # um, design wavelength of the hyperboloid
 
 
-def perfect() -> tuple[Lens, View, float]:
+def perfect_lens() -> tuple[Lens, View, float]:
     """A lens without aberrations on the axis, its view, and wave number times numerical aperture [1/mm]."""
     lens, view = hyperboloid(f=10.0, radius=1.0), View(f64([[0.0, 0.0]]), 10.0, (WAVELENGTH,), 1.8, 31)
     sine = float(trace_fields(lens, view, f64([[0.0, 1.0]])).m.abs())
@@ -32,14 +31,14 @@ def perfect() -> tuple[Lens, View, float]:
     return lens, view, 2 * math.pi / (1e-3 * WAVELENGTH) * sine
 
 
-def encircled(v: float) -> float:
+def encircled_energy(v: float) -> float:
     """Rayleigh's fraction of energy within v = k sin(alpha) r."""
     return 1 - j0(v) ** 2 - j1(v) ** 2
 
 
 def test_a_perfect_lens_has_the_pattern_of_airy():
     """Within 0.5 % of the peak out to the sixth dark ring; the energy within 20 um is Rayleigh's to 0.2 %."""
-    lens, view, k = perfect()
+    lens, view, k = perfect_lens()
     x = torch.linspace(-0.02, 0.02, 201, dtype=torch.float64)
     pattern = irradiance(lens, view, 0, 0, x, x).numpy()
     radius = torch.hypot(x, x[:, None]).numpy()
@@ -47,15 +46,15 @@ def test_a_perfect_lens_has_the_pattern_of_airy():
     airy = k**2 / (4 * math.pi) * (2 * j1(v) / v) ** 2
     assert numpy.abs(pattern - airy).max() < 5e-3 * airy.max()
     energy = pattern[radius <= 0.02].sum() * float(x[1] - x[0]) ** 2
-    assert energy == pytest.approx(encircled(0.02 * k), abs=2e-3)
+    assert energy == pytest.approx(encircled_energy(0.02 * k), abs=2e-3)
 
 
 def test_pixels_share_the_energy():
     """The energy of 31 pixels lies between Rayleigh's circles inside and around the window; the PSF is symmetric."""
-    lens, view, k = perfect()
+    lens, view, k = perfect_lens()
     grid = diffraction_psf(lens, view, f64([[0.0, 0.0]]))[0, 0]
     half = 15.5e-3 * view.pixel_pitch
-    assert encircled(0.95 * half * k) < float(grid.sum()) < encircled(1.05 * math.sqrt(2) * half * k)
+    assert encircled_energy(0.95 * half * k) < float(grid.sum()) < encircled_energy(1.05 * math.sqrt(2) * half * k)
     for other in (grid.flip(0), grid.flip(1), grid.T):
         torch.testing.assert_close(other, grid, rtol=0, atol=1e-6)
     shifted = diffraction_psf(lens, view, f64([[1e-3 * view.pixel_pitch, 0.0]]))[0, 0]
@@ -64,7 +63,7 @@ def test_pixels_share_the_energy():
 
 def test_short_wavelengths_give_the_spot():
     """Out of focus by 0.4 mm, 80 um wide: the difference from the spot falls as the root of the wavelength."""
-    lens, view, _ = perfect()
+    lens, view, _ = perfect_lens()
     blurred = replace(lens, thickness=lens.thickness + f64([0.0, 0.4]))
 
     def difference(wavelength: float) -> float:
@@ -81,7 +80,7 @@ def test_short_wavelengths_give_the_spot():
 
 def test_lost_light_lacks_in_it_and_is_normalised():
     """An aperture of 0.8 of the radius behind the stop passes 64 % of the energy."""
-    lens, view, _ = perfect()
+    lens, view, _ = perfect_lens()
     stopped = replace(lens, semi_diameter=f64([float(lens.semi_diameter[0]), 0.8]))
     centre = chief_points(stopped, view)
     ratio = diffraction_psf(stopped, view, centre).sum() / diffraction_psf(lens, view, centre).sum()
@@ -137,7 +136,7 @@ def test_a_rim_that_is_given_up(monkeypatch, alpha_10, moved_mm, share):
     the rim, leave a difference of 3 % there.
     """
     monkeypatch.setattr(diffraction, "_MARGIN", 32.0)  # the light of a symmetric lens meets on its axis
-    lens, view, _ = perfect()
+    lens, view, _ = perfect_lens()
     alpha = torch.zeros(2, 5, dtype=torch.float64)
     alpha[1, 4] = alpha_10
     lens = replace(lens, alpha=alpha, thickness=lens.thickness + f64([0.0, moved_mm]))

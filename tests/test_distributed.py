@@ -6,12 +6,14 @@ import pytest
 import timm
 import torch
 from examples import changed, read_rows, tiny_study
-from test_workflow import snakemake
+from rules import finish
+from workflows import snakemake
 
 from tasklens.runtime import distributed
 from tasklens.runtime.distributed import ProcessGroup
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import read_tensors
+from tasklens.study.loading import parse
 
 VIT = {
     "model": "vit_tiny_patch16_224",  # no batch norms: on a CPU their statistics cover only each process's share
@@ -27,20 +29,24 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     target = "results/tiny/metrics/singlet-imaging1/seed0/small.csv"
     metrics, weights = Path(target), Path("results/tiny/classifiers/singlet-imaging1/seed0/small.safetensors")
 
-    def measured() -> dict[tuple[str, str], float]:
+    def read_metrics() -> dict[tuple[str, str], float]:
         return {(row["metric"], row["field"]): float(row["value"]) for row in read_rows(metrics)}
 
-    assert snakemake(tmp_path, study, target).returncode == 0
-    alone = measured()
+    lens = {"lens": "singlet-imaging1", "seed": 0}
+    finish("images", parse(study))
+    finish("reference", parse(study), classifier="small")
+    finish("design", parse(study), **lens)
+    finish("fine_tune", parse(study), measured_name="small", **lens)
+    alone = read_metrics()
     expected = {name: value.clone() for name, value in read_tensors(weights)[0].items()}
     for path in (metrics, weights):
         path.unlink()
     done = snakemake(tmp_path, changed(study, "classifiers.small.processes", 2), target, "--config", "overwrite=true")
     log = Path("results/tiny/logs/fine_tune/singlet-imaging1-small-seed0.log").read_text()
-    assert done.returncode == 0, log
+    assert done.returncode == 0 and "1/1  fine_tune" in done.stderr, log
     assert log.count("fine-tune  step 1/") == 1
     torch.testing.assert_close(read_tensors(weights)[0], expected, rtol=0, atol=1e-5)
-    together = measured()
+    together = read_metrics()
     assert together.keys() == alone.keys()
     image = 100 / study["images"]["test"] + 1e-6
     for key, value in alone.items():
@@ -61,5 +67,5 @@ def test_batch_norms_of_a_process_group_keep_their_activations(monkeypatch):
 
 def test_shares_are_of_one_size():
     assert [list(range(6))[ProcessGroup(rank, 3).share(6)] for rank in range(3)] == [[0, 3], [1, 4], [2, 5]]
-    with pytest.raises(InputError, match="64 is no multiple of the 3 processes"):
+    with pytest.raises(InputError, match="64 is not a multiple of the 3 processes"):
         ProcessGroup(0, 3).share(64)

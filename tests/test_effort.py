@@ -39,7 +39,7 @@ def write_benchmark(folder: Path, lens: str, seed: int, seconds: int) -> None:
     path.write_text(f"s\th:m:s\tmax_rss\tcpu_time\n{seconds}\t0:16:39\t-\t999\n")
 
 
-def collected(efforts: effort.Efforts, folder: Path) -> pandas.DataFrame:
+def collect(efforts: effort.Efforts, folder: Path) -> pandas.DataFrame:
     files = [folder / f"{lens}-seed{seed}.tsv" for lens, seed in efforts.lens_keys]
     return report.collect(efforts, files).set_index("design")
 
@@ -49,7 +49,7 @@ def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_pa
     for seed in (0, 3):
         for lens, minutes in (("squares", 2), ("spots", 1), ("error", 3), ("task", 5)):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60 * (minutes + seed))
-    rows = collected(efforts, tmp_path)
+    rows = collect(efforts, tmp_path)
     assert rows["lenses_tried"].to_dict() == {"squares": 700, "spots": 30, "error": 5, "task": 3 * 10 + 5 + 2 + 4}
     assert rows["lenses_tried_in_all"].to_dict() == {"squares": 700, "spots": 30, "error": 705, "task": 746}
     assert rows["core_minutes"].to_dict() == {"squares": 2, "spots": 1, "error": 3, "task": 5}
@@ -62,6 +62,6 @@ def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path):
         (tmp_path / f"singlet-squares-seed{seed}.tsv").write_text("s\th:m:s\tmax_rss\n")
         for lens in ("spots", "error", "task"):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60)
-    rows = collected(efforts, tmp_path)
+    rows = collect(efforts, tmp_path)
     assert math.isnan(rows.loc["squares", "core_minutes"]) and math.isnan(rows.loc["task", "core_minutes_in_all"])
     assert rows.loc["spots", "core_minutes_in_all"] == 1.0

@@ -22,7 +22,7 @@ class Brightness(nn.Module):
         return -(images.mean((1, 2, 3))[:, None] - torch.tensor([0.1, 0.5, 0.9])).abs()
 
 
-def measured(classifiers, splits, pipeline):
+def measure(classifiers, splits, pipeline):
     """Metrics and predictions of classifiers without training."""
     results = {name: evaluation.evaluate(classifiers, images, pipeline) for name, images in splits.items()}
     return evaluation.measure(classifiers, splits["test"], **results, captured=pipeline.camera is not None)
@@ -39,7 +39,7 @@ def test_evaluation_against_a_hand_count():
     result = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
     assert result.correct.tolist() == [[[True, True, True, False, True]]]
     assert result.psnr_db.shape == (1, 5)
-    ((rows, predictions_by_image),) = measured(
+    ((rows, predictions_by_image),) = measure(
         [Brightness()], {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
     )
     assert [row["field0"] for row in predictions_by_image] == [1, 1, 1, 0, 1]
@@ -88,7 +88,7 @@ def test_every_field_is_evaluated_on_every_image():
     assert result.correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(result.psnr_db[1, :3], expected, rtol=0, atol=1e-3)
-    ((rows, predictions_by_image),) = measured(
+    ((rows, predictions_by_image),) = measure(
         [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
     )
     assert predictions_by_image[:3] == [
@@ -112,11 +112,11 @@ def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
             return -super().forward(images)
 
     classifiers = [Brightness(), Contrary()]
-    alone = [measured([classifier], splits, pipeline)[0] for classifier in classifiers]
+    alone = [measure([classifier], splits, pipeline)[0] for classifier in classifiers]
     rendered = []
     grid = pipeline.camera.grid
     monkeypatch.setattr(pipeline.camera, "grid", lambda images, _: rendered.append(len(images)) or grid(images))
-    assert measured(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
+    assert measure(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
     assert rendered == [64, 26, 6]
 
 
@@ -147,7 +147,7 @@ def test_training_sees_a_random_field_per_image():
 def test_the_worst_images_are_one_in_a_hundred():
     """Of 250 images of as many greys, halved in brightness, the three brightest lose most."""
     dataset = grey_images(list(range(1, 251)), [0] * 250)
-    ((rows, _),) = measured(
+    ((rows, _),) = measure(
         [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
     )
     psnr = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from designs import LIMITS, VIEW, problem, tiny_network
 from examples import by_descents, materials
-from test_design import LIMITS, LOOKS, problem, small_network
 
 from tasklens.design import descent
 from tasklens.design.criteria import TaskLoss
@@ -32,7 +32,7 @@ def example(name: str):
 
 def test_the_task_driven_example_takes_the_steps_of_the_driver(monkeypatch):
     """The same lenses and losses in six steps of AdamW from flat plates, through the same rays."""
-    network, design_problem = small_network().eval().requires_grad_(False), problem()
+    network, design_problem = tiny_network().eval().requires_grad_(False), problem()
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     monkeypatch.setattr(descent, "sobol_disc", lambda count, seed: sobol_disc(count, 0))
     rates = LearningRates(curvature=4e-3, thickness=4e-3, alpha_4=4e-3, decay=1.0, normalised=False)
@@ -43,7 +43,7 @@ def test_the_task_driven_example_takes_the_steps_of_the_driver(monkeypatch):
     seed = int(torch.randint(2**31, (), generator=torch.Generator().manual_seed(design_problem.seed)))
     order = Shuffled(12, 4, torch.Generator().manual_seed(seed))
     batches = [design_problem.dataset.batch(order.next()) for _ in range(6)]
-    steps = list(example("task_driven").descend(plates, LOOKS, network, batches, rays=32))
+    steps = list(example("task_driven").descend(plates, VIEW, network, batches, rays=32))
     assert [loss for _, loss in steps] == pytest.approx([row["loss"] for row in history], rel=1e-5)
     assert not torch.equal(steps[-1][0].curvature, plates.curvature)
 

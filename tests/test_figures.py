@@ -24,7 +24,7 @@ def panel(start):
     return figures.panel_of("random", start, view, evaluation_psf(start, view, 64), values)
 
 
-def drawn(function, panel) -> Figure:
+def draw(function, panel) -> Figure:
     figure = Figure(layout="constrained")
     function(figure, panel)
     return figure
@@ -43,7 +43,7 @@ def bars_of(figure: Figure) -> list[str]:
 
 
 def test_the_spots_say_what_each_colour_and_circle_is(panel):
-    figure = drawn(figures.draw_spots, panel)
+    figure = draw(figures.draw_spots, panel)
     labels = legend_of(figure)
     assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == labels[:3]
     assert labels[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
@@ -59,7 +59,7 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
 
 
 def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
-    figure = drawn(figures.draw_psfs, panel)
+    figure = draw(figures.draw_psfs, panel)
     assert len(figure.axes) == 2 * len(panel.psf)
     assert all(axes.get_ylim()[0] < axes.get_ylim()[1] for axes in figure.axes)
     assert all(axes.get_images()[0].origin == "lower" for axes in figure.axes)
@@ -67,7 +67,7 @@ def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
 
 
 def test_section_and_curves_have_legends_and_a_scale_bar(panel):
-    section, curves = drawn(figures.draw_section, panel), drawn(figures.draw_curves, panel)
+    section, curves = draw(figures.draw_section, panel), draw(figures.draw_curves, panel)
     labels = legend_of(section)
     assert "stop" in labels and all(any(text.startswith(name) for text in labels) for name in panel.shown.values())
     assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
@@ -75,14 +75,14 @@ def test_section_and_curves_have_legends_and_a_scale_bar(panel):
     assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(labels)
 
 
-@pytest.mark.parametrize("width, said", [(20.0, "5 um"), (117.0, "20 um"), (3.9, "0.5 um"), (400.0, "100 um")])
-def test_a_scale_bar_is_round_and_at_most_a_quarter(width, said):
+@pytest.mark.parametrize("width, label", [(20.0, "5 um"), (117.0, "20 um"), (3.9, "0.5 um"), (400.0, "100 um")])
+def test_a_scale_bar_is_round_and_at_most_a_quarter(width, label):
     figure = Figure()
     axes = figure.subplots()
     axes.set_xlim(-width / 2, width / 2)
     scale_bar(axes, "um")
-    assert bars_of(figure) == [said]
-    assert 0.1 <= float(said.split()[0]) / width <= 0.25 + math.ulp(1)
+    assert bars_of(figure) == [label]
+    assert 0.1 <= float(label.split()[0]) / width <= 0.25 + math.ulp(1)
 
 
 def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):

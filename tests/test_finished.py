@@ -56,7 +56,7 @@ def make() -> None:
     finish("psf_tail_table", STUDY)
 
 
-def measured(output: str, lens: str, measured_name: str = "small") -> Path:
+def measured_path(output: str, lens: str, measured_name: str = "small") -> Path:
     return getattr(outputs("fine_tune", STUDY, lens=lens, measured_name=measured_name, seed=0), output)
 
 
@@ -64,19 +64,19 @@ def accuracies(path: Path) -> list[float]:
     return [float(row["value"]) for row in read_rows(path) if row["metric"] == "accuracy"]
 
 
-def failed(printed: str) -> list[str]:
+def failures(printed: str) -> list[str]:
     return [line for line in printed.splitlines() if line.startswith("failed: ")]
 
 
 def test_predictions_are_kept(finished):
     """A row per test image with its label; their means are the accuracies of the metrics file."""
-    rows = read_rows(measured("predictions", "singlet-imaging1"))
+    rows = read_rows(measured_path("predictions", "singlet-imaging1"))
     labels = json.loads(outputs("images", STUDY).test_labels.read_text())
     assert [row["image"] for row in rows] == [str(k) for k in range(20)]
     assert [row["label"] for row in rows] == [labels["classes"][k] for k in labels["labels"]]
     means = [100 * sum(int(row[f"field{k}"]) for row in rows) / 20 for k in range(9)]
-    assert means == pytest.approx(accuracies(measured("metrics", "singlet-imaging1")))
-    assert list(read_rows(measured("predictions", "sharp"))[0]) == ["image", "label", "field0"]
+    assert means == pytest.approx(accuracies(measured_path("metrics", "singlet-imaging1")))
+    assert list(read_rows(measured_path("predictions", "sharp"))[0]) == ["image", "label", "field0"]
 
 
 def test_checkpoints_of_finished_jobs_are_gone(finished):
@@ -116,7 +116,7 @@ def test_other_weights_do_not_reproduce(finished, capsys, name):
     def again() -> None:
         finish("reproduce", STUDY, lens="singlet-imaging1", measured_name=name, seed=0)
 
-    path = measured("weights", "singlet-imaging1", name)
+    path = measured_path("weights", "singlet-imaging1", name)
     weights, notes = read_tensors(path)
     weights = {key: tensor.clone() for key, tensor in weights.items()}
     turned = {key: t.roll(1, 0) if t.shape[:1] == (10,) else t for key, t in weights.items()}
@@ -156,7 +156,7 @@ def test_the_page_has_every_part(page):
     assert [name for name in (*TABLES, "verdicts", "psf_tail", "effort") if f'<table id="{name}">' not in text] == []
     for name in STUDY.designs:
         assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
-    assert "Not computed, so not shown: regimes, merit function, tolerances" in text
+    assert "Optional tables, not computed: regimes, merit function, tolerances" in text
     assert (page.parent / "answer.svg").exists() and '<table id="claims">' in text
     for name in STUDY.designs:  # the names of designs are explained, below the answer and on hover
         assert f"<dt>{name}</dt>" in text and re.search(rf'<td title="[^"]+"[^>]*>{name}</td>', text), name

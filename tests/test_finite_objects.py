@@ -27,7 +27,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.simulation.field_psfs import trace_field_psfs
+from tasklens.simulation.sensor_psfs import trace_sensor_psfs
 
 REFERENCE = WAVELENGTHS[1]
 PUPIL = sobol_disc(128, seed=0)
@@ -37,7 +37,7 @@ LENSES = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 DOUBLET, ZEMAX_DOUBLET = LENSES / "doublet-imaging2.yaml", LENSES / "doublet-imaging2.zmx"
 
 
-def looking(fields, distance: float, wavelengths=(REFERENCE,)) -> View:
+def view_at(fields, distance: float, wavelengths=(REFERENCE,)) -> View:
     """Fields (x, y) as tangents, for a pinhole of 1 mm, at a distance [mm]."""
     return View(f64(fields), 1.0, wavelengths, 9.0, 31, 1 / distance)
 
@@ -60,7 +60,7 @@ def thin_doublet(distance: float) -> Lens:
 @pytest.mark.parametrize("stop", [0, 1])
 def test_a_perfect_lens_of_a_near_point(stop):
     """NA 0.26 and 0.13: spot below 1e-9 mm, wavefront below 1e-6 waves, Airy's first zero at the working F-number."""
-    lens, view = two_hyperboloids(8.0, stop), looking([[0.0, 0.0]], 30.0)
+    lens, view = two_hyperboloids(8.0, stop), view_at([[0.0, 0.0]], 30.0)
     rays, wave = trace_fields(lens, view, PUPIL), wavefront(lens, view, PUPIL)
     assert rays.valid.all() and float(rays.l.abs().max()) > 0.1
     assert float(torch.hypot(rays.x, rays.y).max()) < 1e-9
@@ -77,7 +77,7 @@ def test_a_thin_doublet_by_hand():
     distance, field = 200.0, 0.1
     lens = thin_doublet(distance)
     image, focal = float(lens.thickness[-1]), 1 / (1 / 40 - 1 / 90)
-    view = replace(looking([[0.0, 0.0], [0.0, field * focal]], distance), efl=focal)
+    view = replace(view_at([[0.0, 0.0], [0.0, field * focal]], distance), efl=focal)
     values = figures(lens, view, 64)
     assert values["object_distance_mm"] == pytest.approx(distance, rel=1e-15)
     assert values["magnification"] == pytest.approx(-image / distance, rel=1e-12)
@@ -100,7 +100,7 @@ def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
     residuals, sizes = [], []
     for scale in (1.0, 0.5):
         lens = replace(random_lens(seed), stop=stop, semi_diameter=f64([1.0] * 5))
-        view = looking(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]), 20.0)
+        view = view_at(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]), 20.0)
         radius = 0.05 * scale / paraxial(lens, REFERENCE).entrance_pupil_radius
         semi = torch.where(torch.arange(5) == stop, radius, torch.inf)
         focus = field_curvature(lens, replace(view, fields=f64([[0.0, 0.0]])))[0]
@@ -120,7 +120,7 @@ def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
 
 def test_rays_come_from_the_object_and_meet_the_stop():
     """A stop inside, three colours: both within 1e-12 mm; from the entrance pupil the object point is at tangent T."""
-    lens, view = cooke_triplet(), looking([[0.0, 0.0], [0.1, 0.2]], 150.0, WAVELENGTHS)
+    lens, view = cooke_triplet(), view_at([[0.0, 0.0], [0.1, 0.2]], 150.0, WAVELENGTHS)
     for pupil in (PUPIL[:16], sobol_disc(512, seed=1)):  # solved ray by ray, and with a polynomial start
         rays = launch_fields(lens, view, pupil)
         assert rays.valid.all() and rays.x.shape == (2, 3, len(pupil))
@@ -134,7 +134,7 @@ def test_rays_come_from_the_object_and_meet_the_stop():
 
 def test_foci_are_where_neighbouring_rays_meet():
     """Parabasal foci agree with rays at 1e-4 of the pupil within 1e-6 mm."""
-    lens, view = cooke_triplet(), looking([[0.0, 0.0], [0.0, 0.2]], 300.0)
+    lens, view = cooke_triplet(), view_at([[0.0, 0.0], [0.0, 0.2]], 300.0)
     foci = field_curvature(lens, view)
     near = 1e-4 * f64([[0, 1], [0, -1], [1, 0], [-1, 0]])
     rays = trace_fields(lens, view, near)
@@ -160,7 +160,7 @@ def test_a_far_object_is_at_infinity():
 def test_derivatives(name):
     """Image points and wavefronts, stop inside: reverse and forward mode agree with differences to 1e-6, relative."""
     lens = replace(cooke_triplet(), alpha=1e-6 * torch.ones(9, 2, dtype=torch.float64))
-    view, points = looking([[0.0, 0.0], [0.1, -0.2]], 120.0), torch.cat([0.9 * rim(5), PUPIL[:3]])
+    view, points = view_at([[0.0, 0.0], [0.1, -0.2]], 120.0), torch.cat([0.9 * rim(5), PUPIL[:3]])
 
     def rays(value: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: value})
@@ -184,8 +184,8 @@ def test_a_sensor_sees_the_image_where_it_is():
     """Thin lenses do not distort: every pixel sees its own position; its field is the position over the scale."""
     distance = 100.0
     lens, focal = thin_doublet(distance), 1 / (1 / 40 - 1 / 90)
-    view = replace(looking([[0.0, 0.0], [0.0, 2.0]], distance), efl=focal, wavelengths=(REFERENCE,) * 3)
-    psfs = trace_field_psfs(lens, view, (40, 60), 40.0, 64, distortion=True)
+    view = replace(view_at([[0.0, 0.0], [0.0, 2.0]], distance), efl=focal, wavelengths=(REFERENCE,) * 3)
+    psfs = trace_sensor_psfs(lens, view, (40, 60), 40.0, 64, distortion=True)
     rows, columns = ((torch.arange(n) + 0.5) / (n / 2) - 1 for n in (40, 60))
     positions = torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
     torch.testing.assert_close(psfs.source, positions.float(), rtol=0, atol=1e-3)
@@ -202,7 +202,7 @@ def test_rays_are_those_of_optiland(lens):
     import numpy
     from optiland_lenses import in_optiland
 
-    view = looking([[0.0, 0.05], [0.1, 0.2]], 150.0)
+    view = view_at([[0.0, 0.05], [0.1, 0.2]], 150.0)
     optic, _ = in_optiland(lens, view)
     optic.surfaces[0].geometry.cs.z = numpy.array(-150.0)
     heights = -view.tangents * (150 + paraxial(lens, REFERENCE).entrance_pupil_z)
@@ -275,17 +275,17 @@ def test_the_object_is_where_the_file_has_it(tmp_path):
 
 
 def test_commands_say_where_the_object_is(tmp_path, capsys):
-    def printed(*arguments) -> str:
+    def output_of(*arguments) -> str:
         assert main(["lens", *map(str, arguments), "--rays", "64", "--object", "80"]) == 0
         return capsys.readouterr().out
 
-    analysis = json.loads(printed("analyse", DOUBLET, "--json"))
-    assert "object 80 mm in front of the first surface, magnification" in printed("show", DOUBLET)
-    assert f"{analysis['magnification']:.4g}" in printed("analyse", DOUBLET)
-    assert " 80 " in printed("compare", DOUBLET).splitlines()[1]
-    assert json.loads(printed("show", DOUBLET, "--json"))[str(DOUBLET)]["magnification"] == analysis["magnification"]
-    printed("draw", DOUBLET, "-o", tmp_path / "lens.svg")
-    printed("psf", DOUBLET, "-o", tmp_path / "psf.npz")
+    analysis = json.loads(output_of("analyse", DOUBLET, "--json"))
+    assert "object 80 mm in front of the first surface, magnification" in output_of("show", DOUBLET)
+    assert f"{analysis['magnification']:.4g}" in output_of("analyse", DOUBLET)
+    assert " 80 " in output_of("compare", DOUBLET).splitlines()[1]
+    assert json.loads(output_of("show", DOUBLET, "--json"))[str(DOUBLET)]["magnification"] == analysis["magnification"]
+    output_of("draw", DOUBLET, "-o", tmp_path / "lens.svg")
+    output_of("psf", DOUBLET, "-o", tmp_path / "psf.npz")
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_an_object_without_an_image_is_refused(distance, words, capsys):
 
 def test_a_lens_without_an_image_has_figures_at_infinity_alone():
     lens = replace(random_lens(1), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    view = looking([[0.0, 0.0], [0.0, 0.1]], 50.0)
+    view = view_at([[0.0, 0.0], [0.0, 0.1]], 50.0)
     assert figures(lens, replace(view, object_vergence=0.0), 64)["efl_mm"] < 0
     with pytest.raises(InputError, match="object at 50 mm: the lens forms no real image of it"):
         figures(lens, view, 64)
@@ -312,8 +312,8 @@ def test_a_lens_without_an_image_has_figures_at_infinity_alone():
 def test_an_object_in_the_first_element_is_refused():
     """The object is in front of the vertex, but off the axis inside the glass; a virtual object has no view."""
     lens = make_lens([-1 / 10, -1 / 3], [3.0, 40.0], (GLASS, "air"), semi_diameter=[6.0, 1.0], stop=1)
-    assert trace_fields(lens, looking([[0.0, 0.0]], 1.5), PUPIL).valid.any()
+    assert trace_fields(lens, view_at([[0.0, 0.0]], 1.5), PUPIL).valid.any()
     with pytest.raises(InputError, match=r"the first lens surface reaches 2 mm in front of it"):
-        trace_fields(lens, looking([[0.0, 0.0], [0.0, 4.0]], 1.5), PUPIL)
+        trace_fields(lens, view_at([[0.0, 0.0], [0.0, 4.0]], 1.5), PUPIL)
     with pytest.raises(InputError, match="in front of the lens"):
-        looking([[0.0, 0.0]], -20.0)
+        view_at([[0.0, 0.0]], -20.0)

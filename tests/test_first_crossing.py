@@ -28,7 +28,7 @@ def profile(surface: Surface, u: numpy.ndarray) -> tuple[numpy.ndarray, numpy.nd
     return value + sum(a * u**j for j, a in enumerate(alpha, 1)), argument > aspheres.EDGE
 
 
-def scanned(surface: Surface, point: numpy.ndarray, way: numpy.ndarray, reach: float) -> tuple[float, float]:
+def scan(surface: Surface, point: numpy.ndarray, direction: numpy.ndarray, reach: float) -> tuple[float, float]:
     """The first two samples (along the ray, signed) between which a ray crosses from its side, NaN without any.
 
     The scan starts at the ray's point, or at the edge if the point is not above the surface; it goes forward before
@@ -36,7 +36,7 @@ def scanned(surface: Surface, point: numpy.ndarray, way: numpy.ndarray, reach: f
     """
 
     def gap(t):
-        x, y, z = (p + t * w for p, w in zip(point, way, strict=True))
+        x, y, z = (p + t * w for p, w in zip(point, direction, strict=True))
         sag, inside = profile(surface, x * x + y * y)
         return numpy.where(inside, z - sag, numpy.nan)
 
@@ -64,7 +64,7 @@ def assert_first(surface: Surface, before: Rays, after: Rays, reach: float) -> t
     missed = (after.status.flatten() == RayStatus.MISSED).numpy()
     for i in range(len(missed)):
         point, direction = numpy.array([numbers[k][i] for k in "xyz"]), numpy.array([numbers[k][i] for k in "lmn"])
-        last, first = scanned(surface, point, direction, reach)
+        last, first = scan(surface, point, direction, reach)
         if missed[i]:
             assert math.isnan(first) or grazes(surface, point, direction, last, first), (i, point, direction, first)
             continue
@@ -77,12 +77,12 @@ def assert_first(surface: Surface, before: Rays, after: Rays, reach: float) -> t
     return count, int(missed.sum())
 
 
-def grazes(surface: Surface, point, way, last: float, first: float) -> bool:
+def grazes(surface: Surface, point, direction, last: float, first: float) -> bool:
     """Whether the ray crosses the surface between the samples at an angle that no tracer can tell from zero."""
     t = f64(numpy.linspace(last, first, 1000))
-    x, y = point[0] + t * way[0], point[1] + t * way[1]
+    x, y = point[0] + t * direction[0], point[1] + t * direction[1]
     slope = aspheres.sag(x * x + y * y, surface.curvature, surface.conic, surface.alpha)[1]
-    return bool((way[2] - 2 * slope * (x * way[0] + y * way[1])).min() < 10 * GRAZING)
+    return bool((direction[2] - 2 * slope * (x * direction[0] + y * direction[1])).min() < 10 * GRAZING)
 
 
 @pytest.mark.parametrize("path", LENS_FILES, ids=lambda path: path.stem)
@@ -134,13 +134,13 @@ def test_random_aspheres(seed, tracer):
     # Rays start on the stop plane; `after` has them on the asphere, before the image plane.
     before = lens.surfaces[0].intersect(start)
     before = replace(before, z=before.z - lens.thickness[0])
-    after = lens.surfaces[1].intersect(before) if tracer is reference_trace else behind(lens, start)
+    after = lens.surfaces[1].intersect(before) if tracer is reference_trace else last_rays(lens, start)
     assert torch.equal(after.status == RayStatus.MISSED, rays.status == RayStatus.MISSED)
     met, missed = assert_first(lens.surfaces[1], before, after, reach=4.0)
     assert met > 20 and met + missed == 100
 
 
-def behind(lens: Lens, start: Rays) -> Rays:
+def last_rays(lens: Lens, start: Rays) -> Rays:
     return trace_full(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))[1][-1]
 
 

@@ -107,10 +107,10 @@ def test_the_forecast_adds_up(results):
     assert durations(results).forecast(stages, 2) == "Study mine: 24 jobs, about 10 min on 2 cores."
     assert durations(results).forecast(stages, 1) == "Study mine: 24 jobs, about 21 min on 1 core."
     estimate = durations(results).forecast([*stages, "figure", "figure", "restore"], 2)
-    assert estimate.startswith("Study mine: 27 jobs, about 10 min on 2 cores; nothing is known")
-    assert estimate.endswith("how long figure, restore takes.")
+    assert estimate.startswith("Study mine: 27 jobs, about 10 min on 2 cores; the duration of")
+    assert estimate.endswith("figure, restore is not known yet.")
     no_estimate = durations(results).forecast(["figure"], 2)
-    assert "Study mine: 1 job; nothing is known" in no_estimate and " min " not in no_estimate
+    assert "Study mine: 1 job; the duration of figure is not known" in no_estimate and " min " not in no_estimate
     assert durations(results).forecast([], 2).startswith("Study mine: 0 jobs")
 
 

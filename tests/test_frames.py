@@ -30,7 +30,8 @@ CORRECT = {  # at the middle field, in file order
 }
 
 
-def made(path: Path) -> Path:
+def with_parent(path: Path) -> Path:
+    """The path, with the folder of its file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -49,12 +50,12 @@ def study(tmp_path, monkeypatch):
     keys = {"elements": {"doublet": ["COC", "OKP4"]}, "designs": designs}
     study = parse(tiny | keys)
     images = numpy.random.default_rng(0).integers(0, 256, (IMAGES, 3, SIDE, SIDE), dtype=numpy.uint8)
-    numpy.save(made(outputs("images", study).test), images)
+    numpy.save(with_parent(outputs("images", study).test), images)
     labels = {"classes": ["cat", "dog"], "labels": [0, 1] * (IMAGES // 2)}
     write(outputs("images", study).test_labels, json.dumps(labels))
     for lens, correct in CORRECT.items():
         files = outputs("design", study, lens=lens, seed=0)
-        shutil.copy(LENSES / f"{lens}.yaml", made(files.lens))
+        shutil.copy(LENSES / f"{lens}.yaml", with_parent(files.lens))
         psf = torch.zeros(FIELDS, 3, 5, 5)
         psf[..., 2, 2] = 1
         psf_files.write(files.psf, FieldPsfs(psf, torch.ones(FIELDS)), {"fields_mm": FIELDS * [[0, 0]]})

@@ -18,15 +18,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-import test_catalogues
-import test_zemax
 import torch
 import yaml
 from examples import tiny_study
 from hypothesis import HealthCheck, Phase, event, given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from test_prescription import random_prescription, same_bits
+from prescriptions import random_prescription, same_bits
+from zemax_texts import CATALOGUE_TEXT, LENS_TEXT
 
 from tasklens.materials import catalogues
 from tasklens.optics.io import prescription, zemax
@@ -73,7 +72,7 @@ Dumper.add_representer(Plain, represent_plain)
 Dumper.add_representer(tuple, Dumper.represent_list)
 
 
-def dumped(content) -> str:
+def dump_yaml(content) -> str:
     return yaml.dump(content, Dumper=Dumper, sort_keys=False, allow_unicode=True)
 
 
@@ -136,7 +135,7 @@ def scalars_of(content) -> Iterator:
 
 
 @st.composite
-def changed(draw, content) -> object:
+def changed_content(draw, content) -> object:
     """The content with one to three values replaced, added, removed, doubled, or moved to another key."""
     words = words_of(content)
     content = copy.deepcopy(content)
@@ -182,7 +181,7 @@ def near(value, words: list[str]) -> st.SearchStrategy:
     return st.sampled_from(words)
 
 
-def damaged(content: bytes, inserted: list[bytes]) -> st.SearchStrategy[bytes]:
+def damaged_bytes(content: bytes, inserted: list[bytes]) -> st.SearchStrategy[bytes]:
     """The bytes with a few of them flipped, cut off, repeated, moved, or others inserted."""
 
     @st.composite
@@ -209,7 +208,7 @@ def damaged(content: bytes, inserted: list[bytes]) -> st.SearchStrategy[bytes]:
     return strategy()
 
 
-def altered(text: str, inserted: list[str]) -> st.SearchStrategy[str]:
+def altered_text(text: str, inserted: list[str]) -> st.SearchStrategy[str]:
     """The text with words replaced, and lines removed, repeated, exchanged or indented."""
 
     @st.composite
@@ -260,7 +259,7 @@ def bounded() -> Iterator[None]:
     assert time.process_time() - begun < SECONDS
 
 
-def accepted(path: Path, content: bytes | str, read: Callable, error: type[InputError] = FileError):
+def read_or_refuse(path: Path, content: bytes | str, read: Callable, error: type[InputError] = FileError):
     """Return the result of `read`, or None if it refuses the file with the right kind of error that names it."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
     try:
@@ -299,7 +298,7 @@ STUDY = whole_study()
 
 
 def check_study(path: Path, content: str) -> None:
-    study = accepted(path, content, loading.load, StudyError)
+    study = read_or_refuse(path, content, loading.load, StudyError)
     if study is None:
         return
     path.write_text(loading.dump(study), encoding="utf-8")
@@ -315,9 +314,9 @@ def check_study(path: Path, content: str) -> None:
 
 @pytest.mark.slow
 @examples(450)
-@given(changed(STUDY))
+@given(changed_content(STUDY))
 def test_a_study_is_read_or_refused(folder, content):
-    check_study(folder / "study.yaml", dumped(content))
+    check_study(folder / "study.yaml", dump_yaml(content))
 
 
 YAML_WORDS = [
@@ -344,7 +343,7 @@ YAML_WORDS += ["#", '"', "'", "\t", "\r", "\x85", "\u2028", "\ufeff", "\0", *PLA
 
 @examples(250)
 @given(
-    altered(dumped(tiny_study()), YAML_WORDS)
+    altered_text(dump_yaml(tiny_study()), YAML_WORDS)
     | st.text(max_size=60)
     | st.lists(st.sampled_from(YAML_WORDS)).map("".join)
 )
@@ -373,14 +372,14 @@ def check_yaml_lens(path: Path, lens: prescription.Prescription) -> None:
 
 
 @examples(350)
-@given(changed(LENS))
+@given(changed_content(LENS))
 def test_a_lens_file_is_read_or_refused(folder, content):
-    result = accepted(folder / "lens.yaml", dumped(content), prescription.read)
+    result = read_or_refuse(folder / "lens.yaml", dump_yaml(content), prescription.read)
     if result is not None:
         check_yaml_lens(folder / "again.yaml", result[0])
 
 
-ZEMAX_WORDS = sorted({word for line in test_zemax.TEXT.split("\n") for word in line.split()})
+ZEMAX_WORDS = sorted({word for line in LENS_TEXT.split("\n") for word in line.split()})
 ZEMAX_WORDS += [
     "XASPHERE",
     "XDAT",
@@ -398,7 +397,7 @@ ZEMAX_WORDS += [
 
 
 def check_zemax(path: Path, content: bytes | str) -> None:
-    lens = accepted(path, content, zemax.read)
+    lens = read_or_refuse(path, content, zemax.read)
     if lens is None:
         return
     copy_path = path.with_name("again.zmx")
@@ -413,13 +412,13 @@ def check_zemax(path: Path, content: bytes | str) -> None:
 
 
 @examples(350)
-@given(altered(test_zemax.TEXT, ZEMAX_WORDS))
+@given(altered_text(LENS_TEXT, ZEMAX_WORDS))
 def test_a_zemax_file_is_read_or_refused(folder, text):
     check_zemax(folder / "lens.zmx", text)
 
 
 @examples(150)
-@given(damaged(test_zemax.TEXT.encode("utf-16"), [b"\xff\xfe", b"\xef\xbb\xbf", b"\0", b"\n\0", b"\r", b"\xd8\0"]))
+@given(damaged_bytes(LENS_TEXT.encode("utf-16"), [b"\xff\xfe", b"\xef\xbb\xbf", b"\0", b"\n\0", b"\r", b"\xd8\0"]))
 def test_the_bytes_of_a_zemax_file_are_read_or_refused(folder, content):
     check_zemax(folder / "lens.zmx", content)
 
@@ -428,7 +427,7 @@ AGF_WORDS = ["NM", "CD", "LD", "GC", "ED", "TD", "OD", "MIRROR", "___BLANK", "ai
 
 
 def check_agf(path: Path, content: bytes | str) -> None:
-    catalogue = accepted(path, content, catalogues.read)
+    catalogue = read_or_refuse(path, content, catalogues.read)
     if catalogue is None:
         return
     copy_path = path.with_name("again.agf")
@@ -445,13 +444,13 @@ def check_agf(path: Path, content: bytes | str) -> None:
 
 
 @examples(300)
-@given(altered(test_catalogues.AGF, AGF_WORDS) | st.text(max_size=40))
+@given(altered_text(CATALOGUE_TEXT, AGF_WORDS) | st.text(max_size=40))
 def test_a_catalogue_is_read_or_refused(folder, text):
     check_agf(folder / "maker.agf", text.encode("utf-8", "surrogatepass").decode("utf-8", "replace"))
 
 
 @examples(150)
-@given(damaged(test_catalogues.AGF.encode(), [b"\xff\xfe", b"\xef\xbb\xbf", b"\0", b"\xe9", b"NM "]))
+@given(damaged_bytes(CATALOGUE_TEXT.encode(), [b"\xff\xfe", b"\xef\xbb\xbf", b"\0", b"\xe9", b"NM "]))
 def test_the_bytes_of_a_catalogue_are_read_or_refused(folder, content):
     check_agf(folder / "maker.agf", content)
 
@@ -460,12 +459,14 @@ PLASTICS = yaml.safe_load(catalogues.PLASTICS.read_text(encoding="utf-8"))
 
 
 @examples(150)
-@given(changed(PLASTICS))
+@given(changed_content(PLASTICS))
 def test_materials_are_read_or_refused(folder, content):
     path = folder / "materials.yaml"
-    materials = accepted(path, dumped(content), catalogues.read)
+    materials = read_or_refuse(path, dump_yaml(content), catalogues.read)
     if materials is not None:
-        path.write_text(dumped({name: material.definition() for name, material in materials.items()}), encoding="utf-8")
+        path.write_text(
+            dump_yaml({name: material.definition() for name, material in materials.items()}), encoding="utf-8"
+        )
         assert catalogues.read(path) == materials
 
 
@@ -512,7 +513,7 @@ JPEG_PARTS += [
     b"\xff\xee\x00\x0eAdobe",
 ]
 IMAGES = [
-    damaged(image_bytes(kind, mode), parts)
+    damaged_bytes(image_bytes(kind, mode), parts)
     for kind, mode, parts in [
         ("PNG", "RGB", [png_chunk(b"tRNS", b"\0"), png_chunk(b"eXIf", b"II*\0\x08\0\0\0\x01"), b"IDAT", b"IEND"]),
         ("PNG", "P", [png_chunk(b"PLTE", b"\1\2\3"), b"acTL", b"\0\0\0\0"]),
@@ -527,5 +528,5 @@ IMAGES = [
 @given(st.one_of(*IMAGES, png_files()), st.sampled_from(["image.png", "image.jpg"]))
 @pytest.mark.filterwarnings("ignore")
 def test_an_image_is_read_or_refused(folder, content, name):
-    image = accepted(folder / name, content, lambda path: folders.read(path, 8))
+    image = read_or_refuse(folder / name, content, lambda path: folders.read(path, 8))
     assert image is None or (image.shape, image.dtype) == ((3, 8, 8), torch.uint8)

@@ -87,7 +87,7 @@ def test_the_catalogues_come_from_the_database():
 # ---- name lookup
 
 
-def written(folder: Path, name: str, *glasses: tuple[str, float]) -> Path:
+def write_catalogue(folder: Path, name: str, *glasses: tuple[str, float]) -> Path:
     path = folder / f"{name}.agf"
     path.write_text("".join(f"NM {glass} 5 0 1.5 50\nCD {index} 0 0\nLD 0.4 0.8\n" for glass, index in glasses))
     return path
@@ -95,7 +95,7 @@ def written(folder: Path, name: str, *glasses: tuple[str, float]) -> Path:
 
 def test_the_order_of_search(tmp_path):
     """Catalogues listed by the lens, in its order; then the user's, plastics, makers."""
-    catalogue = written(tmp_path, "mine", ("F2", 1.4), ("COC", 1.6))
+    catalogue = write_catalogue(tmp_path, "mine", ("F2", 1.4), ("COC", 1.6))
     assert Library().glass("COC") == builtin("COC") and Library([catalogue]).glass("COC").source == "mine.agf"
     assert Library().glass("F2") == of_maker("SCHOTT")["F2"]
     assert Library([], ["HIKARI"]).glass("F2") == of_maker("HIKARI")["F2"] != of_maker("SCHOTT")["F2"]
@@ -110,7 +110,7 @@ def test_a_choice_between_makers_is_a_remark():
     """Unless the lens lists the catalogue, or the others have the same glass."""
     search = Library()
     search.glass("F2")
-    assert search.remarks == ["glass F2 of SCHOTT; others: HOYA, HIKARI, CDGM (--catalogue)"]
+    assert search.remarks == ["glass F2 taken from SCHOTT; other makers: HOYA, HIKARI, CDGM (--catalogue)"]
     for listed, name in ((["SCHOTT"], "F2"), ([], "N-BK7")):
         search = Library([], listed)
         search.glass(name)
@@ -130,11 +130,11 @@ def test_a_glass_code_is_a_glass():
 
 def test_an_unknown_glass_is_refused_with_the_nearest_names(tmp_path):
     with pytest.raises(UnknownGlassError, match=r"'N-BK77' in mine\.agf.*nearest names: N-BK7"):
-        Library([written(tmp_path, "mine", ("A", 1.5))]).glass("N-BK77")
+        Library([write_catalogue(tmp_path, "mine", ("A", 1.5))]).glass("N-BK77")
 
 
 def test_one_glass_without_data_does_not_spoil_its_catalogue(tmp_path):
-    path = written(tmp_path, "maker", ("GOOD", 1.5))
+    path = write_catalogue(tmp_path, "maker", ("GOOD", 1.5))
     path.write_text(path.read_text() + "NM UNMEASURED 2 0 1.5 60\nCD 1 0.006 0.2 0.02 1 103\nLD 0 0\n")
     assert Library([path]).glass("GOOD").refractive_index(0.5) == 1.5
     with pytest.raises(FileError, match=r"maker\.agf, line 6: LD: UNMEASURED: expected a range"):
@@ -143,7 +143,7 @@ def test_one_glass_without_data_does_not_spoil_its_catalogue(tmp_path):
 
 def test_a_folder_of_ones_own_catalogues(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER, str(tmp_path))
-    catalogue = written(tmp_path, "mine", ("A", 1.5))
+    catalogue = write_catalogue(tmp_path, "mine", ("A", 1.5))
     (tmp_path / "notes.txt").write_text("")
     assert users_files() == [catalogue]
     monkeypatch.setenv(FOLDER, str(tmp_path / "absent"))
@@ -197,7 +197,7 @@ def test_glasses_whose_order_cannot_be_right_go_into_a_catalogue_of_the_lens(tmp
 
 def test_a_glass_behind_a_catalogue_of_unknown_contents(tmp_path):
     """Two catalogues of the user: in OpticStudio both may contain the name."""
-    first, second = written(tmp_path, "first", ("A", 1.5)), written(tmp_path, "second", ("B", 1.6))
+    first, second = write_catalogue(tmp_path, "first", ("A", 1.5)), write_catalogue(tmp_path, "second", ("B", 1.6))
     glasses = [catalogues.read(first)["A"], catalogues.read(second)["B"]]
     reread, listed = round_trip(tmp_path, *glasses, files=[second, first])
     assert indices(reread) == indices(glasses) and listed == "OUT first"

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import pytest
-import test_design
 import torch
+from designs import LEARNING_RATES, LIMITS, VIEW
 from examples import by_descents, random_images, small_network
 from pretend_gpu import CPU, GPU, OnGpu, pretend_gpu
 
@@ -56,8 +56,8 @@ def restoring(device, start) -> list[float]:
 
 def design(device, start) -> list[float]:
     """A lens after steps of joint descent; rays stay on the CPU."""
-    problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
-    part = DescentSettings(optimizer="adamw", steps=3, learning_rates=test_design.RATES, network_learning_rate=1e-5)
+    problem = Problem(VIEW, LIMITS, 1, CaptureSettings(), data(device))
+    part = DescentSettings(optimizer="adamw", steps=3, learning_rates=LEARNING_RATES, network_learning_rate=1e-5)
     criterion = JointTaskLoss(small_network(0).to(device), 1e-5, 3, 0.1)
     lens, _, history = by_descents(start, lambda part: criterion, problem, part)
     assert lens.curvature.device == CPU
@@ -66,7 +66,7 @@ def design(device, start) -> list[float]:
 
 def supervision(device, start) -> list[float]:
     """Losses of a lens by a frozen network, and their gradient at the PSFs."""
-    problem = Problem(test_design.LOOKS, test_design.LIMITS, 1, CaptureSettings(), data(device))
+    problem = Problem(VIEW, LIMITS, 1, CaptureSettings(), data(device))
     supervisor = Supervisor(TaskLoss(frozen(small_network(0), data(device).images).to(device)), problem, None, False, 7)
     curvature = start.curvature.clone().requires_grad_()
     loss = supervisor.loss(replace(start, curvature=curvature), sobol_disc(64, seed=0), 2.0, torch.arange(4), seed=0)
@@ -75,11 +75,11 @@ def supervision(device, start) -> list[float]:
     return [*loss.fields.tolist(), *gradient.tolist(), supervisor.validation_loss(start, 2.0)]
 
 
-@pytest.mark.parametrize("walk", [fine_tuning, restoring, design, supervision])
-def test_the_code_for_gpus_gives_the_same_numbers(monkeypatch, start, walk):
-    expected = walk(CPU, start)
+@pytest.mark.parametrize("calculation", [fine_tuning, restoring, design, supervision])
+def test_the_code_for_gpus_gives_the_same_numbers(monkeypatch, start, calculation):
+    expected = calculation(CPU, start)
     with pretend_gpu(monkeypatch) as gpu:
-        numbers = walk(GPU, start)
+        numbers = calculation(GPU, start)
     assert numbers == expected and gpu.operations > 100
 
 

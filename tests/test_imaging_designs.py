@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
+from designs import LIMITS, SPEC, VIEW
 from examples import by_descents, difference, materials
 
 from tasklens.design import least_squares
@@ -20,19 +21,16 @@ from tasklens.optics.analysis import vignetting
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields
-from tasklens.optics.view import view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.study.design_settings import DescentSettings, LearningRates, LeastSquaresSettings
-from tasklens.study.settings import Constraints, Spec
+from tasklens.study.settings import Constraints
 
-SPEC, LIMITS = Spec(kernel_size=11), Constraints()
-LOOKS = view_of_spec(SPEC)
-PROBLEM = Problem(LOOKS, LIMITS, 0)
+PROBLEM = Problem(VIEW, LIMITS, 0)
 PLASTICS = materials("COC", "OKP4")
 
 
 def mean_rms(lens) -> float:
-    rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
+    rays = trace_fields(lens, VIEW, sobol_disc(256, 5))
     return float(rms_spot_radius(rays, centroid(rays)).mean())
 
 
@@ -44,7 +42,7 @@ def test_spot_descent_from_flat_makes_a_lens():
     plates = flat(PLASTICS, SPEC, LIMITS)
     lens, _, history = by_descents(plates, lambda part: SpotRadius(), PROBLEM, settings, rays=64)
     assert mean_rms(lens) < 0.7 * mean_rms(plates)
-    assert abs(float(paraxial(lens, 0.5893).power) * LOOKS.efl - 1) < 1
+    assert abs(float(paraxial(lens, 0.5893).power) * VIEW.efl - 1) < 1
     assert len(history) == 30
 
 
@@ -54,7 +52,7 @@ def test_random_starts_do_not_depend_on_the_blocks_they_are_drawn_by(monkeypatch
     for block in (20_000, 64):
         monkeypatch.setattr("tasklens.design.random_starts._BLOCK", block)
         rng = numpy.random.default_rng(3)
-        draws.append(([lens.curvature for lens in random_starts(plates, LOOKS, LIMITS, 20, rng)], rng.random()))
+        draws.append(([lens.curvature for lens in random_starts(plates, VIEW, LIMITS, 20, rng)], rng.random()))
     assert torch.equal(torch.stack(draws[0][0]), torch.stack(draws[1][0])) and draws[0][1] == draws[1][1]
 
 
@@ -63,17 +61,17 @@ def test_limits_without_any_start_are_named():
     plates = flat(materials("COC"), SPEC, LIMITS)
     flatter = LIMITS.model_copy(update={"max_slope": 0.15})
     with pytest.raises(InputError, match=r"max_slope = 0\.15"):
-        random_starts(plates, LOOKS, flatter, 1, numpy.random.default_rng(0))
+        random_starts(plates, VIEW, flatter, 1, numpy.random.default_rng(0))
 
 
 def test_random_starts_have_the_focal_length_and_a_focus():
     """The last curvature and the back focus are solved for; limits on track and back focus hold."""
     plates = flat(PLASTICS, SPEC, LIMITS)
-    starts = random_starts(plates, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
-    again = random_starts(plates, LOOKS, LIMITS, 20, numpy.random.default_rng(3))
+    starts = random_starts(plates, VIEW, LIMITS, 20, numpy.random.default_rng(3))
+    again = random_starts(plates, VIEW, LIMITS, 20, numpy.random.default_rng(3))
     for lens, repeated in zip(starts, again, strict=True):
-        first_order = paraxial(lens, LOOKS.wavelengths[1])
-        assert float(first_order.efl) == pytest.approx(LOOKS.efl, rel=1e-12)
+        first_order = paraxial(lens, VIEW.wavelengths[1])
+        assert float(first_order.efl) == pytest.approx(VIEW.efl, rel=1e-12)
         assert float(first_order.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
         assert LIMITS.min_back_focus < float(first_order.bfl) and float(lens.thickness.sum()) < LIMITS.max_track
         assert torch.equal(lens.curvature, repeated.curvature)
@@ -89,7 +87,7 @@ def test_merit_columns_are_the_limit_of_differences(start, reference, linear_bey
         update={"min_edge_thickness": 2.0, "min_back_focus": 9.0, "min_air_gap": 1.0, "max_chief_ray_angle_deg": 5.0}
     )
     lens = replace(start, curvature=1.01 * start.curvature)
-    merit = Merit(LOOKS, limits, reference, linear_beyond_um=linear_beyond_um)
+    merit = Merit(VIEW, limits, reference, linear_beyond_um=linear_beyond_um)
     variables = Variables.plain(lens)
     values = variables.values()
 
@@ -125,12 +123,12 @@ def test_merit_is_the_mean_square_spot(start):
         min_centre_thickness=1e-6, max_centre_thickness=99, min_edge_thickness=1e-6, min_air_gap=1e-6,
         min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
     )  # fmt: skip
-    merit = Merit(LOOKS, easy, "centroid")
+    merit = Merit(VIEW, easy, "centroid")
     gentle = start.with_stop_scaled(0.3)
     mean_square = float(merit.residuals(gentle).square().sum())
     heights = torch.tensor(FIELD_HEIGHTS, dtype=torch.float64)
-    fields = torch.stack([0 * heights, heights * LOOKS.fields.norm(dim=-1).max()], -1)
-    view = replace(LOOKS, fields=fields)
+    fields = torch.stack([0 * heights, heights * VIEW.fields.norm(dim=-1).max()], -1)
+    view = replace(VIEW, fields=fields)
     rays = trace_fields(gentle, view, sobol_disc(8192, 0))
     expected = float((1e3 * rms_spot_radius(rays, centroid(rays))).square().mean())
     assert mean_square == pytest.approx(expected, rel=1e-2)
@@ -138,7 +136,7 @@ def test_merit_is_the_mean_square_spot(start):
 
 def test_the_cost_of_a_far_ray_grows_linearly(start):
     """A ray of error e costs e^2 / sqrt(1 + e^2 / e0^2): e^2 if e is far below e0, e0 e if it is far above."""
-    plain, huge, small = (Merit(LOOKS, LIMITS, linear_beyond_um=e0) for e0 in (None, 1e9, 5.0))
+    plain, huge, small = (Merit(VIEW, LIMITS, linear_beyond_um=e0) for e0 in (None, 1e9, 5.0))
     rays = plain.rays
     lens = start.with_stop_scaled(0.3)  # no ray is lost
 
@@ -155,8 +153,8 @@ def test_the_cost_of_a_far_ray_grows_linearly(start):
 
 def test_improve_never_increases_the_merit():
     plates = flat(PLASTICS, SPEC, LIMITS)
-    merit = Merit(LOOKS, LIMITS, "centroid")
-    for lens in random_starts(plates, LOOKS, LIMITS, 4, numpy.random.default_rng(5)):
+    merit = Merit(VIEW, LIMITS, "centroid")
+    for lens in random_starts(plates, VIEW, LIMITS, 4, numpy.random.default_rng(5)):
         before = float(merit.residuals(lens).norm())
         better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
         assert error <= before
@@ -169,13 +167,13 @@ def test_a_search_makes_a_better_lens():
     plates = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200)
     lens, history = least_squares.design(plates, PROBLEM, settings)
-    starts = random_starts(plates, LOOKS, LIMITS, 6, numpy.random.default_rng(0))
-    merit = Merit(LOOKS, LIMITS, "centroid")
+    starts = random_starts(plates, VIEW, LIMITS, 6, numpy.random.default_rng(0))
+    merit = Merit(VIEW, LIMITS, "centroid")
     best = min(float(merit.residuals(x).norm()) for x in starts)
     final = float(merit.residuals(lens).norm())
     assert final < 0.5 * best
     assert history[-2]["rms_um"] < min(row["rms_um"] for row in history if row["stage"] == "4 orders")
-    strict = Merit(LOOKS, LIMITS, per_mm=20 * VIOLATION_UM_PER_MM, reference="centroid")
+    strict = Merit(VIEW, LIMITS, per_mm=20 * VIOLATION_UM_PER_MM, reference="centroid")
     assert float(strict.residuals(lens).norm()) == pytest.approx(history[-1]["rms_um"], rel=1e-9)
 
 
@@ -199,9 +197,9 @@ def test_a_linear_cost_sharpens_the_core():
             method="least_squares", starts=6, evaluations=200, linear_beyond_um=linear_beyond_um
         )
         lens, history = least_squares.design(plates, PROBLEM, settings)
-        rays = trace_fields(lens, LOOKS, sobol_disc(256, 5))
+        rays = trace_fields(lens, VIEW, sobol_disc(256, 5))
         distance = 1e3 * (torch.stack([rays.x, rays.y], -1) - centroid(rays)[:, None, None]).norm(dim=-1).flatten(1)
-        linear = float(Merit(LOOKS, LIMITS, "centroid", linear_beyond_um=1.0).residuals(lens).norm())
+        linear = float(Merit(VIEW, LIMITS, "centroid", linear_beyond_um=1.0).residuals(lens).norm())
         results.append((float(distance.median(1).values.mean()), linear))
     assert [row["stage"] for row in history][-2:] == ["linear cost", "strict limits"]
     assert results[1][0] < results[0][0] and results[1][1] < results[0][1]
@@ -227,9 +225,9 @@ def test_a_lens_that_may_vignette_makes_a_smaller_spot():
     for loss in (None, 0.4):
         settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200, vignetting=loss)
         lens, history = least_squares.design(plates, PROBLEM, settings)
-        rays = trace_fields(lens, LOOKS, pupil)
+        rays = trace_fields(lens, VIEW, pupil)
         results.append((float(rms_spot_radius(rays, centroid(rays)).square().mean()), rays.valid.double().mean((1, 2))))
     assert history[-1]["stage"] == "vignetting" and lens.semi_diameter[1:].isfinite().sum() == 1
     assert (results[0][1] == 1).all() and results[1][0] < results[0][0]
-    assert (results[1][1][LOOKS.radii == 0] == 1).all()
+    assert (results[1][1][VIEW.radii == 0] == 1).all()
     assert float(results[1][1].min()) == pytest.approx(0.6, abs=0.02)

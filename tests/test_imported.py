@@ -39,7 +39,7 @@ VIEW = view_of_spec(SPEC)
 RAYS = 512
 
 
-def fitted(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
+def fit_lens(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
     prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
     return imported.fit(
         ImportedLens(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number, RAYS
@@ -71,7 +71,7 @@ def test_a_scaled_lens_has_scaled_rays(seed, factor):
 
 def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tmp_path):
     """By a real ray next to the axis: its slope, and its height in the stop."""
-    lens, _ = fitted(tmp_path, cooke_triplet())
+    lens, _ = fit_lens(tmp_path, cooke_triplet())
     h = 1e-5
     ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference,)))
     assert -h / float(ray.m / ray.n) == pytest.approx(SPEC.efl_mm, rel=1e-8)
@@ -81,10 +81,10 @@ def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tm
 
 def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
     """A file of the same lens 7 times as large, stopped down and out of focus: the fitted lens is the same."""
-    expected, notes = fitted(tmp_path, cooke_triplet())
+    expected, notes = fit_lens(tmp_path, cooke_triplet())
     large = cooke_triplet().scaled(7.0).with_stop_scaled(0.4)
     large.thickness[-1] += 1.5
-    refitted, large_notes = fitted(tmp_path, large, object_distance_mm=800.0)
+    refitted, large_notes = fit_lens(tmp_path, large, object_distance_mm=800.0)
     for name in ("curvature", "conic", "alpha", "semi_diameter"):
         torch.testing.assert_close(getattr(refitted, name), getattr(expected, name), rtol=1e-12, atol=0)
     torch.testing.assert_close(refitted.thickness, expected.thickness, rtol=0, atol=1e-6)
@@ -98,7 +98,7 @@ def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
 
 def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
     """Tracing through to planes on both sides, near and far, gives larger means; single fields differ."""
-    lens, _ = fitted(tmp_path, cooke_triplet())
+    lens, _ = fit_lens(tmp_path, cooke_triplet())
 
     def rms(shift: float) -> torch.Tensor:
         thickness = lens.thickness.clone()
@@ -144,7 +144,7 @@ def test_a_finished_imported_lens(tmp_path):
 
 def test_its_own_clear_apertures_vignette(tmp_path):
     """They scale with the lens; a PSF covers only the light that passes."""
-    bare = fitted(tmp_path, cooke_triplet())[0]
+    bare = fit_lens(tmp_path, cooke_triplet())[0]
     triplet = cooke_triplet()
     triplet.semi_diameter[0] = 8.0
     settings = settings_of(tmp_path, triplet, kernel_size=31)
@@ -171,7 +171,7 @@ def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
         "primary": 0,
         "object_distance_mm": 500.0,
     }
-    expected, notes = fitted(tmp_path, cooke_triplet(), **options)
+    expected, notes = fit_lens(tmp_path, cooke_triplet(), **options)
     zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **options))
     zemax_lens, zemax_notes = imported.fit(
         ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number, RAYS
@@ -202,7 +202,7 @@ def narrow_front() -> Lens:
 )
 def test_a_lens_that_cannot_serve_the_specification_is_refused(tmp_path, lens, spec, words):
     with pytest.raises(FileError) as error:
-        fitted(tmp_path, lens, Spec(**{"field_of_view_deg": 36, "f_number": 4} | spec))
+        fit_lens(tmp_path, lens, Spec(**{"field_of_view_deg": 36, "f_number": 4} | spec))
     assert all(word in str(error.value) for word in ["given.yaml", *words]), error.value
 
 
@@ -258,5 +258,5 @@ def test_an_imported_lens_has_a_specification_of_its_own():
     assert study.lens_spec("singlet-imaging1") == study.spec_of("singlet")
     with pytest.raises(StudyError, match=r"imported\.phone\.spec\.f_numbr = 2\.0: unknown key"):
         parse(changed(with_imported(), "imported.phone.spec", {"f_numbr": 2.0}))
-    with pytest.raises(StudyError, match=r"spec\.object_distance_mm: designs are for objects at infinity"):
+    with pytest.raises(StudyError, match=r"spec\.object_distance_mm: designs need an object at infinity"):
         parse(changed(with_imported(), "spec.object_distance_mm", 100))

@@ -74,7 +74,7 @@ def test_a_line_at_once_and_every_half_minute(monkeypatch, capsys):
     assert not capsys.readouterr().err and time.monotonic() == now[0]
 
 
-def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch, capsys):
+def test_a_file_system_without_locks_is_reported(tmp_path, monkeypatch, capsys):
     """The job still runs, without a lock."""
 
     def refuse(self, **_):
@@ -82,4 +82,4 @@ def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(locks.FileLock, "acquire", refuse)
     assert work_of(tmp_path, "a")
-    assert "job.lock: no locks on this file system" in capsys.readouterr().err
+    assert "job.lock: this file system has no file locks" in capsys.readouterr().err

@@ -34,15 +34,15 @@ def run(*arguments) -> int:
     return main(["lens", *map(str, arguments)])
 
 
-def printed(capsys, *arguments) -> str:
+def output_of(capsys, *arguments) -> str:
     """What a command that succeeds prints on standard output."""
     assert run(*arguments) == 0
     return capsys.readouterr().out
 
 
-def computed(capsys, *arguments) -> dict:
+def json_of(capsys, *arguments) -> dict:
     """The JSON that a command prints; NaN and Infinity, which JSON does not have, are refused."""
-    return json.loads(printed(capsys, *arguments, "--json"), parse_constant=lambda name: pytest.fail(name))
+    return json.loads(output_of(capsys, *arguments, "--json"), parse_constant=lambda name: pytest.fail(name))
 
 
 # ---- figures
@@ -50,13 +50,13 @@ def computed(capsys, *arguments) -> dict:
 
 def test_show_says_what_a_lens_file_says_of_itself(capsys):
     figures = yaml.safe_load(DOUBLET.read_text())["figures"]
-    output = computed(capsys, "show", DOUBLET, "--rays", figures["rays"])[str(DOUBLET)]
+    output = json_of(capsys, "show", DOUBLET, "--rays", figures["rays"])[str(DOUBLET)]
     order = sorted(range(9), key=lambda field: figures["angle_deg"][field])
     for key, values in output["fields"].items():
         expected = [figures[key][order[k]] for k in (0, 4, 8)]
         assert values == pytest.approx(expected, rel=1e-9, abs=1e-9), key
     assert "core_radius_um" in output["fields"] and output["materials"] == ["COC", "OKP4"]
-    text = printed(capsys, "show", DOUBLET, "--rays", figures["rays"])
+    text = output_of(capsys, "show", DOUBLET, "--rays", figures["rays"])
     assert text.startswith(f"{DOUBLET}: 2 elements, COC, OKP4\n") and f"{figures['efl_mm']:.3f} mm" in text
     core, eighty = (line for line in text.splitlines() if "% of the light" in line)
     assert f"{figures['core_radius_um'][order[8]]:.2f}" in core
@@ -68,7 +68,7 @@ def test_a_zemax_file_of_our_lens_has_its_figures(capsys):
     assert run("show", DOUBLET, SAME, *FEW, "--json") == 0
     output = capsys.readouterr()
     ours, theirs = json.loads(output.out).values()
-    assert f"{SAME}: no pixels in the file: taken as 1.8 um, and PSF windows of 51" in output.err
+    assert f"{SAME}: no pixels in the file: using 1.8 um, and PSF windows of 51" in output.err
     for key in ("efl_mm", "f_number", "track_mm"):
         assert theirs[key] == pytest.approx(ours[key], rel=1e-6)
     for key in ("angle_deg", "rms_centroid_um", "core_radius_um", "mtf_sagittal_half_nyquist"):
@@ -77,12 +77,12 @@ def test_a_zemax_file_of_our_lens_has_its_figures(capsys):
 
 def test_options_are_in_place_of_the_files_specification(capsys):
     """A stop of half the diameter: twice the F-number, an Airy disc of twice the radius, a smaller spot on the axis."""
-    (open_,) = computed(capsys, "show", DOUBLET, *FEW).values()
-    (closed,) = computed(capsys, "show", DOUBLET, *FEW, "--f-number", 2 * open_["f_number"]).values()
+    (open_,) = json_of(capsys, "show", DOUBLET, *FEW).values()
+    (closed,) = json_of(capsys, "show", DOUBLET, *FEW, "--f-number", 2 * open_["f_number"]).values()
     assert closed["f_number"] == pytest.approx(2 * open_["f_number"], rel=1e-6)
     assert closed["airy_radius_um"] == pytest.approx(2 * open_["airy_radius_um"], rel=1e-6)
     assert closed["fields"]["rms_centroid_um"][0] < open_["fields"]["rms_centroid_um"][0]
-    (narrow,) = computed(capsys, "show", PHONE, *FEW, "--field-of-view", "20").values()
+    (narrow,) = json_of(capsys, "show", PHONE, *FEW, "--field-of-view", "20").values()
     assert narrow["fields"]["angle_deg"][-1] == pytest.approx(10, abs=1e-9)
 
 
@@ -93,8 +93,8 @@ def test_a_shifted_image_plane(file, capsys):
     Foci and image distance within 1e-6 um, the fourth point of the parabola within 1e-9 of the largest.
     """
     shifts = (-10.0, 0.0, 10.0, 20.0)
-    analyses = {shift: computed(capsys, "analyse", file, *FEW, "--focus", shift) for shift in shifts}
-    assert analyses[0.0] == computed(capsys, "analyse", file, *FEW)
+    analyses = {shift: json_of(capsys, "analyse", file, *FEW, "--focus", shift) for shift in shifts}
+    assert analyses[0.0] == json_of(capsys, "analyse", file, *FEW)
     for shift in shifts:
         distance = analyses[0.0]["image_distance_mm"] + 1e-3 * shift
         assert analyses[shift]["image_distance_mm"] == pytest.approx(distance, rel=0, abs=1e-9)
@@ -105,15 +105,15 @@ def test_a_shifted_image_plane(file, capsys):
     a, b, c, d = (numpy.square(analyses[shift]["rms_centroid_um"]) for shift in shifts)
     assert d == pytest.approx(a - 3 * b + 3 * c, rel=0, abs=1e-9 * d.max())
     assert numpy.abs(c - b).min() > 1e-3
-    (output,) = computed(capsys, "show", file, *FEW, "--focus", 20).values()
+    (output,) = json_of(capsys, "show", file, *FEW, "--focus", 20).values()
     assert output["fields"]["rms_centroid_um"][0] == pytest.approx(analyses[20.0]["rms_centroid_um"][0], rel=1e-12)
 
 
 def test_compare_fits_a_terminal(capsys):
     """Lenses of a study fit into 120 columns, named without folders."""
     files = [PUBLISHED / f"{name}.yaml" for name in ("quadruplet-image_contrast", "doublet-tasklens_joint")]
-    rows = computed(capsys, "compare", *files, *FEW)
-    text = printed(capsys, "compare", *files, *FEW)
+    rows = json_of(capsys, "compare", *files, *FEW)
+    text = output_of(capsys, "compare", *files, *FEW)
     assert max(map(len, text.splitlines())) <= 120
     for path, row, line in zip(files, rows, text.splitlines()[1:3], strict=True):
         assert row["lens"] == str(path)
@@ -124,10 +124,10 @@ def test_compare_fits_a_terminal(capsys):
 
 
 def test_lenses_of_one_name_are_told_apart(folder, capsys):
-    text = printed(capsys, "compare", DOUBLET, SAME, *FEW)
+    text = output_of(capsys, "compare", DOUBLET, SAME, *FEW)
     assert [line.split()[0] for line in text.splitlines()[1:3]] == ["doublet-imaging2.yaml", "doublet-imaging2.zmx"]
     (folder / DOUBLET.name).write_bytes(DOUBLET.read_bytes())
-    text = printed(capsys, "compare", DOUBLET, DOUBLET.name, *FEW)
+    text = output_of(capsys, "compare", DOUBLET, DOUBLET.name, *FEW)
     assert [line.split()[0] for line in text.splitlines()[1:3]] == [str(DOUBLET), DOUBLET.name]
     assert run("draw", DOUBLET, SAME, "-o", "both.png", *FEW) == 0
     assert run("draw", DOUBLET, "-o", "one.png", *FEW) == 0
@@ -136,10 +136,10 @@ def test_lenses_of_one_name_are_told_apart(folder, capsys):
 
 
 def test_analyse_has_the_seidel_sums_by_surface(capsys):
-    analysis = computed(capsys, "analyse", PHONE, *FEW)
+    analysis = json_of(capsys, "analyse", PHONE, *FEW)
     for name, total in analysis["seidel_um"].items():
         assert sum(analysis["seidel_by_surface_um"][name]) == pytest.approx(total, rel=1e-9, abs=1e-9)
-    text = printed(capsys, "analyse", PHONE, *FEW)
+    text = output_of(capsys, "analyse", PHONE, *FEW)
     assert text.startswith(f"# {PHONE}") and f"{analysis['efl_mm']:.4f}" in text and "core [um]" in text
 
 
@@ -216,7 +216,7 @@ def test_nothing_is_overwritten_without_consent(folder, capsys):
         path = folder / arguments[-1]
         path.write_text("mine")
         assert run(*arguments) == 2
-        assert capsys.readouterr().err == f"tasklens: {path.name}: exists; --force overwrites it\n"
+        assert capsys.readouterr().err == f"tasklens: {path.name}: already exists; --force overwrites it\n"
         assert path.read_text() == "mine"
     assert run("export", DOUBLET, "-o", "there.zmx", "--force") == 0
     assert (folder / "there.zmx").read_text().startswith("VERS")
@@ -245,9 +245,15 @@ MISTAKES = [
     (("show", "absent.zmx"), "absent.zmx: no such file or directory"),
     (("show", "folder.yaml"), "folder.yaml: is a folder; expected a file"),
     (("show", "broken.yaml"), "broken.yaml, line 2, column 16: not valid YAML: expected the node content"),
-    (("analyse", "bytes.yaml"), "bytes.yaml, line 2: not valid YAML: no UTF-8; save it as UTF-8"),
-    (("show", "other.yaml"), "other.yaml: no lens: expected a lens file with format, units, surfaces, stop, materials"),
-    (("show", "list.yaml"), "list.yaml: no lens: expected a lens file with format, units, surfaces, stop, materials"),
+    (("analyse", "bytes.yaml"), "bytes.yaml, line 2: not valid YAML: the text is not UTF-8; save it as UTF-8"),
+    (
+        ("show", "other.yaml"),
+        "other.yaml: not a lens: expected a lens file with format, units, surfaces, stop, materials",
+    ),
+    (
+        ("show", "list.yaml"),
+        "list.yaml: not a lens: expected a lens file with format, units, surfaces, stop, materials",
+    ),
     (("show", "image.png"), "image.png: expected a lens file, .yaml or .zmx"),
     (
         ("compare", DOUBLET, "bare.yaml"),
@@ -311,7 +317,7 @@ def test_an_export_for_zemax_spares_a_catalogue_of_the_same_name(folder, capsys)
     mine = folder / "out.agf"
     mine.write_text("mine")
     assert run("export", DOUBLET, "-o", folder / "out.zmx") == 2
-    assert "out.agf: exists" in capsys.readouterr().err and mine.read_text() == "mine"
+    assert "out.agf: already exists" in capsys.readouterr().err and mine.read_text() == "mine"
     assert not (folder / "out.zmx").exists()
     assert run("export", DOUBLET, "-o", folder / "out.zmx", "--force") == 0
     messages = capsys.readouterr().err

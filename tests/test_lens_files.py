@@ -18,7 +18,7 @@ from tasklens.runtime.files import FileError
 HEIGHTS = ((0.0, 0.0), (0.0, 18.2))
 
 
-def saved(tmp_path, **changes) -> lens_files.LensFile:
+def save(tmp_path, **changes) -> lens_files.LensFile:
     """The Cooke triplet as a Zemax file with other data, as it is used."""
     lens_data = Prescription(
         cooke_triplet(),
@@ -43,7 +43,7 @@ def saved(tmp_path, **changes) -> lens_files.LensFile:
 )
 def test_wavelengths_are_those_of_the_file(tmp_path, wavelengths, primary, expected):
     """Any number, the primary one in the middle, where the reference is; no remark about them."""
-    file = saved(tmp_path, wavelengths_um=wavelengths, primary=primary)
+    file = save(tmp_path, wavelengths_um=wavelengths, primary=primary)
     assert file.view.wavelengths == expected and file.view.reference == wavelengths[primary]
     assert not any("wavelength" in remark for remark in file.remarks)
     other = lens_files.read(tmp_path / "lens.zmx", wavelengths_um=["0.52"])
@@ -53,11 +53,11 @@ def test_wavelengths_are_those_of_the_file(tmp_path, wavelengths, primary, expec
 def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
     """One colour: red, green and blue are blurred alike; of four, the longest, a middle one and the shortest count."""
     image = torch.rand(3, 60, 60, generator=torch.Generator().manual_seed(1))
-    one = saved(tmp_path, wavelengths_um=(0.55,), primary=0)
+    one = save(tmp_path, wavelengths_um=(0.55,), primary=0)
     grey = image.mean(0).expand(3, -1, -1)
     capture = tasklens.simulate(grey, one.lens, one.view, fields=[(0, 3.0)], rays=256)
     assert capture.shape == (1, 3, 60, 60) and torch.allclose(capture[0, 0], capture[0, 2], atol=1e-6)
-    four = saved(tmp_path, wavelengths_um=(0.7, 0.65, 0.6, 0.55), primary=3)
+    four = save(tmp_path, wavelengths_um=(0.7, 0.65, 0.6, 0.55), primary=3)
     three = replace(four.view, wavelengths=(0.7, 0.6, 0.55))
     captures = [tasklens.simulate(image, four.lens, view, fields=[(0, 3.0)], rays=256) for view in (four.view, three)]
     assert torch.equal(*captures)
@@ -65,24 +65,24 @@ def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
 
 def test_a_real_image_height_is_solved_without_clear_apertures(tmp_path):
     """The chief ray of the field meets the image at the height, whatever clips it; a dark field is a remark."""
-    open_file = saved(tmp_path, fields=("real_image_height_mm", HEIGHTS))
+    open_file = save(tmp_path, fields=("real_image_height_mm", HEIGHTS))
     angle = float(torch.rad2deg(torch.atan(open_file.view.tangents.norm(dim=-1).max())))
     field = f64([[0.0, math.tan(math.radians(angle)) * open_file.view.efl]])
     chief = chief_rays(open_file.lens, replace(open_file.view.in_reference(), fields=field))
     assert abs(float(chief.y)) == pytest.approx(18.2, abs=1e-6)
     semi = cooke_triplet().semi_diameter.clone()
     semi[6] = 1.0
-    clipped = saved(tmp_path, lens=cooke_triplet(semi_diameter=semi), fields=("real_image_height_mm", HEIGHTS))
+    clipped = save(tmp_path, lens=cooke_triplet(semi_diameter=semi), fields=("real_image_height_mm", HEIGHTS))
     torch.testing.assert_close(clipped.view.tangents, open_file.view.tangents, rtol=1e-9, atol=0)
     assert any(" does not arrive at " in remark or "no light" in remark for remark in clipped.remarks)
     with pytest.raises(FileError, match="no chief ray arrives at the image height 90 mm"):
-        saved(tmp_path, fields=("real_image_height_mm", ((0.0, 90.0),)))
+        save(tmp_path, fields=("real_image_height_mm", ((0.0, 90.0),)))
 
 
 def test_a_lens_whose_only_field_is_the_axis(tmp_path):
     """Stock lenses have such files: they are used on the axis, which is a remark."""
-    file = saved(tmp_path, fields=("angle_deg", ((0.0, 0.0),)))
-    assert file.view.fields.tolist() == [[0.0, 0.0]] and "no field but the axis" in file.remarks[0]
+    file = save(tmp_path, fields=("angle_deg", ((0.0, 0.0),)))
+    assert file.view.fields.tolist() == [[0.0, 0.0]] and "no field except the axis" in file.remarks[0]
     wide = lens_files.read(tmp_path / "lens.zmx", field_of_view_deg=40.0)
     figures = [
         tasklens.analyse(lens_file.lens, lens_file.view, rays=256)["rms_centroid_um"][0] for lens_file in (file, wide)
@@ -93,14 +93,14 @@ def test_a_lens_whose_only_field_is_the_axis(tmp_path):
 def test_paraxial_image_heights_of_a_near_object(tmp_path):
     """The field whose paraxial image has the height: object height over magnification."""
     near = {"object_distance_mm": 500.0, "fields": ("paraxial_image_height_mm", ((0.0, 10.0),))}
-    image = saved(tmp_path, **near)
+    image = save(tmp_path, **near)
     scale = tasklens.analyse(image.lens, image.view, rays=64)["magnification"]
     near["fields"] = ("object_height_mm", ((0.0, 10.0 / abs(scale)),))
-    torch.testing.assert_close(saved(tmp_path, **near).view.tangents, image.view.tangents, rtol=1e-9, atol=0)
+    torch.testing.assert_close(save(tmp_path, **near).view.tangents, image.view.tangents, rtol=1e-9, atol=0)
 
 
 def test_assumptions_are_warnings_in_python(tmp_path):
-    saved(tmp_path)
+    save(tmp_path)
     with pytest.warns(UserWarning, match=r"lens\.zmx: no pixels in the file"):
         tasklens.load_lens(tmp_path / "lens.zmx")
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from designs import LIMITS, VIEW
 from examples import f64, random_lens
-from test_imaging_designs import LIMITS, LOOKS
 
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, violation
 from tasklens.design.linear_limits import LinearLimits
@@ -20,11 +20,11 @@ STRICT = LIMITS.model_copy(
 )
 
 
-def of_autograd(lens, semi_diameter, chief) -> torch.Tensor:
+def autograd_violations(lens, semi_diameter, chief) -> torch.Tensor:
     x, y, l, m, n = chief[..., None, None]
     rays = launch(x, y, torch.zeros_like(x), l, m, n)
     margins = manufacturing_margins(lens, STRICT, semi_diameter)
-    margins |= first_order_margins(lens, STRICT, LOOKS, rays)
+    margins |= first_order_margins(lens, STRICT, VIEW, rays)
     return violation(margins)
 
 
@@ -37,7 +37,7 @@ def example(seed: int) -> tuple:
 
     lens = random_lens(seed)
     lens = replace(lens, semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    fields = len(LOOKS.fields)
+    fields = len(VIEW.fields)
     ranges = [(-1, 1), (1, 2), (-0.2, 0.2), (-0.5, -0.3), (0.7, 0.9)]
     return lens, uniform(0.2, 0.8, 5), torch.stack([uniform(*limits, fields) for limits in ranges])
 
@@ -45,8 +45,8 @@ def example(seed: int) -> tuple:
 @pytest.mark.parametrize("seed", range(6))
 def test_values_are_those_of_the_limits(seed):
     lens, semi_diameter, chief = example(seed)
-    actual = LinearLimits(lens, STRICT, LOOKS, semi_diameter, chief).values
-    expected = of_autograd(lens, semi_diameter, chief)
+    actual = LinearLimits(lens, STRICT, VIEW, semi_diameter, chief).values
+    expected = autograd_violations(lens, semi_diameter, chief)
     assert (expected > 0).double().mean() > 0.5 and (expected == 0).any()
     torch.testing.assert_close(actual, expected, rtol=1e-12, atol=1e-14)
 
@@ -63,9 +63,9 @@ def test_derivatives_are_those_of_autograd(seed):
     def function(values):
         values = dict(values)
         semi_diameter, chief = values.pop("semi_diameter"), values.pop("chief")
-        return of_autograd(replace(lens, **values), semi_diameter, chief)
+        return autograd_violations(replace(lens, **values), semi_diameter, chief)
 
-    actual = LinearLimits(lens, STRICT, LOOKS, semi_diameter, chief).along(changes)
+    actual = LinearLimits(lens, STRICT, VIEW, semi_diameter, chief).along(changes)
     for k in range(3):
         expected = torch.func.jvp(function, (values,), ({name: change[k] for name, change in changes.items()},))[1]
         torch.testing.assert_close(actual[:, k], expected, rtol=1e-10, atol=1e-11)

@@ -66,7 +66,7 @@ def test_a_lens_does_not_predict_itself():
     assert (abs(predicted - clean)[lenses != 2] > 1).any()
 
 
-def planted(study) -> None:
+def write_results(study) -> None:
     """Write files of Gaussian PSFs, and of losses with a weight of 4 in one band, a different one per classifier."""
     random = numpy.random.default_rng(2)
     contents = MeritFunctionJob.of(study).contents
@@ -88,7 +88,7 @@ def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch):
     """The planted bands; all of the variance; the other classifier ranked a little differently; a figure."""
     monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
-    planted(study)
+    write_results(study)
     paths = finish("merit_function_table", study)
     rows = pandas.read_csv(paths.csv).set_index("classifier")
     for name, band in (("small", 2), ("other", 5)):

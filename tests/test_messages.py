@@ -1,20 +1,13 @@
 """Messages about mistakes in a study file: one sentence in the words of the file, not in those of pydantic."""
 
-import re
-
 import pytest
 import yaml
 from examples import changed, tiny_study
+from inner_words import INNER_WORDS
 
 from tasklens.cli.app import main
 from tasklens.study.loading import parse
 from tasklens.study.study import Study, StudyError
-
-INNER_WORDS = re.compile(
-    r"Input should|Field required|Extra inputs|Value error|\b(union|tagged|discriminator|pydantic|tuple|dict|validation"
-    r"|NoneType|mapping)\b|Settings\b|function-|should be strings",
-    re.IGNORECASE,
-)
 
 
 def test_the_file_and_all_its_mistakes_are_named(tmp_path, capsys):

@@ -41,8 +41,7 @@ def test_help_can_be_read(name):
     member = getattr(tasklens, name)
     text = inspect.getdoc(member)
     assert text.split("\n")[0].endswith((".", ";")) and f"tasklens.{name}(" in text
-    function = member if inspect.isfunction(member) else inspect.unwrap(tasklens.design.__call__)
-    for argument in inspect.signature(function).parameters:
+    for argument in inspect.signature(member).parameters:
         if argument not in ("lens", "view", "arguments", "keywords"):
             assert argument in text, argument
     with pytest.raises(AttributeError, match="tracee"):
@@ -230,9 +229,9 @@ def test_a_notebook_shows_a_lens(doublet):
 
 def test_a_design_in_a_notebook():
     short = {"descents": {"0": {"steps": 3}}}
-    lens, view, notes = tasklens.design("spot", ["COC"], settings=short, kernel_size=11, field_of_view_deg=40)
+    lens, view, notes = tasklens.design_lens("spot", ["COC"], settings=short, kernel_size=11, field_of_view_deg=40)
     assert view.kernel_size == 11 and len(lens.media) == len(lens.curvature)
     assert {"spec", "origin", "figures", "margins"} <= set(notes) and notes["origin"]["method"] == "descents"
     assert notes["figures"]["efl_mm"] == pytest.approx(tasklens.analyse(lens, view)["efl_mm"], rel=1e-12)
     with pytest.raises(InputError, match=r"spec\.f_numbre = 2: unknown key; did you mean f_number\?"):
-        tasklens.design("spot", ["COC"], f_numbre=2)
+        tasklens.design_lens("spot", ["COC"], f_numbre=2)

@@ -11,13 +11,13 @@ from tasklens.recognition import coco, object_scenes, objects, scenes
 from tasklens.runtime.files import FileError
 
 
-def rendered(count: int = 30, size: int = 64, seed: int = 0) -> objects.ObjectDataset:
+def render(count: int = 30, size: int = 64, seed: int = 0) -> objects.ObjectDataset:
     return object_scenes.render(count, size, seed)
 
 
 def test_scenes_hold_visible_objects():
     """One to four each, at least half of each seen, no pixel of two; all classes come up."""
-    dataset = rendered(80)
+    dataset = render(80)
     assert dataset.images.shape == (80, 3, 64, 64) and dataset.classes == scenes.CLASSES
     numbers = torch.bincount(dataset.owner, minlength=80)
     assert numbers.min() >= 1 and numbers.max() == object_scenes.MOST
@@ -30,7 +30,7 @@ def test_scenes_hold_visible_objects():
 
 
 def test_scenes_depend_on_the_seed_only():
-    first, again, other = (rendered(seed=seed) for seed in (5, 5, 6))
+    first, again, other = (render(seed=seed) for seed in (5, 5, 6))
     assert torch.equal(first.images, again.images) and torch.equal(first.masks, again.masks)
     assert not torch.equal(first.images, other.images)
     with pytest.raises(ValueError, match="expected at least one of 32"):
@@ -39,7 +39,7 @@ def test_scenes_depend_on_the_seed_only():
 
 def test_masks_are_where_the_texture_is():
     """A pixel inside differs from one outside by more detail: high frequencies of the image are those of objects."""
-    dataset = rendered(40)
+    dataset = render(40)
     grey = dataset.images.float().mean(1)
     detail = (grey - torch.nn.functional.avg_pool2d(grey[:, None], 5, 1, 2)[:, 0]).abs()
     inside = torch.stack([dataset.objects_of(k)[1].any(0) for k in range(40)])
@@ -69,7 +69,7 @@ def test_packed_masks_come_back():
 
 
 def test_files_hold_a_split(tmp_path):
-    dataset = rendered(10)
+    dataset = render(10)
     paths = tmp_path / "test.npy", tmp_path / "test.safetensors"
     objects.write(dataset, *paths)
     again = objects.read(*paths)
@@ -83,10 +83,10 @@ def test_files_hold_a_split(tmp_path):
 
 def test_files_of_different_splits_are_refused(tmp_path):
     for count in (4, 8):
-        objects.write(rendered(count), tmp_path / f"{count}.npy", tmp_path / f"{count}.safetensors")
+        objects.write(render(count), tmp_path / f"{count}.npy", tmp_path / f"{count}.safetensors")
     with pytest.raises(FileError, match=r"8\.safetensors.*images that .*4\.npy does not have"):
         objects.read(tmp_path / "4.npy", tmp_path / "8.safetensors")
-    objects.write(rendered(4, 32), tmp_path / "small.npy", tmp_path / "small.safetensors")
+    objects.write(render(4, 32), tmp_path / "small.npy", tmp_path / "small.safetensors")
     with pytest.raises(FileError, match=r"small\.safetensors"):
         objects.read(tmp_path / "4.npy", tmp_path / "small.safetensors")
 
@@ -167,5 +167,5 @@ def test_absent_and_broken_annotations(tmp_path):
         coco.read(tmp_path, "val", 32, None, seed=0)
     (tmp_path / "annotations").mkdir()
     (tmp_path / "annotations" / "instances_val.json").write_text("{")
-    with pytest.raises(FileError, match=r"instances_val\.json: no JSON"):
+    with pytest.raises(FileError, match=r"instances_val\.json: not valid JSON"):
         coco.read(tmp_path, "val", 32, None, seed=0)

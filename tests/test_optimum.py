@@ -4,9 +4,8 @@ from dataclasses import dataclass, replace
 
 import pytest
 import torch
+from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
-from test_design import LIMITS, LOOKS, problem
-from test_task_design import spot_lens
 
 from tasklens.design.criteria import SpotRadius
 from tasklens.design.optimum import local_optimum
@@ -32,33 +31,33 @@ class Bowl(SpotRadius):
         from tasklens.optics.analysis.spots import trace_fields
 
         count = rays.x.shape[-1]
-        goal = trace_fields(self.target, LOOKS, sobol_disc(count, seed=0))
+        goal = trace_fields(self.target, VIEW, sobol_disc(count, seed=0))
         return 1e4 * ((rays.x - goal.x) ** 2 + (rays.y - goal.y) ** 2).mean((1, 2))
 
 
 @pytest.fixture(scope="module")
-def feasible(start):
+def feasible(spot_lens):
     """A lens inside all limits, with its clear apertures."""
-    return with_clear_apertures(*repair(spot_lens(start), LOOKS, LIMITS))
+    return with_clear_apertures(*repair(spot_lens, VIEW, LIMITS))
 
 
-def examined(lens, target) -> Optimum:
+def examine(lens, target) -> Optimum:
     supervisor = Supervisor(Bowl(target), problem(), None, False, 36)
     return Optimum(**local_optimum(lens, supervisor, PART))
 
 
 def test_the_bottom_of_a_bowl_is_an_optimum(feasible):
-    result = examined(feasible, feasible)
+    result = examine(feasible, feasible)
     assert result.reached and result.gain <= 1e-9
 
 
 def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):
     """Rays 4 um from their target: of 0.5, 2 and 8 um, a step of 2 along the gradient wins most, (4^2 - 2^2) / 100."""
-    space = RaySpace(feasible, LOOKS, LIMITS)
+    space = RaySpace(feasible, VIEW, LIMITS)
     gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(3)).double()
     model = space.linearise(space.start)
     target = space.lens(space.start + model.step(model.metric @ (model.scale * gradient), 4.0, 0.1))
-    result = examined(feasible, target)
+    result = examine(feasible, target)
     assert not result.reached and result.along == "gradient" and result.step_um == 2.0
     assert 0.03 < result.gain < 0.2
 
@@ -71,6 +70,6 @@ def test_a_descent_that_was_cut_short_has_not_converged():
     for steps in (5, 250):
         part = DescentSettings(steps=steps, criterion="spot", pixels=(10, 1), duration=0.7, final=0.02)
         lens, _, _ = by_descents(plates, lambda part: SpotRadius(), posed, part, rays=64)
-        finished = with_clear_apertures(*repair(lens, LOOKS, LIMITS))
+        finished = with_clear_apertures(*repair(lens, VIEW, LIMITS))
         gains.append(Optimum(**local_optimum(finished, supervisor, part)).gain)
     assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]

@@ -43,7 +43,7 @@ def test_a_module_and_pairs_of_images_design_a_lens(images, network, capsys):
     """The same lens as for a data set of ours; the module and its gradients are as before."""
     before = {name: value.clone() for name, value in network.state_dict().items()}
     lenses = [
-        tasklens.design("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)[0]
+        tasklens.design_lens("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)[0]
         for data in (pairs(images), images)
     ]
     assert torch.equal(lenses[0].curvature, lenses[1].curvature) and lenses[0].curvature.any()
@@ -62,7 +62,7 @@ def test_a_loss_of_ones_own(images):
     def blur(answer, labels):
         return -answer[1]
 
-    lens, _, notes = tasklens.design(
+    lens, _, notes = tasklens.design_lens(
         "task", ["COC"], images=pairs(images), network=Mean(), loss=blur, settings=QUICK, **SPEC
     )
     assert lens.curvature.any() and notes["origin"]["validation_loss"] < 0
@@ -71,14 +71,18 @@ def test_a_loss_of_ones_own(images):
 @pytest.mark.parametrize(
     "network, loss, words",
     [
-        (nn.Conv2d(3, 3, 3), None, r"answers 2 images with a tensor \(2, 3, 30, 30\); expected logits \(2, 3\)"),
-        (nn.Flatten(), lambda answer, labels: answer.detach().sum(), "loss: has no gradient at the images"),
+        (nn.Conv2d(3, 3, 3), None, r"returns a tensor \(2, 3, 30, 30\) for 2 images; expected logits \(2, 3\)"),
+        (
+            nn.Flatten(),
+            lambda answer, labels: answer.detach().sum(),
+            "loss: has no gradient with respect to the images",
+        ),
         (nn.Flatten(), lambda answer, labels: answer.sum() / 0, "loss: expected a finite number"),
     ],
 )
 def test_what_cannot_be_used_is_refused_before_the_first_step(images, network, loss, words):
     with pytest.raises(InputError, match=words):
-        tasklens.design("task", ["COC"], images=images, network=network, loss=loss, settings=QUICK, **SPEC)
+        tasklens.design_lens("task", ["COC"], images=images, network=network, loss=loss, settings=QUICK, **SPEC)
 
 
 def test_wrong_pairs_are_refused(network):
@@ -90,7 +94,7 @@ def test_wrong_pairs_are_refused(network):
         (7, "images: expected a folder, or pairs"),
     ):
         with pytest.raises(InputError, match=words):
-            tasklens.design("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
+            tasklens.design_lens("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
 
 
 def test_a_network_of_timm_keeps_its_normalisation(images):
@@ -108,7 +112,7 @@ def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
     fit({"network": classifier}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
     by_name = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
-    lens, _, _ = tasklens.design("task", ["COC"], images=images, classifier=by_name, settings=QUICK, **SPEC)
+    lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, classifier=by_name, settings=QUICK, **SPEC)
     assert lens.curvature.any()
 
 

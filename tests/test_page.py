@@ -1,6 +1,7 @@
 """The page of a study: its sentences about verdicts, marked values and missing results."""
 
 import json
+from types import SimpleNamespace
 
 import numpy
 import pandas
@@ -17,6 +18,7 @@ from tasklens.study.claims import (
     OVER_IMAGE_QUALITY,
     OVER_IMAGING1,
     OVER_LEAST_SQUARES,
+    PAPER_CLAIMS,
 )
 
 KNOWN = 0.001  # p-value of a difference that is significant
@@ -68,21 +70,32 @@ def test_a_comparison_in_words(verdict_row, sentence):
     assert words.comparison(verdict_row, 0.0).text == f"{sentence}, the best lens for image quality."
 
 
-TASK_DRIVEN = ("doublet-tasklens", "doublet-tasklens_joint", "triplet-tasklens")
+def settings(seeds: int = 5) -> SimpleNamespace:
+    """What the sentences read of the settings of the page."""
+    by_task = ("doublet-tasklens", "doublet-tasklens_joint", "triplet-tasklens")
+    return SimpleNamespace(
+        by_task=by_task,
+        elements={lens: lens.partition("-")[0] for lens in by_task},
+        margins=MARGINS,
+        questions=(OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES),
+        paper_claims=PAPER_CLAIMS,
+        seeds=tuple(range(seeds)),
+    )
 
 
 def test_the_summary_gives_the_gain_of_the_first_task_driven_lens_of_each_elements():
     """Compared with lenses for image quality; with least squares if the study has none of these."""
     joint = row(lens="doublet-tasklens_joint", difference=4.0)
-    triplet = row(lens="triplet-tasklens", difference=0.3, low=-1.0, high=1.5, p=0.4)
+    triplet = row(lens="triplet-tasklens", baseline="triplet-image_error", difference=0.3, low=-1.0, high=1.5, p=0.4)
     rows = pandas.DataFrame([joint, HOLDS, triplet, row(OVER_LEAST_SQUARES, difference=9.0)])
-    first = words.summary(rows, TASK_DRIVEN, MARGINS, 5)[0]
+    first = words.summary(rows, settings())[0]
     assert first.text == (
-        "Accuracy compared with the best lens for image quality: doublet tasklens +2.0 points (+1.0 to +3.0), shown; "
-        "triplet tasklens +0.3 points (−1.0 to +1.5), undecided."
+        "Accuracy compared with the best lens for image quality (chosen on minival images): "
+        "doublet tasklens +2.0 points (+1.0 to +3.0) compared with image_error, shown; "
+        "triplet tasklens +0.3 points (−1.0 to +1.5) compared with image_error, undecided."
     )
-    first = words.summary(rows[rows["claim"] == OVER_LEAST_SQUARES], TASK_DRIVEN, MARGINS, 5)[0]
-    assert first.text.startswith("Accuracy compared with the best lens by least squares: doublet tasklens +9.0 points")
+    first = words.summary(rows[rows["claim"] == OVER_LEAST_SQUARES], settings())[0]
+    assert first.text.startswith("Accuracy compared with the best lens by least squares (chosen on minival images): ")
 
 
 def test_the_papers_claims_are_counted_as_the_paper_has_them():
@@ -90,30 +103,30 @@ def test_the_papers_claims_are_counted_as_the_paper_has_them():
     rows = [row(OVER_IMAGING1), row(OVER_LEAST_SQUARES), HOLDS, row(FEWER_ELEMENTS, difference=-2, low=-3, high=-1)]
     rows += [row(OVER_LEAST_SQUARES, table="table2"), UNDECIDED | {"table": "table2", "claim": OVER_IMAGING1}]
     verdicts = pandas.DataFrame(rows)
-    counted = {tally.sentence: tally for tally in words.tallies(verdicts, MARGINS)}
+    counted = {tally.sentence: tally for tally in words.tallies(verdicts, PAPER_CLAIMS, MARGINS)}
     assert [tally.directions.total() for tally in counted.values()] == [2, 1, 2, 1]
     assert [tally.outcome for tally in counted.values()] == [words.FOR, words.AGAINST, words.UNDECIDED, words.FOR]
     assert [tally.of_the_paper for tally in counted.values()] == [True, True, True, False]
-    second = words.summary(verdicts, TASK_DRIVEN, MARGINS, 5)[1]
-    counts = "1 is true in every comparison, 1 is mixed or undecided and 1 is true in none"
+    second = words.summary(verdicts, settings())[1]
+    counts = "1 is supported by every comparison, 1 is mixed or undecided and 1 is contradicted by every comparison"
     assert second.text == f"Of the paper's 3 claims tested here, {counts}."
 
 
 @pytest.mark.parametrize(
     "seeds, sentence, over",
     [
-        (1, "With one seed, differences are suggested", "over test images."),
-        (3, "With 3 seeds, differences are suggested", "over test images and seeds."),
+        (1, "One seed can only suggest a difference", "over test images."),
+        (3, "3 seeds can only suggest a difference", "over test images and seeds."),
         (5, "Intervals are 95 %", "over test images and 5 seeds;"),
     ],
 )
 def test_the_summary_ends_with_its_certainty(seeds, sentence, over):
-    last = words.summary(pandas.DataFrame([SUGGESTED, AGAINST, WITHIN]), TASK_DRIVEN, MARGINS, seeds)[-1]
+    last = words.summary(pandas.DataFrame([SUGGESTED, AGAINST, WITHIN]), settings(seeds))[-1]
     assert last.text.startswith(sentence) and over in last.text
 
 
 def test_a_study_without_claims_says_so():
-    assert [sentence.text for sentence in words.summary(pandas.DataFrame(columns=list(HOLDS)), (), {}, 1)] == [
+    assert [sentence.text for sentence in words.summary(pandas.DataFrame(columns=list(HOLDS)), settings())] == [
         "The paper's claims are about no lenses of this study."
     ]
 
@@ -213,7 +226,7 @@ def test_violated_limits_are_marked(built_table):
 
 def test_a_chart_has_a_point_per_lens_and_names_the_most_accurate():
     chart = charts.accuracy_over_rms(TABLE)
-    assert chart is not None and "of 4 lenses. Most accurate: doublet tasklens, 71.0 % at 12.0 um" in chart.words
+    assert chart is not None and "for 4 lenses. Most accurate: doublet tasklens, 71.0 % at 12.0 um" in chart.words
     assert charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
 
 

@@ -6,9 +6,9 @@ from functools import partial
 
 import pytest
 import torch
-from examples import WAVELENGTHS, difference, f64, random_lens, random_rays
+from examples import WAVELENGTHS, assert_close, difference, f64, random_lens, random_rays
 from reference_files import SHIPPED, original_of
-from test_reference_rays import read
+from reference_lenses import tabulated_lens
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.pose import Pose
@@ -26,25 +26,19 @@ CASES = {
 }
 
 
-def exact(actual, expected, atol):
-    torch.testing.assert_close(
-        actual, torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual), rtol=0, atol=atol
-    )
-
-
-def posed(entry: dict, case: dict) -> Lens:
+def posed_lens(entry: dict, case: dict) -> Lens:
     """The lens of the file, moved by our own methods."""
-    lens = read(entry)
+    lens = tabulated_lens(entry)
     for i, surface in enumerate(case["surfaces"]):
         if any(surface["decentre"]) or any(surface["tilt"]):
-            lens = moved(lens, "with_surface_moved", i, decentre=surface["decentre"], tilt=surface["tilt"])
+            lens = moved_lens(lens, "with_surface_moved", i, decentre=surface["decentre"], tilt=surface["tilt"])
     for move in case["element_moves"]:
         first, last = move["surfaces"][0], move["surfaces"][-1]
-        lens = moved(lens, "with_element_moved", first, last, decentre=move["decentre"], tilt=move["tilt"])
+        lens = moved_lens(lens, "with_element_moved", first, last, decentre=move["decentre"], tilt=move["tilt"])
     return lens
 
 
-def moved(lens: Lens, method: str, *surfaces: int, decentre, tilt) -> Lens:
+def moved_lens(lens: Lens, method: str, *surfaces: int, decentre, tilt) -> Lens:
     after = getattr(lens, method)(*surfaces, f64(decentre), f64(tilt))
     if hasattr(lens, "table"):
         object.__setattr__(after, "table", lens.table)
@@ -55,26 +49,26 @@ def moved(lens: Lens, method: str, *surfaces: int, decentre, tilt) -> Lens:
 def test_rays_through_moved_surfaces(name):
     """Poses, points on every surface and on the image plane within 1e-12 mm, directions 1e-13, paths 1e-12 mm."""
     entry, case = CASES[name]
-    lens = posed(entry, case)
+    lens = posed_lens(entry, case)
     for i, surface in enumerate(case["surfaces"]):
-        exact(lens.pose.rotation[i], [[float(v) for v in row] for row in surface["rotation"]], 1e-15)
+        assert_close(lens.pose.rotation[i], [[float(v) for v in row] for row in surface["rotation"]], 1e-15)
         nominal = f64([0.0, 0.0, lens.vertices[i]])
-        exact(lens.pose.position[i] + nominal, [float(v) for v in surface["position"]], 2e-14)
+        assert_close(lens.pose.position[i] + nominal, [float(v) for v in surface["position"]], 2e-14)
     for reference in case["traces"]:
         numbers = {k: f64([[float(v) for v in row] for row in reference[k]]) for k in ("origin", "image_xy")}
         toward = f64([float(v) for v in reference["direction"]])
         indices = lens.refractive_indices((reference["wavelength_um"],))
         rays, record = trace_full(lens, launch(*numbers["origin"].T[:, None], *toward), indices)
         assert rays.valid.all()
-        exact(torch.stack([rays.x[0], rays.y[0]], -1), numbers["image_xy"], 1e-12)
+        assert_close(torch.stack([rays.x[0], rays.y[0]], -1), numbers["image_xy"], 1e-12)
         expected = [[float(v) for v in row] for row in reference["image_direction"]]
-        exact(torch.stack([rays.l[0], rays.m[0], rays.n[0]], -1), expected, 1e-13)
-        exact(rays.path[0], [float(v) for v in reference["optical_path"]], 1e-12)
+        assert_close(torch.stack([rays.l[0], rays.m[0], rays.n[0]], -1), expected, 1e-13)
+        assert_close(rays.path[0], [float(v) for v in reference["optical_path"]], 1e-12)
         if "surface_points" in reference:
             expected = f64([[[float(v) for v in point] for point in ray] for ray in reference["surface_points"]])
             z = lens.vertices
             points = [torch.stack([r.x[0], r.y[0], r.z[0] + z[i]], -1) for i, r in enumerate(record)]
-            exact(torch.stack(points, 1), expected, 1e-12)
+            assert_close(torch.stack(points, 1), expected, 1e-12)
 
 
 def random_pose(seed: int) -> Lens:
@@ -83,8 +77,8 @@ def random_pose(seed: int) -> Lens:
     lens = random_lens(seed)
     for i in range(5):
         decentre, tilt = 0.02 * torch.randn(2, 2, generator=generator, dtype=torch.float64)
-        lens = moved(lens, "with_surface_moved", i, decentre=decentre, tilt=tilt)
-    return moved(lens, "with_element_moved", 1, 2, decentre=[0.01, -0.02], tilt=[-0.01, 0.03])
+        lens = moved_lens(lens, "with_surface_moved", i, decentre=decentre, tilt=tilt)
+    return moved_lens(lens, "with_element_moved", 1, 2, decentre=[0.01, -0.02], tilt=[-0.01, 0.03])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -94,7 +88,7 @@ def test_the_kernel_traces_as_the_reference_does(seed):
     fast, slow = trace(lens, start, indices), reference_trace(lens, start, indices)
     assert torch.equal(fast.status, slow.status) and fast.valid.any()
     for value in ("x", "y", "l", "m", "n", "path"):
-        exact(getattr(fast, value), getattr(slow, value), 1e-12)
+        assert_close(getattr(fast, value), getattr(slow, value), 1e-12)
 
 
 def test_nominal_poses_change_nothing():
@@ -103,11 +97,11 @@ def test_nominal_poses_change_nothing():
     indices = lens.refractive_indices(WAVELENGTHS)
     plain = trace(lens, start, indices)
     posed = trace(replace(lens, pose=Pose.nominal(5, torch.float64)), start, indices)
-    shifted = moved(lens, "with_element_moved", 0, 4, decentre=[0.1, -0.2], tilt=[0.0, 0.0])
+    shifted = moved_lens(lens, "with_element_moved", 0, 4, decentre=[0.1, -0.2], tilt=[0.0, 0.0])
     along = trace(shifted, replace(start, x=start.x + 0.1, y=start.y - 0.2), indices)
-    exact(posed.x, plain.x, 1e-15)
-    exact(along.x - 0.1, plain.x, 1e-14)
-    exact(along.y + 0.2, plain.y, 1e-14)
+    assert_close(posed.x, plain.x, 1e-15)
+    assert_close(along.x - 0.1, plain.x, 1e-14)
+    assert_close(along.y + 0.2, plain.y, 1e-14)
     assert torch.equal(posed.status, plain.status)
 
 
@@ -134,8 +128,8 @@ def test_derivatives_by_decentre_and_tilt():
     changes = {k: torch.randn(v.shape, generator=generator, dtype=torch.float64) for k, v in values.items()}
     along = torch.func.jvp(function, (values,), (changes,))[1]
     slow = torch.func.jvp(partial(image, lens, start, indices, reference_trace), (values,), (changes,))[1]
-    exact(along, slow, 1e-10 * float(slow.abs().max()))
-    exact((weights * along).sum(), sum((gradient[k] * changes[k]).sum() for k in values), 1e-9)
+    assert_close(along, slow, 1e-10 * float(slow.abs().max()))
+    assert_close((weights * along).sum(), sum((gradient[k] * changes[k]).sum() for k in values), 1e-9)
 
 
 def test_a_posed_lens_can_be_linearised():
@@ -147,7 +141,7 @@ def test_a_posed_lens_can_be_linearised():
     expected = torch.func.jvp(
         lambda c: trace(replace(lens, curvature=c), start, indices).x, (lens.curvature,), (change,)
     )[1]
-    exact(actual, expected, 1e-13)
+    assert_close(actual, expected, 1e-13)
 
 
 def test_a_lens_keeps_its_poses():
@@ -157,4 +151,4 @@ def test_a_lens_keeps_its_poses():
     indices = lens.refractive_indices(WAVELENGTHS)
     assert torch.equal(trace(lens.detached(), start, indices).x, trace(lens, start, indices).x)
     large = trace(lens.scaled(3.0), replace(start, x=3 * start.x, y=3 * start.y), indices)
-    exact(large.x, 3 * trace(lens, start, indices).x, 1e-13)
+    assert_close(large.x, 3 * trace(lens, start, indices).x, 1e-13)

@@ -5,62 +5,15 @@ import math
 from dataclasses import replace
 
 import pytest
-import torch
 import yaml
-from examples import make_lens, materials, random_lens
+from examples import make_lens, random_lens
+from prescriptions import random_prescription, same_bits
 
-from tasklens.materials.material import AIR, Material, model_glass
+from tasklens.materials.material import AIR, Material
 from tasklens.optics.io import prescription
-from tasklens.optics.io.prescription import APERTURES, FIELDS, Prescription
+from tasklens.optics.io.prescription import Prescription
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError
-
-TENSORS = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
-
-
-def same_bits(a, b) -> bool:
-    """Whether two lenses have the same numbers to the last bit, negative zeros included, and the same media."""
-    tensors = all(torch.equal(getattr(a, n).view(torch.int64), getattr(b, n).view(torch.int64)) for n in TENSORS)
-    return tensors and (a.media, a.stop) == (b.media, b.stop)
-
-
-def random_prescription(seed: int) -> Prescription:
-    """Any number of surfaces and orders, numbers of every size, every kind of medium, aperture and field."""
-    generator = torch.Generator().manual_seed(seed)
-
-    def pick(count: int) -> int:
-        return int(torch.randint(count, (), generator=generator))
-
-    def awkward(*shape: int) -> torch.Tensor:
-        """Random signs, fractions and powers of ten from 1e-20 to 1e20."""
-        sign = 1 - 2 * torch.randint(2, shape, generator=generator).double()
-        power = torch.randint(-20, 21, shape, generator=generator).double()
-        return sign * torch.rand(shape, generator=generator, dtype=torch.float64) * 10.0**power
-
-    surfaces, orders = 1 + pick(9), pick(15)
-    odd = Material("Größe: 3", "conrady", tuple(awkward(3).tolist()), (0.4, 0.7), "mine: # 1")
-    kinds = (AIR, *materials("COC", "OKP4"), odd, model_glass(1.544, 55.9, 0.01, "APL"), model_glass(1.6, 0.0, 0.0))
-    semi_diameter = awkward(surfaces).abs()
-    semi_diameter[pick(surfaces)] = math.inf
-    lens = make_lens(
-        awkward(surfaces),
-        awkward(surfaces).abs(),
-        [*(kinds[pick(len(kinds))] for _ in range(surfaces - 1)), AIR],
-        conic=awkward(surfaces),
-        alpha=awkward(surfaces, orders),
-        semi_diameter=semi_diameter,
-        stop=pick(surfaces),
-    )
-    return Prescription(
-        lens=lens,
-        title=("", "2012", "yes: 'a' # title", "Ø 30 mm")[pick(4)],
-        comments=(*(("", "front", "1e-3", "null")[pick(4)] for _ in range(surfaces - 1)), "last"),
-        aperture=(APERTURES[pick(2)], float(awkward(1).abs())),
-        fields=(FIELDS[pick(4)], tuple(map(tuple, awkward(1 + pick(5), 2).tolist()))),
-        wavelengths_um=tuple(awkward(3).abs().tolist()),
-        primary=pick(3),
-        object_distance_mm=(math.inf, float(awkward(1).abs()))[pick(2)],
-    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -111,7 +64,7 @@ def test_two_materials_of_one_name_cannot_be_written():
             prescription.to_dict(Prescription(make_lens([0.0, 0.0], [1.0, 1.0], media)))
 
 
-def broken(change) -> dict:
+def broken_content(change) -> dict:
     content = copy.deepcopy(prescription.to_dict(replace(random_prescription(6), lens=random_lens(0), comments=None)))
     change(content)
     return content
@@ -188,7 +141,7 @@ MISTAKES = [
 @pytest.mark.parametrize("change, words", MISTAKES)
 def test_a_wrong_file_is_refused_with_the_reason(change, words):
     with pytest.raises(FileError) as error:
-        prescription.from_dict(broken(change), "my.yaml")
+        prescription.from_dict(broken_content(change), "my.yaml")
     assert all(word in str(error.value) for word in ["my.yaml", *words]), error.value
 
 
@@ -201,7 +154,7 @@ def test_what_is_no_lens_file_is_refused(tmp_path, text):
 
 def test_numbers_as_people_write_them():
     """1e-3, which YAML reads as text, and integers."""
-    content = broken(put("surfaces", 2, "thickness", value="1e-3"))
+    content = broken_content(put("surfaces", 2, "thickness", value="1e-3"))
     content["surfaces"][1]["curvature"] = 1
     lens = prescription.from_dict(content).lens
     assert float(lens.thickness[2]) == 1e-3 and float(lens.curvature[1]) == 1.0
@@ -209,7 +162,7 @@ def test_numbers_as_people_write_them():
 
 def test_missing_orders_are_zero():
     """A file may leave out alpha_2j of single surfaces."""
-    content = broken(lambda c: [c["surfaces"][1].pop(f"alpha_{k}") for k in (4, 10)])
+    content = broken_content(lambda c: [c["surfaces"][1].pop(f"alpha_{k}") for k in (4, 10)])
     alpha = prescription.from_dict(content).lens.alpha
     assert alpha.shape == (5, 5)
     assert alpha[1, 1] == alpha[1, 4] == 0 and (alpha[2] != 0).all()

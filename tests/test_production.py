@@ -10,7 +10,7 @@ import pytest
 import torch
 from examples import f64, read_rows, tiny_study
 from rules import finish
-from test_tolerancing import doublet, grade
+from tolerance_examples import doublet, grade
 
 from tasklens.design import production
 from tasklens.design.production import Production
@@ -35,14 +35,14 @@ def contrast(captures: torch.Tensor) -> torch.Tensor:
     return torch.stack([0 * deviation, 100 * (deviation - 0.062)], -1)
 
 
-def line(tolerances: Grade) -> Production:
+def production_of(tolerances: Grade) -> Production:
     lens, view = doublet()
     return Production(lens, view, errors(lens, tolerances), PsfCamera, contrast)
 
 
 def test_the_design_comes_first_and_errors_cost_sharpness():
     """Rows are those of lenses built by hand; the same seed gives the same lenses."""
-    process = line(Grade.model_validate("commercial_moulding"))
+    process = production_of(Grade.model_validate("commercial_moulding"))
     rows = production.built_lenses(process, 12, 5, IMAGES)
     assert [row["lens"] for row in rows] == ["design", *range(12)] and rows[0]["focus_um"] == 0.0
     assert rows[0] | {"lens": 0} == {"lens": 0} | process.measure(process.lens, IMAGES) | {"focus_um": 0.0}
@@ -53,7 +53,7 @@ def test_the_design_comes_first_and_errors_cost_sharpness():
 
 
 def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
-    process = line(Grade.model_validate("commercial_moulding"))
+    process = production_of(Grade.model_validate("commercial_moulding"))
     whole = production.built_lenses(process, 4, 5, IMAGES)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
     measured = []
@@ -76,7 +76,7 @@ def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kills", [4, 7, 10, 14])  # of 6 measurements of errors, and of 2 in each trial
 def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, monkeypatch, kills):
     """With the same numbers, and at most the measurements of one error or trial twice."""
-    process = line(Grade.model_validate("commercial_moulding"))
+    process = production_of(Grade.model_validate("commercial_moulding"))
     displacement_um = displacements(process.lens, process.view, process.errors, 64)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
     monkeypatch.setattr("tasklens.optics.tolerancing.allocation.YIELD", 0.5)  # of two lenses, one
@@ -116,7 +116,7 @@ def test_a_lens_without_light_is_counted():
 
 def test_single_errors_and_allotted_tolerances():
     """A single error has the mean of both signs; with allotted tolerances few lenses lose more than a point."""
-    process = line(Grade.model_validate("commercial_moulding"))
+    process = production_of(Grade.model_validate("commercial_moulding"))
     at = [error.name for error in process.errors].index("element decentre 1 x")
     nominal = process.measure(process.lens, IMAGES)["accuracy"]
     changes = production.one_at_a_time(process, [at], nominal, IMAGES)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, difference, f64, landed, random_lens
+from examples import WAVELENGTHS, difference, f64, random_lens, rays_on_image
 
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
@@ -35,7 +35,7 @@ def psf_of_a_lens(fields, pupil, pitch: float, kernel: int):
 
 def test_one_ray_is_shared_by_four_pixels():
     """At (1.25, -0.4) pixels: columns 1 and 2 get 3/4 and 1/4, rows -1 and 0 get 0.4 and 0.6."""
-    grid = psf(landed([[[1.25 * PITCH * 1e-3]]], [[[-0.4 * PITCH * 1e-3]]]), ORIGIN, PITCH, K)[0, 0]
+    grid = psf(rays_on_image([[[1.25 * PITCH * 1e-3]]], [[[-0.4 * PITCH * 1e-3]]]), ORIGIN, PITCH, K)[0, 0]
     expected = torch.zeros(K, K, dtype=torch.float64)
     centre = K // 2
     expected[centre - 1 : centre + 1, centre + 1 : centre + 3] = f64([[0.4], [0.6]]) * f64([[0.75, 0.25]])
@@ -49,19 +49,19 @@ def test_energy_is_the_share_of_the_rays_inside():
     x[..., 300:350] = -1e30
     valid = torch.ones(1, 1, 600, dtype=torch.bool)
     valid[..., 350:450] = False
-    assert float(psf(landed(x, y, valid), ORIGIN, PITCH, K).sum()) == pytest.approx(350 / 600, abs=1e-13)
+    assert float(psf(rays_on_image(x, y, valid), ORIGIN, PITCH, K).sum()) == pytest.approx(350 / 600, abs=1e-13)
 
 
 def test_a_lost_ray_gives_nothing():
     x, y = cloud(10, 1, 1.0)
-    assert float(psf(landed(x, y, torch.zeros(1, 1, 10, dtype=torch.bool)), ORIGIN, PITCH, K).abs().sum()) == 0
+    assert float(psf(rays_on_image(x, y, torch.zeros(1, 1, 10, dtype=torch.bool)), ORIGIN, PITCH, K).abs().sum()) == 0
 
 
 def test_centroid_of_the_psf_is_that_of_the_rays():
     """Bilinear sharing keeps the first moments, about any centre."""
     x, y = cloud(300, 2, 0.8)
     centre = f64([[0.3e-3, -0.7e-3]])
-    grid = psf(landed(x, y), centre, PITCH, K)[0, 0]
+    grid = psf(rays_on_image(x, y), centre, PITCH, K)[0, 0]
     assert float(grid.sum()) == pytest.approx(1, abs=1e-13)
     assert float((grid * pixels()).sum()) == pytest.approx(float(x.mean() - centre[0, 0]), abs=1e-15)
     assert float((grid * pixels()[:, None]).sum()) == pytest.approx(float(y.mean() - centre[0, 1]), abs=1e-15)
@@ -70,7 +70,7 @@ def test_centroid_of_the_psf_is_that_of_the_rays():
 def test_a_quarter_turn_of_the_rays_turns_the_psf():
     """(x, y) -> (-y, x) takes columns to rows: one clockwise turn with rows along y."""
     x, y = cloud(300, 3, 2.0)
-    first, turned = (psf(landed(*points), ORIGIN, PITCH, K) for points in ((x, y), (-y, x)))
+    first, turned = (psf(rays_on_image(*points), ORIGIN, PITCH, K) for points in ((x, y), (-y, x)))
     torch.testing.assert_close(turned, torch.rot90(first, -1, (-2, -1)), rtol=0, atol=1e-15)
 
 
@@ -108,10 +108,10 @@ def test_fields_and_colours_do_not_mix():
     """Each field and wavelength has its own plane."""
     points = torch.randn(2, 3, 4, 50, generator=torch.Generator().manual_seed(4), dtype=torch.float64) * 2e-3
     centre = f64([[0, 0], [1e-3, 0], [0, -2e-3]])
-    grid = psf(landed(*points), centre, PITCH, K)
+    grid = psf(rays_on_image(*points), centre, PITCH, K)
     for f in range(3):
         for w in range(4):
-            alone = psf(landed(*points[:, f : f + 1, w : w + 1]), centre[f : f + 1], PITCH, K)
+            alone = psf(rays_on_image(*points[:, f : f + 1, w : w + 1]), centre[f : f + 1], PITCH, K)
             torch.testing.assert_close(grid[f, w], alone[0, 0], rtol=0, atol=1e-15)
 
 
@@ -121,7 +121,7 @@ def test_gradient_is_the_limit_of_differences():
     weight = torch.randn(K, K, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
 
     def value(points):
-        return (psf(landed(*points), ORIGIN, PITCH, K) * weight).sum()
+        return (psf(rays_on_image(*points), ORIGIN, PITCH, K) * weight).sum()
 
     leaf = points.clone().requires_grad_()
     gradient = torch.autograd.grad(value(leaf), leaf)[0]

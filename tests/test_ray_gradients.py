@@ -4,19 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, difference, f64, parallel_rays, random_lens, random_rays
+from examples import WAVELENGTHS, assert_close, difference, f64, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise, trace
 
 SEEDS = range(4)
-
-
-def exact(actual, expected, atol):
-    torch.testing.assert_close(
-        actual, torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual), rtol=0, atol=atol
-    )
 
 
 PARAMETERS = ("curvature", "conic", "alpha", "thickness")
@@ -55,7 +49,7 @@ def test_forward_and_backward_mode_agree(seed):
     refract_jvp = {k: torch.randn(v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
     gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
     _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (refract_jvp,))
-    exact(along, sum((gradient[k] * refract_jvp[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
+    assert_close(along, sum((gradient[k] * refract_jvp[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
 
 
 def test_linearised_rays_change_as_derivatives_say():
@@ -76,9 +70,9 @@ def test_linearised_rays_change_as_derivatives_say():
     image_changes = torch.stack(derivative(changes).image, 1)
     for i in range(3):
         expected = torch.func.jvp(image, (values,), ({k: v[i] for k, v in changes.items()},))[1]
-        exact(image_changes[i], expected, 1e-11)
+        assert_close(image_changes[i], expected, 1e-11)
     alone = derivative({"conic": changes["conic"]}).image[0]
-    exact(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).image[0], alone, 0.0)
+    assert_close(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).image[0], alone, 0.0)
 
 
 def test_threads_and_blocks_do_not_show():
@@ -98,11 +92,11 @@ def test_threads_and_blocks_do_not_show():
         parts = [traced(0, 777), traced(777, 10_000)]
         torch.set_num_threads(2)
         for actual, expected in zip(traced(0, 10_000), whole, strict=True):
-            exact(actual, expected, 0.0)
+            assert_close(actual, expected, 0.0)
     finally:
         torch.set_num_threads(threads)
-    exact(torch.cat([part[0] for part in parts], -1), whole[0], 1e-15)
-    exact(sum(part[1] for part in parts), whole[1], 1e-12 * float(whole[1].abs().max()))
+    assert_close(torch.cat([part[0] for part in parts], -1), whole[0], 1e-15)
+    assert_close(sum(part[1] for part in parts), whole[1], 1e-12 * float(whole[1].abs().max()))
 
 
 def test_a_lost_ray_carries_no_gradient():
@@ -116,4 +110,4 @@ def test_a_lost_ray_carries_no_gradient():
 
     rays, both = gradient([0.2, 0.4])
     assert rays.lost_at.tolist() == [[-1, 0]] and float(rays.y[0, 1].detach()) == 0.4
-    exact(both, gradient([0.2])[1], 0.0)
+    assert_close(both, gradient([0.2])[1], 0.0)

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from designs import LIMITS, NO_LIMITS, VIEW, image_error, problem, task_design, tiny_network
 from examples import by_descents, changed, materials, tiny_study
-from test_design import LIMITS, LOOKS, problem, small_network
-from test_task_design import NO_LIMITS, designed, image_error, spot_lens
 
 from tasklens.design import descents, least_squares, methods, optimizers
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
@@ -26,7 +25,7 @@ from tasklens.study.tables import lens_design
 @pytest.mark.parametrize("step_size", [0.5, 5.0])
 def test_a_step_moves_rays_by_its_size(start, step_size):
     """In a random direction of descent, the RMS displacement of rays is the step size, and the loss does not rise."""
-    space = RaySpace(start.with_stop_scaled(0.3), LOOKS, NO_LIMITS)
+    space = RaySpace(start.with_stop_scaled(0.3), VIEW, NO_LIMITS)
     gradient = torch.randn(len(space.start), generator=torch.Generator().manual_seed(0)).double()
     change = space.linearise(space.start).step(gradient, step_size, 0.1)
     rays = space.merit.linearise(space.lens(space.start))[1](space.directions)[: space.merit.rays]
@@ -61,10 +60,9 @@ def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
     assert weights == 3 * [SOFT] + 3 * [HARD]
 
 
-def test_a_lens_is_brought_back_within_its_limits(start):
+def test_a_lens_is_brought_back_within_its_limits(spot_lens):
     """Spots stay where they are within 20 um, while elements get thick enough and steep flanks flat enough."""
-    lens = spot_lens(start)
-    margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
+    margins = manufacturing_margins(spot_lens, LIMITS, clear_semi_diameters(spot_lens, VIEW))
     limits = LIMITS.model_copy(
         update={
             "min_centre_thickness": LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05,
@@ -73,27 +71,27 @@ def test_a_lens_is_brought_back_within_its_limits(start):
     )
 
     def worst(lens) -> float:
-        margins = manufacturing_margins(lens, limits, clear_semi_diameters(lens, LOOKS))
-        margins |= first_order_margins(lens, limits, LOOKS, chief_rays(lens, LOOKS))
+        margins = manufacturing_margins(lens, limits, clear_semi_diameters(lens, VIEW))
+        margins |= first_order_margins(lens, limits, VIEW, chief_rays(lens, VIEW))
         return worst_margin(margins)[1]
 
-    repaired, clear = repair(lens, LOOKS, limits)
-    assert worst(lens) < -0.019 and worst(repaired) > 0
-    merit = RaySpace(lens, LOOKS, NO_LIMITS).merit
-    before, after = (merit.residuals(item)[: merit.rays] for item in (lens, repaired))
+    repaired, clear = repair(spot_lens, VIEW, limits)
+    assert worst(spot_lens) < -0.019 and worst(repaired) > 0
+    merit = RaySpace(spot_lens, VIEW, NO_LIMITS).merit
+    before, after = (merit.residuals(item)[: merit.rays] for item in (spot_lens, repaired))
     assert float((after - before).norm()) < 20
     assert worst_margin(manufacturing_margins(repaired, limits, clear))[1] > 0
-    again, _ = repair(repaired, LOOKS, limits)
+    again, _ = repair(repaired, VIEW, limits)
     assert torch.equal(again.curvature, repaired.curvature)
 
 
-def test_a_lens_within_its_limits_stays_as_it_is(start):
+def test_a_lens_within_its_limits_stays_as_it_is(spot_lens):
     """Also a lens closer to its limits than the margin that descents aim at."""
-    lens, clear = repair(spot_lens(start), LOOKS, LIMITS)
+    lens, clear = repair(spot_lens, VIEW, LIMITS)
     least = worst_margin(manufacturing_margins(lens, LIMITS, clear))[1]
     margin = float(manufacturing_margins(lens, LIMITS, clear)["min_centre_thickness"].min())
     thinnest = LIMITS.min_centre_thickness + margin - 1e-6
-    repaired, _ = repair(lens, LOOKS, LIMITS.model_copy(update={"min_centre_thickness": thinnest}))
+    repaired, _ = repair(lens, VIEW, LIMITS.model_copy(update={"min_centre_thickness": thinnest}))
     assert least > 0 and torch.equal(repaired.thickness, lens.thickness) and torch.equal(repaired.alpha, lens.alpha)
 
 
@@ -128,19 +126,21 @@ def test_distortion_is_repaired_between_the_heights_of_the_merit_function():
 
 
 @pytest.mark.parametrize("name", ["imaging1", "imaging2"])
-def test_every_finished_design_is_within_its_limits(start, monkeypatch, name):
+def test_every_finished_design_is_within_its_limits(spot_lens, monkeypatch, name):
     """Every method repairs small violations at the end, here an element 0.03 mm too thin."""
     study = parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]}))
     settings = lens_design(study, f"doublet-{name}", 0)
-    lens = spot_lens(start)
-    margins = manufacturing_margins(lens, LIMITS, clear_semi_diameters(lens, LOOKS))
+    margins = manufacturing_margins(spot_lens, LIMITS, clear_semi_diameters(spot_lens, VIEW))
     thinnest = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.03
     settings = settings.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
-    monkeypatch.setattr(descents, "design", lambda *rest: (lens, {}, [], None))
-    monkeypatch.setattr(least_squares, "design", lambda *rest: (lens, []))
+    monkeypatch.setattr(descents, "design", lambda *rest: (spot_lens, {}, [], None))
+    monkeypatch.setattr(least_squares, "design", lambda *rest: (spot_lens, []))
     _, notes, _ = methods.design(settings, None, None, {}, {})
     assert notes["worst_margin"]["value"] > 0
-    assert methods.with_notes(lens, clear_semi_diameters(lens, LOOKS), settings, {})[1]["worst_margin"]["value"] < -0.02
+    assert (
+        methods.with_notes(spot_lens, clear_semi_diameters(spot_lens, VIEW), settings, {})[1]["worst_margin"]["value"]
+        < -0.02
+    )
 
 
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
@@ -149,7 +149,7 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
     far = DescentSettings(steps=12, pixels=(20, 20), step_size=5.0)
 
     def longest() -> float:
-        _, history = designed(small_network(), plates, parts=(far,))
+        _, history = task_design(tiny_network(), plates, parts=(far,))
         return max(row["violation"] for row in history[1:])
 
     with_halving = longest()

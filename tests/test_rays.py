@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens, random_rays
+from examples import WAVELENGTHS, assert_close, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.aspheres import radial_slope, sag
@@ -16,52 +16,48 @@ from tasklens.optics.tracing.trace import trace, trace_full
 SEEDS = range(4)
 
 
-def exact(found, expected, atol):
-    torch.testing.assert_close(found, torch.as_tensor(expected, dtype=found.dtype).expand_as(found), rtol=0, atol=atol)
-
-
-def steps(lens: Lens, seed: int):
-    """Per surface: the surface, where a ray came from, where it met it, its directions, the normal and both indices."""
+def refractions(lens: Lens, seed: int):
+    """Per surface: number, rays after it, points before and on it, directions before and after, normal, indices."""
     start = random_rays(100, seed)
     rays, record = trace_full(lens, start, lens.refractive_indices(WAVELENGTHS))
     assert rays.valid.all()
     z = f64([0.0, *lens.vertices.tolist()])
     before = start
-    for i, behind in enumerate(record):
+    for i, after in enumerate(record):
         origin = torch.stack([before.x, before.y, before.z + z[i]], -1)
-        point = torch.stack([behind.x, behind.y, behind.z + lens.vertices[i]], -1)
+        point = torch.stack([after.x, after.y, after.z + lens.vertices[i]], -1)
         incoming = torch.stack([before.l, before.m, before.n], -1)
-        outgoing = torch.stack([behind.l, behind.m, behind.n], -1)
-        normal = torch.stack(lens.surfaces[i].normal(behind.x, behind.y), -1)
+        outgoing = torch.stack([after.l, after.m, after.n], -1)
+        normal = torch.stack(lens.surfaces[i].normal(after.x, after.y), -1)
         n = lens.refractive_indices(WAVELENGTHS)[i : i + 2, :, None, None]
         origin, incoming = origin.expand_as(point), incoming.expand_as(outgoing)
-        yield i, behind, origin, point, incoming, outgoing, normal, n[0], n[1]
-        before = behind
+        yield i, after, origin, point, incoming, outgoing, normal, n[0], n[1]
+        before = after
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_snells_law(seed):
     """n d x N = n' d' x N: the sines obey Snell, and d, N and d' lie in one plane on the right side of each other."""
-    for *_, incoming, outgoing, normal, n, behind in steps(random_lens(seed), seed):
-        left, right = (torch.linalg.cross(d, normal) for d in (incoming, outgoing))
-        exact(n * left - behind * right, 0.0, 1e-14)
+    for *_, incoming, outgoing, normal, n_before, n_after in refractions(random_lens(seed), seed):
+        sine_before, sine_after = (torch.linalg.cross(d, normal) for d in (incoming, outgoing))
+        assert_close(n_before * sine_before - n_after * sine_after, 0.0, 1e-14)
         assert ((outgoing * normal).sum(-1) > 0).all()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_refracted_ray_lies_in_the_plane_of_incidence(seed):
-    for *_, incoming, outgoing, normal, _n, _behind in steps(random_lens(seed), seed):
-        exact((torch.linalg.cross(incoming, normal) * outgoing).sum(-1), 0.0, 1e-14)
+    for *_, incoming, outgoing, normal, _n_before, _n_after in refractions(random_lens(seed), seed):
+        assert_close((torch.linalg.cross(incoming, normal) * outgoing).sum(-1), 0.0, 1e-14)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_rays_are_straight_and_meet_the_surfaces(seed):
     """Each point lies on its surface and on the line of its ray; directions have unit length."""
     lens = random_lens(seed)
-    for i, rays, origin, point, incoming, outgoing, *_ in steps(lens, seed):
-        exact(rays.z, lens.surfaces[i].sag(rays.x, rays.y), 2e-14)
-        exact(torch.linalg.cross(point - origin, incoming), 0.0, 2e-14)
-        exact(outgoing.square().sum(-1), 1.0, 4e-15)
+    for i, rays, origin, point, incoming, outgoing, *_ in refractions(lens, seed):
+        assert_close(rays.z, lens.surfaces[i].sag(rays.x, rays.y), 2e-14)
+        assert_close(torch.linalg.cross(point - origin, incoming), 0.0, 2e-14)
+        assert_close(outgoing.square().sum(-1), 1.0, 4e-15)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -81,7 +77,7 @@ def test_malus_and_dupin(seed):
     valid = trace(lens, start, lens.refractive_indices(WAVELENGTHS)).valid
     assert valid.double().mean() > 0.9
     residual = dpath - (values[3] * dx + values[4] * dy) + (start.l * shift[0] + start.m * shift[1])
-    exact(residual[valid], 0.0, 1e-13)
+    assert_close(residual[valid], 0.0, 1e-13)
 
 
 def test_flat_plate_shifts_and_does_not_turn():
@@ -90,11 +86,11 @@ def test_flat_plate_shifts_and_does_not_turn():
     lens = make_lens([0.0, 0.0], [t, back], ("COC", "air"))
     start = random_rays(50, 0)
     rays = trace(lens, start, lens.refractive_indices((0.5893,)))
-    exact(rays.l - start.l, 0.0, 1e-15)
-    exact(rays.m - start.m, 0.0, 1e-15)
+    assert_close(rays.l - start.l, 0.0, 1e-15)
+    assert_close(rays.m - start.m, 0.0, 1e-15)
     n = builtin("COC").refractive_index(0.5893)
     inside = torch.sqrt(1 - (start.l**2 + start.m**2) / n**2)
-    exact(rays.x - start.x - t * start.l / n / inside - back * start.l / start.n, 0.0, 2e-15)
+    assert_close(rays.x - start.x - t * start.l / n / inside - back * start.l / start.n, 0.0, 2e-15)
 
 
 def test_ellipsoid_focuses_collimated_light():
@@ -104,8 +100,8 @@ def test_ellipsoid_focuses_collimated_light():
     heights = torch.linspace(-1.5, 1.5, 31)
     rays = trace(lens, parallel_rays(heights), lens.refractive_indices((0.5893,)))
     assert rays.valid.all()
-    exact(rays.y, 0.0, 5e-15)
-    exact(rays.path, n * lens.thickness[0], 1e-14)
+    assert_close(rays.y, 0.0, 5e-15)
+    assert_close(rays.path, n * lens.thickness[0], 1e-14)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -117,8 +113,8 @@ def test_slope_is_the_derivative_of_the_sag(seed):
         value, slope, inside = sag(r * r, *surface)
         assert inside.all()
         u = (r * r).detach().requires_grad_()
-        exact(slope, torch.autograd.grad(sag(u, *surface)[0].sum(), u)[0], 1e-14)
-        exact(radial_slope(r, *surface), torch.autograd.grad(value.sum(), r)[0], 1e-14)
+        assert_close(slope, torch.autograd.grad(sag(u, *surface)[0].sum(), u)[0], 1e-14)
+        assert_close(radial_slope(r, *surface), torch.autograd.grad(value.sum(), r)[0], 1e-14)
 
 
 def test_sag_beyond_the_edge_of_the_conic_is_finite():
@@ -131,32 +127,32 @@ def test_sag_beyond_the_edge_of_the_conic_is_finite():
     assert all(torch.isfinite(t).all() for t in (value, slope, *gradients))
 
 
-def fate_of(lens: Lens, rays) -> tuple[RayStatus, int]:
-    """By both tracers."""
+def status_of(lens: Lens, rays) -> tuple[RayStatus, int]:
+    """Status of a ray and the surface that it is lost at, the same in both tracers."""
     fast, slow = (tracer(lens, rays, lens.refractive_indices((0.5893,))) for tracer in (trace, reference_trace))
     assert (int(fast.status), int(fast.lost_at)) == (int(slow.status), int(slow.lost_at))
     return RayStatus(int(fast.status)), int(fast.lost_at)
 
 
-def test_fates():
+def test_a_lost_ray_has_a_status_and_a_surface():
     """A ray that misses, hits the mount or is totally reflected says so, with the surface."""
     ball = make_lens([0.0, 1.0, 0.0], [0.5, 0.5, 1.0], ("air", "COC", "air"))
-    assert fate_of(ball, parallel_rays([1.5])) == (RayStatus.MISSED, 1)
-    assert fate_of(ball, parallel_rays([0.4])) == (RayStatus.OK, -1)
+    assert status_of(ball, parallel_rays([1.5])) == (RayStatus.MISSED, 1)
+    assert status_of(ball, parallel_rays([0.4])) == (RayStatus.OK, -1)
     mount = replace(ball, semi_diameter=f64([9.0, 9.0, 0.3]))
-    assert fate_of(mount, parallel_rays([0.6])) == (RayStatus.VIGNETTED, 2)
-    assert fate_of(mount, parallel_rays([0.2])) == (RayStatus.OK, -1)
+    assert status_of(mount, parallel_rays([0.6])) == (RayStatus.VIGNETTED, 2)
+    assert status_of(mount, parallel_rays([0.2])) == (RayStatus.OK, -1)
     stop = replace(ball, semi_diameter=f64([0.3, 9.0, 9.0]))
-    assert fate_of(stop, parallel_rays([0.3 * (1 - 1e-9)])) == (RayStatus.OK, -1)
-    assert fate_of(stop, parallel_rays([0.3 * (1 + 1e-5)])) == (RayStatus.VIGNETTED, 0)
+    assert status_of(stop, parallel_rays([0.3 * (1 - 1e-9)])) == (RayStatus.OK, -1)
+    assert status_of(stop, parallel_rays([0.3 * (1 + 1e-5)])) == (RayStatus.VIGNETTED, 0)
 
 
 def test_total_internal_reflection_begins_at_the_critical_angle():
     """Leaving glass through a sphere at height r, sin i = r / R: light passes while that is below 1 / n."""
     lens = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"))
     critical = 1 / builtin("COC").refractive_index(0.5893) / 0.8
-    assert fate_of(lens, parallel_rays([critical - 1e-3])) == (RayStatus.OK, -1)
-    assert fate_of(lens, parallel_rays([critical + 1e-3])) == (RayStatus.TOTAL_INTERNAL_REFLECTION, 1)
+    assert status_of(lens, parallel_rays([critical - 1e-3])) == (RayStatus.OK, -1)
+    assert status_of(lens, parallel_rays([critical + 1e-3])) == (RayStatus.TOTAL_INTERNAL_REFLECTION, 1)
 
 
 def test_a_lost_ray_stays_lost_and_does_not_disturb_others():
@@ -168,10 +164,10 @@ def test_a_lost_ray_stays_lost_and_does_not_disturb_others():
     for k, height in enumerate(heights):
         alone = trace(lens, parallel_rays([height]), indices)
         for name in ("x", "y", "path", "status"):
-            exact(getattr(together, name)[0, k], getattr(alone, name)[0, 0], 0.0)
+            assert_close(getattr(together, name)[0, k], getattr(alone, name)[0, 0], 0.0)
 
 
-def hostile() -> dict[str, Lens]:
+def extreme_lenses() -> dict[str, Lens]:
     steep = random_lens(0)
     return {
         "flat": make_lens([0.0] * 5, [0.5] * 5, steep.media, alpha=torch.zeros(5, 5)),
@@ -184,7 +180,7 @@ def hostile() -> dict[str, Lens]:
 PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 
 
-@pytest.mark.parametrize("name", hostile())
+@pytest.mark.parametrize("name", extreme_lenses())
 @pytest.mark.parametrize(
     "tangent, tracer",
     [(0.0, trace), (0.5, trace), (5.0, trace), (1e5, trace), (0.5, reference_trace)],
@@ -192,7 +188,7 @@ PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 )
 def test_nothing_is_ever_nan(name, tangent, tracer):
     """Whatever becomes of a ray, values and gradients are finite, in both modes."""
-    lens = hostile()[name]
+    lens = extreme_lenses()[name]
     values = {key: getattr(lens, key).clone().requires_grad_() for key in PARAMETERS}
     start = random_rays(200, 3, height=1.5, tangent=tangent)
 
@@ -204,8 +200,8 @@ def test_nothing_is_ever_nan(name, tangent, tracer):
     assert torch.isfinite(result).all()
     gradients = torch.autograd.grad(result.sum(), list(values.values()), allow_unused=True)
     assert all(torch.isfinite(g).all() for g in gradients if g is not None)
-    pushed = torch.func.jvp(image, (values,), ({k: torch.ones_like(v) for k, v in values.items()},))[1]
-    assert torch.isfinite(pushed).all()
+    derivatives = torch.func.jvp(image, (values,), ({k: torch.ones_like(v) for k, v in values.items()},))[1]
+    assert torch.isfinite(derivatives).all()
 
 
 def test_a_ray_that_never_moves_along_the_axis_is_missed_and_finite():
@@ -221,10 +217,10 @@ def test_float32_follows_float64():
     """Single precision stays within 1e-5 mm of double precision."""
     lens, start = random_lens(1), random_rays(100, 1)
     single = {k: v.float() for k, v in vars(lens).items() if isinstance(v, torch.Tensor)}
-    low = replace(lens, **single)
+    single_lens = replace(lens, **single)
     rays = trace(lens, start, lens.refractive_indices(WAVELENGTHS))
     start = launch(*(getattr(start, k).float() for k in "xyzlmn"))
-    found = trace(low, start, low.refractive_indices(WAVELENGTHS))
-    assert found.x.dtype == torch.float32 and found.valid.all()
-    exact(found.x.double() - rays.x, 0.0, 1e-5)
-    exact(found.y.double() - rays.y, 0.0, 1e-5)
+    single_rays = trace(single_lens, start, single_lens.refractive_indices(WAVELENGTHS))
+    assert single_rays.x.dtype == torch.float32 and single_rays.valid.all()
+    assert_close(single_rays.x.double() - rays.x, 0.0, 1e-5)
+    assert_close(single_rays.y.double() - rays.y, 0.0, 1e-5)

@@ -4,11 +4,11 @@ import json
 
 import pytest
 import torch
+from examples import WAVELENGTHS
 from reference_files import SHIPPED, original_of
+from reference_lenses import tabulated_lens
 
-from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace_full
 
@@ -20,34 +20,6 @@ ENTRIES = {  # by name: every lens is traced once, with more rays if ../shared h
     for entry in json.loads(path.read_text())["lenses"]
 }
 LENSES = list(ENTRIES.values())
-
-
-class Tabulated(Lens):
-    """A lens whose indices come from the reference file, column by wavelength."""
-
-    def refractive_indices(self, wavelengths):
-        return torch.tensor([[1.0] * 3, *self.table], dtype=self.dtype)[:, [WAVELENGTHS.index(w) for w in wavelengths]]
-
-
-WAVELENGTHS = [0.6563, 0.5893, 0.4861]
-
-
-def read(entry: dict, dtype=torch.float64) -> Lens:
-    surfaces = entry["surfaces"]
-    orders = max(len(s["even_asphere"]) for s in surfaces)
-    alpha = [s["even_asphere"] + [0.0] * (orders - len(s["even_asphere"])) for s in surfaces]
-    column = lambda key: torch.tensor([s[key] for s in surfaces], dtype=dtype)  # noqa: E731
-    lens = Tabulated(
-        column("curvature"),
-        column("conic"),
-        torch.tensor(alpha, dtype=dtype).reshape(len(surfaces), orders),
-        column("thickness"),
-        torch.full((len(surfaces),), torch.inf, dtype=dtype),
-        (AIR,) * len(surfaces),
-        entry["stop_index"],
-    )
-    object.__setattr__(lens, "table", [s["n_after"] for s in surfaces])
-    return lens
 
 
 def test_kinds_of_lenses():
@@ -66,7 +38,7 @@ def test_kinds_of_lenses():
 @pytest.mark.parametrize("entry", LENSES, ids=lambda e: e["name"])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
 def test_rays(entry, dtype):
-    lens = read(entry, dtype)
+    lens = tabulated_lens(entry, dtype)
     track = entry["image_z"]
     image, direction, path = (1e-12, 1e-13, 1e-12) if dtype == torch.float64 else (max(1e-5, 3e-7 * track),) * 3
     for reference in entry["traces"]:
@@ -93,7 +65,7 @@ def test_rays(entry, dtype):
 
 @pytest.mark.parametrize("entry", LENSES, ids=lambda e: e["name"])
 def test_paraxial(entry):
-    lens = read(entry)
+    lens = tabulated_lens(entry)
     for i, wavelength in enumerate(WAVELENGTHS):
         first_order = paraxial(lens, wavelength)
         assert float(first_order.efl) == pytest.approx(entry["paraxial"]["efl"][i], rel=0, abs=1e-10)

@@ -5,7 +5,17 @@ from functools import partial
 
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, parallel_rays, random_lens, random_rays
+from examples import (
+    WAVELENGTHS,
+    assert_close,
+    cooke_triplet,
+    difference,
+    f64,
+    make_lens,
+    parallel_rays,
+    random_lens,
+    random_rays,
+)
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch
@@ -17,13 +27,7 @@ SEEDS = range(4)
 VALUES = ("x", "y", "z", "l", "m", "n", "path")
 
 
-def exact(actual, expected, atol):
-    torch.testing.assert_close(
-        actual, torch.as_tensor(expected, dtype=actual.dtype).expand_as(actual), rtol=0, atol=atol
-    )
-
-
-def curved(seed: int) -> list[Surface]:
+def curved_surfaces(seed: int) -> list[Surface]:
     """Four aspheres with conics between -2 and 1 and coefficients up to alpha_10."""
     return random_lens(seed).surfaces[1:]
 
@@ -48,11 +52,11 @@ def position(rays: Rays) -> torch.Tensor:
 def test_sag_is_that_of_the_definition(seed):
     x, y = points(seed)
     r = torch.hypot(x, y)
-    for surface in curved(seed):
+    for surface in curved_surfaces(seed):
         c, k, alpha = surface.curvature, surface.conic, surface.alpha
         expected = c * r**2 / (1 + torch.sqrt(1 - (1 + k) * c**2 * r**2))
         expected = expected + sum(a * r ** (2 * j) for j, a in enumerate(alpha, 1))
-        exact(surface.sag(x, y), expected, 1e-15)
+        assert_close(surface.sag(x, y), expected, 1e-15)
 
 
 def test_sag_of_conics():
@@ -60,25 +64,25 @@ def test_sag_of_conics():
     radius = 2.0
     u = torch.linspace(0, 3.9, 40, dtype=torch.float64)
     x, y = 0.6 * torch.sqrt(u), -0.8 * torch.sqrt(u)
-    exact(Surface(1 / radius).sag(x, y), radius - torch.sqrt(radius**2 - u), 2e-15)
-    exact(Surface(1 / radius, conic=-1.0).sag(x, y), u / (2 * radius), 1e-15)
+    assert_close(Surface(1 / radius).sag(x, y), radius - torch.sqrt(radius**2 - u), 2e-15)
+    assert_close(Surface(1 / radius, conic=-1.0).sag(x, y), u / (2 * radius), 1e-15)
     x, y = points(0)
     for conic in (-2.5, -0.5, 0.7):
         z = Surface(-1 / radius, conic).sag(x, y)
-        exact((x * x + y * y + (1 + conic) * z * z) / -radius, 2 * z, 2e-15)
+        assert_close((x * x + y * y + (1 + conic) * z * z) / -radius, 2 * z, 2e-15)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_normal_is_the_gradient_of_the_sag(seed):
     """By five-point differences of 1e-3 mm; unit length; towards positive z."""
     x, y = points(seed, 10)
-    for surface in curved(seed):
+    for surface in curved_surfaces(seed):
         normal = torch.stack(surface.normal(x, y), -1)
-        exact(normal.square().sum(-1), 1.0, 1e-15)
+        assert_close(normal.square().sum(-1), 1.0, 1e-15)
         assert (normal[:, 2] > 0).all()
         by_x = difference(lambda v: surface.sag(v, y), x, 1e-3).diagonal()  # noqa: B023
         by_y = difference(lambda v: surface.sag(x, v), y, 1e-3).diagonal()  # noqa: B023
-        exact(normal[:, :2] / normal[:, 2:], -torch.stack([by_x, by_y], -1), 1e-10)
+        assert_close(normal[:, :2] / normal[:, 2:], -torch.stack([by_x, by_y], -1), 1e-10)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -86,37 +90,37 @@ def test_rays_meet_the_surface_on_their_line(seed):
     """The point is on the surface and on the line of the ray; the path is index times distance."""
     start = replace(random_rays(100, seed), z=f64(-0.3))
     start = launch(*(getattr(start, k) for k in "xyzlmn"))
-    for surface in curved(seed):
+    for surface in curved_surfaces(seed):
         rays = surface.intersect(start, 1.5)
         assert rays.valid.all()
-        exact(rays.z, surface.sag(rays.x, rays.y), 1e-15)
+        assert_close(rays.z, surface.sag(rays.x, rays.y), 1e-15)
         way = position(rays) - position(start)
-        exact(torch.linalg.cross(way, direction(start)), 0.0, 1e-15)
-        exact(rays.path, 1.5 * (way * direction(start)).sum(-1), 1e-15)
+        assert_close(torch.linalg.cross(way, direction(start)), 0.0, 1e-15)
+        assert_close(rays.path, 1.5 * (way * direction(start)).sum(-1), 1e-15)
 
 
 @pytest.mark.parametrize("indices", [(1.0, 1.6), (1.6, 1.0)], ids=["into glass", "out of glass"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_snells_law(seed, indices):
     """n D x N = n' D' x N; D, N and D' lie in one plane; both rays are on their side of the surface; |D'| = 1."""
-    for surface in curved(seed):
+    for surface in curved_surfaces(seed):
         before = surface.intersect(random_rays(100, seed))
         behind = surface.refract(before, *indices)
         assert behind.valid.all()
         normal = torch.stack(surface.normal(before.x, before.y), -1)
         n, n_behind = indices
         sines = [torch.linalg.cross(direction(rays), normal) for rays in (before, behind)]
-        exact(n * sines[0] - n_behind * sines[1], 0.0, 1e-15)
-        exact((sines[0] * direction(behind)).sum(-1), 0.0, 1e-15)
+        assert_close(n * sines[0] - n_behind * sines[1], 0.0, 1e-15)
+        assert_close((sines[0] * direction(behind)).sum(-1), 0.0, 1e-15)
         assert ((direction(behind) * normal).sum(-1) > 0).all()
-        exact(direction(behind).square().sum(-1), 1.0, 2e-15)
+        assert_close(direction(behind).square().sum(-1), 1.0, 2e-15)
         assert torch.equal(position(behind), position(before))
 
 
 def test_equal_indices_bend_nothing():
-    for surface in curved(0):
+    for surface in curved_surfaces(0):
         before = surface.intersect(random_rays(100, 0))
-        exact(direction(surface.refract(before, 1.6, 1.6)), direction(before), 1e-15)
+        assert_close(direction(surface.refract(before, 1.6, 1.6)), direction(before), 1e-15)
 
 
 def test_paraboloid_focuses_in_reflection():
@@ -126,7 +130,7 @@ def test_paraboloid_focuses_in_reflection():
     rays = mirror.refract(mirror.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31))), 1.0, -1.0)
     at_focus = Surface(0.0).intersect(replace(rays, z=rays.z + radius / 2))
     assert at_focus.valid.all()
-    exact(at_focus.y, 0.0, 1e-15)
+    assert_close(at_focus.y, 0.0, 1e-15)
 
 
 def test_hyperboloid_focuses_in_refraction():
@@ -137,8 +141,8 @@ def test_hyperboloid_focuses_in_refraction():
     focus = radius / (n - 1)
     at_focus = Surface(0.0).intersect(replace(rays, z=rays.z - focus))
     assert at_focus.valid.all()
-    exact(at_focus.y, 0.0, 4e-15)
-    exact(at_focus.path, focus, 4e-15)
+    assert_close(at_focus.y, 0.0, 4e-15)
+    assert_close(at_focus.path, focus, 4e-15)
 
 
 def test_fates_at_one_surface():
@@ -148,7 +152,7 @@ def test_fates_at_one_surface():
     start = replace(start, status=torch.tensor([[0, 0, 0, RayStatus.MISSED]], dtype=torch.int8))
     rays = ball.intersect(start, 1.6)
     assert rays.status.tolist() == [[RayStatus.OK, RayStatus.MISSED, RayStatus.VIGNETTED, RayStatus.MISSED]]
-    exact(rays.z, [[1 - 0.75**0.5, 0.0, 1 - (1 - 0.95**2) ** 0.5, 0.0]], 1e-15)
+    assert_close(rays.z, [[1 - 0.75**0.5, 0.0, 1 - (1 - 0.95**2) ** 0.5, 0.0]], 1e-15)
     reflected = Surface(-1.0).refract(Surface(-1.0).intersect(parallel_rays([0.6, 0.7])), 1.6, 1.0)  # 1 / 1.6 = 0.625
     assert reflected.status.tolist() == [[RayStatus.OK, RayStatus.TOTAL_INTERNAL_REFLECTION]]
     assert direction(reflected)[0, 1].tolist() == [0.0, 0.0, 1.0]
@@ -163,13 +167,15 @@ def test_a_surface_of_numbers_is_one_of_tensors():
     actual, expected = (s.refract(s.intersect(start), 1.0, 1.5) for s in (numbers, tensors))
     assert len(set(actual.status.flatten().tolist())) > 1
     assert torch.equal(actual.status, expected.status)
-    exact(torch.cat([position(actual), direction(actual)]), torch.cat([position(expected), direction(expected)]), 1e-15)
+    assert_close(
+        torch.cat([position(actual), direction(actual)]), torch.cat([position(expected), direction(expected)]), 1e-15
+    )
 
 
 # ---- whole lenses, the fast tracer compared with the reference
 
 
-def traced(lens: Lens, start: Rays) -> tuple[Rays, Rays]:
+def trace_both(lens: Lens, start: Rays) -> tuple[Rays, Rays]:
     indices = lens.refractive_indices(WAVELENGTHS)
     return trace(lens, start, indices), reference_trace(lens, start, indices)
 
@@ -208,17 +214,17 @@ def rays_from(point: torch.Tensor) -> Rays:
 @pytest.mark.parametrize("name", CASES)
 def test_values(name):
     """The status of each ray and the surface where it was lost; position [mm], direction and path [mm] to 1e-12."""
-    fast, reference = traced(*CASES[name]())
+    fast, reference = trace_both(*CASES[name]())
     assert torch.equal(fast.status, reference.status) and torch.equal(fast.lost_at, reference.lost_at)
     assert fast.valid.any()
     for value in VALUES:
-        exact(getattr(reference, value), getattr(fast, value), 1e-12)
+        assert_close(getattr(reference, value), getattr(fast, value), 1e-12)
 
 
 def test_cases_lose_rays_in_every_way():
-    fates = [traced(*case())[1].status.flatten() for case in CASES.values()]
+    fates = [trace_both(*case())[1].status.flatten() for case in CASES.values()]
     assert set(torch.cat(fates).tolist()) == set(RayStatus)
-    lost = traced(*CASES["triplet"]())[1].lost_at
+    lost = trace_both(*CASES["triplet"]())[1].lost_at
     assert {0, 4, 5} <= set(lost.flatten().tolist())
 
 
@@ -235,7 +241,7 @@ def test_a_ray_that_misses_stays_at_the_stop_before(tracer):
     start = launch(*f64([0.0, 2.0, -1.0, 0.0, 0.6, 0.8]).reshape(6, 1, 1))
     rays = tracer(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))
     assert (int(rays.status), int(rays.lost_at)) == (RayStatus.MISSED, 1)
-    exact(rays.y, 2.75, 1e-15)
+    assert_close(rays.y, 2.75, 1e-15)
 
 
 # ---- derivatives
@@ -277,7 +283,7 @@ def test_gradients(name):
         if values[key].numel():  # the triplet has no alpha
             scale = float(expected[key].abs().max())
             assert scale > 0
-            exact(result[key], expected[key], 1e-10 * scale)
+            assert_close(result[key], expected[key], 1e-10 * scale)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "steep" else n for n in DERIVED])
@@ -293,4 +299,4 @@ def test_forward_mode(name):
             torch.func.jvp(partial(outputs_of, tracer, lens, start), (values,), (tangents,))[1]
             for tracer in (trace, reference_trace)
         )
-        exact(actual, expected, 1e-10 * float(expected.abs().max()))
+        assert_close(actual, expected, 1e-10 * float(expected.abs().max()))

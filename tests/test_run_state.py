@@ -138,7 +138,7 @@ def test_a_job_that_fails_leaves_no_progress(place, capsys):
     assert "design  step 1/2  loss 0.5" in capsys.readouterr().err
 
 
-def test_a_silent_job_is_told(place):
+def test_a_silent_job_is_reported(place):
     """A job that should report and has not for ten minutes: its machine may have died."""
     run = run_of(design=1)
     run.begin("design/0")
@@ -217,7 +217,7 @@ def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
         and f"{FOLDER}/logs/{DESIGN}.log" in lines[0]
     )
     assert lines[1:-1] == [f"    line {k}" for k in range(29, 40)] + ["    tasklens: lens.yaml: no such file"]
-    assert lines[-1].strip() == "it is tried again"
+    assert lines[-1].strip() == "the job is tried again"
     out = status(capsys)
     assert "0 of 2 jobs, 1 failed" in out
     assert "FAILED  design singlet-imaging1-seed0: tasklens: lens.yaml: no such file" in out
@@ -242,7 +242,7 @@ def test_a_job_ended_by_the_user_has_not_failed(snakemake, capsys):
     assert runs.read(Path(FOLDER)).labels(runs.WAITING) == [DESIGN, TUNE]
     message = closing.failure(snakemake.terminal.runs)
     assert (
-        "FAILED" not in message and "--keep-going" not in message and "The same command goes on from here." in message
+        "FAILED" not in message and "--keep-going" not in message and "The same command continues from here." in message
     )
 
 
@@ -322,7 +322,7 @@ def test_status_of_a_killed_run_says_how_to_go_on(place, capsys):
 
 
 @pytest.mark.parametrize("content", ["{half", "[]", '{"study": "tiny"}', '{"jobs": {"a": {"colour": 1}}}'])
-def test_a_broken_state_is_told_in_one_line(place, capsys, content):
+def test_a_broken_state_is_reported_in_one_line(place, capsys, content):
     write(f"{FOLDER}/run.json", content)
     assert main(["study", "status", FOLDER]) == 2
     error = capsys.readouterr().err
@@ -331,4 +331,4 @@ def test_a_broken_state_is_told_in_one_line(place, capsys, content):
 
 def test_status_without_a_run_is_an_error(place, capsys):
     assert main(["study", "status", FOLDER]) == 2
-    assert "no run of this study is known" in capsys.readouterr().err
+    assert "no run of this study" in capsys.readouterr().err

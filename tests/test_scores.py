@@ -12,11 +12,11 @@ def boxes(*corners):
     return torch.tensor(corners, dtype=torch.float32).reshape(-1, 4)
 
 
-def true(*corners, labels=None):
+def truths(*corners, labels=None):
     return Detections(boxes(*corners), torch.tensor(labels or [0] * len(corners)))
 
 
-def found(*corners, scores, labels=None):
+def detections(*corners, scores, labels=None):
     return Detections(boxes(*corners), torch.tensor(labels or [0] * len(corners)), torch.tensor(scores))
 
 
@@ -32,39 +32,42 @@ A, B = [0, 0, 10, 10], [20, 20, 40, 40]
 
 
 def test_perfect_answers():
-    assert average_precision([found(A, B, scores=[0.9, 0.8])], [true(A, B)], 1, "box") == {"ap": 100.0, "ap50": 100.0}
+    assert average_precision([detections(A, B, scores=[0.9, 0.8])], [truths(A, B)], 1, "box") == {
+        "ap": 100.0,
+        "ap50": 100.0,
+    }
 
 
 def test_half_of_the_objects():
     """With recall up to 1/2 the precision is 1: 51 of COCO's 101 recalls."""
-    only = average_precision([found(A, scores=[0.9])], [true(A, B)], 1, "box")
+    only = average_precision([detections(A, scores=[0.9])], [truths(A, B)], 1, "box")
     assert only["ap50"] == pytest.approx(100 * 51 / 101)
 
 
 def test_overlaps_count_step_by_step():
     """An overlap of 8 of 10 rows: IoU 0.8, accepted by seven of ten thresholds, 0.50 to 0.80."""
-    near = average_precision([found([0, 0, 10, 8], scores=[0.9])], [true(A)], 1, "box")
+    near = average_precision([detections([0, 0, 10, 8], scores=[0.9])], [truths(A)], 1, "box")
     assert near["ap50"] == pytest.approx(100.0) and near["ap"] == pytest.approx(70.0)
 
 
 def test_false_alarms_cost_where_they_are_surer():
     """A false answer before the right one: precision 1/2 everywhere; a false answer after it costs nothing."""
     other = [60, 60, 70, 70]
-    before = average_precision([found(other, A, scores=[0.9, 0.5])], [true(A)], 1, "box")
-    after = average_precision([found(other, A, scores=[0.1, 0.5])], [true(A)], 1, "box")
+    before = average_precision([detections(other, A, scores=[0.9, 0.5])], [truths(A)], 1, "box")
+    after = average_precision([detections(other, A, scores=[0.1, 0.5])], [truths(A)], 1, "box")
     assert before["ap50"] == pytest.approx(50.0) and after["ap50"] == pytest.approx(100.0)
 
 
 def test_classes_are_told_apart():
     """The mean over classes present: one is right, one is confused with the other."""
-    answer = [found(A, B, scores=[0.9, 0.9], labels=[0, 0])]
-    assert average_precision(answer, [true(A, B, labels=[0, 1])], 3, "box")["ap50"] == pytest.approx(50.0)
+    answer = [detections(A, B, scores=[0.9, 0.9], labels=[0, 0])]
+    assert average_precision(answer, [truths(A, B, labels=[0, 1])], 3, "box")["ap50"] == pytest.approx(50.0)
 
 
-def test_nothing_found_is_nought():
-    assert average_precision([found(scores=[])], [true(A)], 1, "box") == {"ap": 0.0, "ap50": 0.0}
+def test_no_detections_score_zero():
+    assert average_precision([detections(scores=[])], [truths(A)], 1, "box") == {"ap": 0.0, "ap50": 0.0}
     with pytest.raises(ValueError, match="at least one true object"):
-        average_precision([found(A, scores=[0.5])], [true()], 1, "box")
+        average_precision([detections(A, scores=[0.5])], [truths()], 1, "box")
 
 
 def own_average_precision(answers, truths, threshold, classes, overlap):

@@ -31,13 +31,13 @@ OPTILAND = pytest.importorskip("optiland_lenses", reason="Optiland is not instal
 RAYS = 64
 
 
-def assert_same_image_points(lens: Lens, looks: View) -> None:
+def assert_same_image_points(lens: Lens, view: View) -> None:
     """Every ray that comes through, at every field and wavelength, within 1e-9 mm."""
     pupil = sobol_disc(RAYS, seed=0)
-    ours = trace_fields(lens, looks, pupil)
+    ours = trace_fields(lens, view, pupil)
     assert ours.valid.double().mean() > 0.9
-    optic, fields = OPTILAND.in_optiland(lens, looks)
-    for w, wavelength in enumerate(looks.wavelengths):
+    optic, fields = OPTILAND.in_optiland(lens, view)
+    for w, wavelength in enumerate(view.wavelengths):
         for f, (hx, hy) in enumerate(fields):
             px, py = pupil.T.numpy()
             theirs = optic.trace_generic(numpy.full(RAYS, hx), numpy.full(RAYS, hy), px, py, wavelength)
@@ -68,7 +68,7 @@ def test_a_finished_design():
 # ---- wavefronts
 
 
-def assert_same_wavefronts(lens: Lens, looks: View) -> None:
+def assert_same_wavefronts(lens: Lens, view: View) -> None:
     """Path differences within 1e-8 waves, points on the reference sphere, and its radius.
 
     Optiland centres the sphere where the chief ray of each wavelength meets the image plane, as we do, and takes the
@@ -78,11 +78,11 @@ def assert_same_wavefronts(lens: Lens, looks: View) -> None:
     from optiland.wavefront import Wavefront
 
     pupil = sobol_disc(RAYS, seed=0)
-    ours = wavefront(lens, looks, pupil)
+    ours = wavefront(lens, view, pupil)
     assert ours.opd.isfinite().double().mean() > 0.8 and (ours.curvature > 0).all()
-    optic, fields = OPTILAND.in_optiland(lens, looks)
+    optic, fields = OPTILAND.in_optiland(lens, view)
     for f, field in enumerate(map(tuple, fields)):
-        reference = Wavefront(optic, [field], list(looks.wavelengths), distribution=OPTILAND.Points(pupil))
+        reference = Wavefront(optic, [field], list(view.wavelengths), distribution=OPTILAND.Points(pupil))
         for w, theirs in enumerate(reference.data.values()):
             through = ours.opd[f, w].isfinite()
             torch.testing.assert_close(ours.opd[f, w][through], f64(theirs.opd)[through], rtol=0, atol=1e-8)
@@ -125,21 +125,21 @@ def asphere_behind_a_stop(seed: int) -> Lens:
 @pytest.mark.parametrize("seed", range(4))
 def test_wavefronts_of_random_aspheres(seed):
     """Dozens of waves."""
-    looks = View(f64([[0, 0], [-0.1, 0.2], [0.2, -0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
-    assert_same_wavefronts(asphere_behind_a_stop(seed), looks)
+    view = View(f64([[0, 0], [-0.1, 0.2], [0.2, -0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
+    assert_same_wavefronts(asphere_behind_a_stop(seed), view)
 
 
 def test_zernike_coefficients():
     """Noll's, by least squares over the same rays."""
     from optiland.wavefront import ZernikeOPD
 
-    lens, looks = asphere_behind_a_stop(0), View(f64([[0.0, 0.0], [0.1, 0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
-    optic, fields = OPTILAND.in_optiland(lens, looks)
+    lens, view = asphere_behind_a_stop(0), View(f64([[0.0, 0.0], [0.1, 0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
+    optic, fields = OPTILAND.in_optiland(lens, view)
     for f, field in enumerate(map(tuple, fields)):
-        for w, wavelength in enumerate(looks.wavelengths):
+        for w, wavelength in enumerate(view.wavelengths):
             theirs = ZernikeOPD(optic, field, wavelength, 12, "noll", 28)
             pupil = torch.stack([f64(theirs.distribution.x), f64(theirs.distribution.y)], -1)
-            ours = zernike_coefficients(wavefront(lens, looks, pupil).opd[f, w], pupil, 28)
+            ours = zernike_coefficients(wavefront(lens, view, pupil).opd[f, w], pupil, 28)
             torch.testing.assert_close(ours, f64(theirs.coeffs), rtol=0, atol=1e-6)
             assert float(ours[3:].abs().max()) > 1
 

@@ -18,10 +18,10 @@ from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.simulation.blend import FieldPsfs, blend
+from tasklens.simulation.blend import SensorPsfs, blend
 from tasklens.simulation.charts import resolution_chart
-from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
 from tasklens.simulation.sensor import simulate
+from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
 SHAPE = (96, 128)
 RAYS = 2048
@@ -38,9 +38,9 @@ def blurred() -> tuple[Lens, View]:
 
 
 @pytest.fixture(scope="module")
-def traced() -> FieldPsfs:
+def traced() -> SensorPsfs:
     lens, view = blurred()
-    return trace_field_psfs(lens, view, SHAPE, pitch_on_sensor(view, SHAPE), RAYS)
+    return trace_sensor_psfs(lens, view, SHAPE, pitch_on_sensor(view, SHAPE), RAYS)
 
 
 def noise(shape: tuple[int, int], seed: int) -> Tensor:
@@ -65,8 +65,8 @@ def traced_from_every_pixel(lens, view, image: Tensor, pitch: float, lit: tuple[
     pixel = torch.stack(torch.meshgrid(*map(torch.arange, (height, width)), indexing="ij"), -1)[lit].flatten(0, 1)
     light = image[(slice(None), *lit)].flatten(1).T.double()[..., None] / (~rays.vignetted).sum(-1, keepdim=True)
     ends = [
-        pixel[:, axis, None, None] + (landed - chief[:, 1 - axis, None, None]) * (1e3 / pitch)
-        for axis, landed in enumerate((rays.y, rays.x))
+        pixel[:, axis, None, None] + (coordinate - chief[:, 1 - axis, None, None]) * (1e3 / pitch)
+        for axis, coordinate in enumerate((rays.y, rays.x))
     ]
     for dy in (0, 1):
         for dx in (0, 1):
@@ -110,7 +110,7 @@ def test_a_star_shows_the_psf_of_its_field_and_keeps_its_light(traced):
         torch.testing.assert_close(capture.sum((-2, -1)), torch.ones(3), rtol=1e-5, atol=0)
 
 
-def with_halo(shape: tuple[int, int], seed: int) -> FieldPsfs:
+def with_halo(shape: tuple[int, int], seed: int) -> SensorPsfs:
     """Random PSFs on a small sensor, each its own mirror image on the axes, with a halo on pixels of four."""
     generator = torch.Generator().manual_seed(seed)
     parts = []
@@ -122,7 +122,7 @@ def with_halo(shape: tuple[int, int], seed: int) -> FieldPsfs:
     total = sum(part.sum((-2, -1), keepdim=True) for part in parts)
     height, width = ((n - 1) / 2 for n in shape)
     nodes = f64([0, height]), f64([0, 0.4 * width, width])
-    return FieldPsfs(shape, *nodes, parts[0] / total, parts[1] / total, halo_pixel=4)
+    return SensorPsfs(shape, *nodes, parts[0] / total, parts[1] / total, halo_pixel=4)
 
 
 def test_the_same_psf_everywhere_is_a_convolution_without_seams():
@@ -171,7 +171,7 @@ def test_light_of_the_halo_is_found_where_it_belongs():
     """With all light outside the window, a capture keeps sum and centre of mass and has no light near the star."""
     halo = torch.zeros(2, 2, 3, 9, 9)
     halo[..., 4, 0] = halo[..., 4, 8] = 0.5  # sixteen pixels to the left and to the right
-    psfs = FieldPsfs((64, 64), f64([0, 31.5]), f64([0, 31.5]), torch.zeros(2, 2, 3, 3, 3), halo, halo_pixel=4)
+    psfs = SensorPsfs((64, 64), f64([0, 31.5]), f64([0, 31.5]), torch.zeros(2, 2, 3, 3, 3), halo, halo_pixel=4)
     star = torch.zeros(3, 64, 64)
     star[:, 30:34, 30:34] = 1 / 16
     capture = blend(star, psfs)[0]

@@ -11,7 +11,7 @@ from examples import tiny_study
 from rules import ROOT, workflow
 from snakemake.scheduling.job_scheduler import JobRateLimiter
 from snakemake.settings.types import ExecMode, MaxJobsPerTimespan
-from test_workflow import forked, snakemake
+from workflows import forked, snakemake
 
 from tasklens.pipeline import planning, snakemake_internals
 

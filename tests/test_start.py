@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from designs import LIMITS, SPEC
 from examples import f64, materials, random_lens
 
 from tasklens.design.constraints import manufacturing_margins, worst_margin
@@ -11,8 +12,6 @@ from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.study.design_settings import LearningRates
 from tasklens.study.settings import Constraints, Spec
-
-SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 4])

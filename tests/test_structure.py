@@ -100,7 +100,7 @@ def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
     """Import the modules in turn in a new process; return the first one that loads heavy packages, and these."""
     code = (
         f"import importlib, sys\nfor name in {modules!r}:\n    importlib.import_module(name)\n"
-        f"    found = [m for m in {heavy!r} if m in sys.modules]\n    if found: sys.exit(f'{{name}}: {{found}}')"
+        f"    loaded = [m for m in {heavy!r} if m in sys.modules]\n    if loaded: sys.exit(f'{{name}}: {{loaded}}')"
     )
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr
 
@@ -165,6 +165,22 @@ def test_a_module_holds_one_idea(path):
     assert len(path.read_text().splitlines()) < 300
 
 
+TEST_CODE = sorted((ROOT / "tests").rglob("*.py"))
+
+
+def test_no_test_module_is_imported_by_another():
+    """What tests share is in modules without the prefix `test_`."""
+    imports = []
+    for path in TEST_CODE:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            else:
+                modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            imports += [f"{path.name} imports {name}" for name in modules if name.split(".")[-1].startswith("test_")]
+    assert imports == []
+
+
 # ---- digests of code
 
 
@@ -213,7 +229,7 @@ def digests() -> dict[str, str]:
 
 
 @pytest.fixture
-def edited(tmp_path, monkeypatch):
+def edit_code(tmp_path, monkeypatch):
     """A function that edits a file in a copy of the packages, and returns the digests of all rules after that."""
     for package in digest.PACKAGES:
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -268,9 +284,9 @@ SEE = {"restore", "fine_tune", "reproduce", "captures"}
         ("tasklens/jobs/design.py", '"""Write the prescription', '"""Write a prescription'),
     ],
 )
-def test_words_do_not_change_a_digest(digests, edited, path, old, new):
+def test_words_do_not_change_a_digest(digests, edit_code, path, old, new):
     """Comments, docstrings and blank lines rerun nothing."""
-    assert edited(path, old, new) == digests
+    assert edit_code(path, old, new) == digests
 
 
 @pytest.mark.parametrize(
@@ -296,7 +312,7 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
         ),
         ("tasklens/optics/analysis/tail.py", "TAIL = 3.0", "TAIL = 4.0", {"psf_tail_table", *FIGURES}),
         ("tasklens/report/figures.py", "Panel(title,", "Panel(title.upper(),", FIGURES),
-        ("tasklens/report/page/words.py", '"hold"', '"are true"', {"report_page"}),
+        ("tasklens/report/page/words.py", '"mixed or undecided"', '"mixed"', {"report_page"}),
         (
             "tasklens/report/bootstrap.py",
             "RESAMPLES = 10_000",
@@ -307,8 +323,8 @@ def test_words_do_not_change_a_digest(digests, edited, path, old, new):
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )
-def test_code_changes_the_digests_of_the_jobs_that_run_it(digests, edited, path, old, new, touched):
-    after = edited(path, old, new)
+def test_code_changes_the_digests_of_the_jobs_that_run_it(digests, edit_code, path, old, new, touched):
+    after = edit_code(path, old, new)
     assert {rule for rule in FUNCTIONS if after[rule] != digests[rule]} == touched
 
 
@@ -384,7 +400,7 @@ def test_an_array_has_one_writer(tmp_path):
     with files.writing_array(path, (2,), "uint8") as array:
         array[:] = 5
         refused = subprocess.run(command, capture_output=True, text=True)
-        assert refused.returncode != 0 and "another process is writing it" in refused.stderr
+        assert refused.returncode != 0 and "another process is writing this file" in refused.stderr
     assert files.map_array(path).tolist() == [5, 5]
     assert subprocess.run(command).returncode == 0 and files.map_array(path).tolist() == [7, 7]
 
@@ -413,7 +429,7 @@ def test_a_damaged_file_of_tensors_is_named(tmp_path, keep):
     files.write_tensors(path, {"a": torch.ones(3)}, {})
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(
-        files.FileError, match=r"t\.safetensors: no complete file of tensors .*; delete it and run again"
+        files.FileError, match=r"t\.safetensors: not a complete file of tensors .*; delete it and run again"
     ):
         files.read_tensors(path)
 

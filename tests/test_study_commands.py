@@ -176,11 +176,11 @@ def test_a_forecast_is_that_of_the_machine_of_the_file(place):
         ("--networks ,", "--networks: expected names"),
         ("--networks resnet19", "classifiers.resnet19"),
         ("--networks resnet18 --weights nowhere.pth", "--weights nowhere.pth: no such file"),
-        (f"--weights {__file__}", "--weights: for a network of timm; resnet is trained on the images"),
-        ("--minutes 0.01", "--minutes 0.01: the least study of this kind takes about"),
+        (f"--weights {__file__}", "--weights: only for a network from timm; resnet is trained on the images"),
+        ("--minutes 0.01", "--minutes 0.01: the smallest study of this kind takes about"),
     ],
 )
-def test_a_wish_that_cannot_be_is_told(place, capsys, options, words):
+def test_an_impossible_option_is_reported(place, capsys, options, words):
     assert words in complaint(capsys, "new", "wrong", "--yes", *options.split())
     assert list(place.iterdir()) == []
 
@@ -232,10 +232,10 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
 def test_a_target_without_jobs_has_nothing_to_be_done(capsys):
     write("study.yaml", dump(parse(tiny_study())))
     assert study("plan", "study.yaml", "--target", "ablations") == 0
-    assert "tiny: nothing is to be done for ablations." in capsys.readouterr().out
+    assert "tiny: nothing to do for ablations." in capsys.readouterr().out
 
 
-def test_an_unknown_target_is_told(capsys):
+def test_an_unknown_target_is_reported(capsys):
     write("study.yaml", dump(parse(tiny_study())))
     assert "cannot plan nothing of study.yaml" in complaint(capsys, "plan", "study.yaml", "--target", "nothing")
 
@@ -314,12 +314,12 @@ def test_export_of_the_present_folder_has_its_name(results, monkeypatch):
         ("absent", "absent: no such file"),
         ("folder", "folder: "),
         ("broken.yaml", "broken.yaml, line 1, column 5: not valid YAML"),
-        ("binary.yaml", "binary.yaml, line 1: not valid YAML: no UTF-8"),
+        ("binary.yaml", "binary.yaml, line 1: not valid YAML: the text is not UTF-8"),
         ("list.yaml", "list.yaml: expected keys and values"),
-        ("part.yaml", "part.yaml: it has no format, name, images"),
+        ("part.yaml", "part.yaml: has no format, name, images"),
     ],
 )
-def test_what_is_no_study_is_told(place, capsys, command, bad, words):
+def test_a_file_that_is_no_study_is_reported(place, capsys, command, bad, words):
     (place / "folder").mkdir()
     write("broken.yaml", "a: [")
     (place / "binary.yaml").write_bytes(b"\xff\xfe\x00")
@@ -328,10 +328,10 @@ def test_what_is_no_study_is_told(place, capsys, command, bad, words):
     assert words in complaint(capsys, command, bad, *([bad] if command == "diff" else []))
 
 
-def test_a_study_without_results_is_told(place, capsys):
+def test_a_study_without_results_is_reported(place, capsys):
     write("study.yaml", dump(parse(tiny_study())))
-    assert "results/tiny: no study.yaml in it" in complaint(capsys, "export", "study.yaml")
-    assert "no run of this study is known" in complaint(capsys, "status", "study.yaml")
+    assert "results/tiny: contains no study.yaml" in complaint(capsys, "export", "study.yaml")
+    assert "no run of this study" in complaint(capsys, "status", "study.yaml")
 
 
 def test_without_the_repository_a_new_study_says_so(place, monkeypatch, capsys):

@@ -11,7 +11,7 @@ import yaml
 from examples import tiny_study, write
 from rules import finish
 from snakemake.target_jobs import parse_target_jobs_cli_args
-from test_workflow import forked, plan, snakemake
+from workflows import forked, plan, snakemake
 
 from tasklens.cli.app import main
 from tasklens.pipeline import closing, runs
@@ -64,17 +64,17 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
     [
         ({"spec.f_numbr": [2]}, ["sweep, spec.f_numbr=2", "did you mean f_number"]),
         ({"spec.f_number": [-2]}, ["spec.f_number=-2", "equal to 0.5"]),
-        ({"spec.f_number": [2, 2.0]}, ["sweep.spec.f_number", "each once"]),
-        ({"spec.f_number": [2, "2"]}, ["sweep.spec.f_number", "each once"]),
+        ({"spec.f_number": [2, 2.0]}, ["sweep.spec.f_number", "no duplicates"]),
+        ({"spec.f_number": [2, "2"]}, ["sweep.spec.f_number", "no duplicates"]),
         ({"designs.imaging1.method": ["descents", "least_squares"]}, ["designs.imaging1.method", "several designs"]),
-        ({"spec.f_number": []}, ["sweep.spec.f_number", "expected values"]),
+        ({"spec.f_number": []}, ["sweep.spec.f_number", "at least one value"]),
         ({"spec.f_number": 2}, ["sweep.spec.f_number = 2", "a list"]),
         ({"spec.f_number": [[2]]}, ["sweep.spec.f_number", "expected numbers, names"]),
         ({"supervisor": ["../other"]}, ["sweep.supervisor", "'../other'"]),
-        ({"name": ["a"]}, ["sweep.name", "same at all points"]),
+        ({"name": ["a"]}, ["sweep.name", "cannot differ between points"]),
     ],
 )
-def test_a_grid_that_cannot_be_is_refused(sweep, words):
+def test_an_impossible_grid_is_refused(sweep, words):
     with pytest.raises(StudyError) as caught:
         at_points(parse(one_lens(**sweep)))
     assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value)
@@ -99,7 +99,7 @@ def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
     point = [tmp_path / "results/tiny/spec.f_number=2.0/study.yaml"]  # a study like others
     assert snakemake(tmp_path, point, "results/tiny/spec.f_number=2.0/images/train.npy").returncode == 0
     status, output = forked(tmp_path, one_lens(**{"spec.f_number": [2.0]}), "--dry-run", "verify")
-    assert status != 0 and "verify: of one point" in output
+    assert status != 0 and "verify: a sweep is verified point by point" in output
 
 
 def tables(study, accuracies: list[float]) -> None:
@@ -121,7 +121,7 @@ def test_numbers_of_all_points_stand_beside_each_other(swept):
     assert dict(zip(one["column"], one["value"], strict=True)) == {"accuracy": 40, "rms_spot_um": 4}
 
 
-def test_the_last_words_are_the_table(swept):
+def test_a_sweep_ends_with_its_table(swept):
     tables(swept, [10, 20, 30, 40])
     finish("sweep_table", swept)
     write(f"results/tiny/{POINTS[1]}/report.html", "")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pandas
 import pytest
 import torch
-from examples import f64, landed, make_lens
+from examples import f64, make_lens, rays_on_image
 
 from tasklens.optics.analysis import tail as tails_of
 from tasklens.optics.analysis.datasheet import figures
@@ -21,12 +21,10 @@ from tasklens.study.settings import Spec
 ORIGIN = f64([[0.0, 0.0]])
 
 
-def measured(
-    monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED
-) -> tuple[dict, pandas.DataFrame]:
+def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED) -> tuple[dict, pandas.DataFrame]:
     """Tail and curve of one field whose rays land on `points` (N, 2) [um] about a chief ray at `centre` [um]."""
     x, y = (points + f64(centre)).T / 1e3
-    rays = landed(x[None, None], y[None, None], valid)
+    rays = rays_on_image(x[None, None], y[None, None], valid)
     rays = replace(rays, status=rays.status * lost)
     monkeypatch.setattr(tails_of, "trace_fields", lambda *arguments: rays)
     monkeypatch.setattr(tails_of, "chief_points", lambda *arguments: f64([centre]) / 1e3)
@@ -36,7 +34,7 @@ def measured(
 
 def test_a_disc_of_even_light(monkeypatch):
     """Half of the light within R / sqrt(2), which is the RMS too; no tail. The centre is the chief ray's point."""
-    row, _ = measured(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
+    row, _ = tail_of(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
     assert row["core_radius_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
     assert row["radius_80_um"] == pytest.approx(10 * math.sqrt(0.8), rel=2e-3)
     assert row["rms_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
@@ -48,7 +46,7 @@ def test_a_gaussian_spot(monkeypatch):
     u, v = sobol_disc(8192, 0).T
     radius = u**2 + v**2  # uniform over 0 .. 1
     points = torch.stack([u, v], -1) * (torch.sqrt(-2 * torch.log1p(-radius)) / torch.sqrt(radius))[:, None] * 5
-    row, curve = measured(monkeypatch, points)
+    row, curve = tail_of(monkeypatch, points)
     assert row["core_radius_um"] == pytest.approx(5 * math.sqrt(2 * math.log(2)), rel=2e-3)
     assert row["rms_um"] / row["core_radius_um"] == pytest.approx(1 / math.sqrt(math.log(2)), rel=1e-2)
     assert row["tail_energy"] == pytest.approx(2**-9, rel=0.1)
@@ -60,7 +58,7 @@ def test_a_core_in_a_halo(monkeypatch):
     """Of ten rays six land 2 um from the centre, two at 20 um, one at 100 um outside the window, one is lost."""
     points = f64([[2, 0]] * 6 + [[0, 20]] * 2 + [[0, 100], [0, 0]])
     valid = torch.tensor([True] * 9 + [False])[None, None]
-    row, curve = measured(monkeypatch, points, valid)
+    row, curve = tail_of(monkeypatch, points, valid)
     assert row["core_radius_um"] == pytest.approx(2) and row["radius_80_um"] == pytest.approx(20)
     assert row["tail_energy"] == pytest.approx(0.4) and row["outside_window"] == pytest.approx(0.2)
     assert row["rms_um"] == pytest.approx(math.sqrt((6 * 4 + 2 * 400 + 10_000) / 9))
@@ -72,7 +70,7 @@ def test_vignetted_light_is_left_out(monkeypatch):
     """A clear aperture stops six of ten rays: half of the other four is the core, and no light counts as lost."""
     points = f64([[1, 0], [0, 2], [3, 0], [0, 100]] + [[0, 0]] * 6)
     valid = torch.tensor([True] * 4 + [False] * 6)[None, None]
-    row, curve = measured(monkeypatch, points, valid, lost=RayStatus.VIGNETTED)
+    row, curve = tail_of(monkeypatch, points, valid, lost=RayStatus.VIGNETTED)
     assert row["core_radius_um"] == pytest.approx(2) and row["radius_80_um"] == pytest.approx(100)
     assert row["outside_window"] == row["tail_energy"] == pytest.approx(0.25)
     assert curve.set_index("radius_um")["fraction"][1000.0] == 1
@@ -80,7 +78,7 @@ def test_vignetted_light_is_left_out(monkeypatch):
 
 def test_a_field_without_a_core_has_no_tail_energy(monkeypatch):
     points, lost = torch.zeros(4, 2, dtype=torch.float64), torch.tensor([True, False, False, False])[None, None]
-    row, _ = measured(monkeypatch, points, lost)
+    row, _ = tail_of(monkeypatch, points, lost)
     assert math.isinf(row["core_radius_um"]) and math.isnan(row["tail_energy"])
     assert row["outside_window"] == 0.75
 
@@ -88,7 +86,7 @@ def test_a_field_without_a_core_has_no_tail_energy(monkeypatch):
 def test_encircled_energy_is_a_count():
     """Against a count of the rays within each radius, also on the radius itself."""
     points = torch.randn(2, 3, 50, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    rays = landed(points[..., 0], points[..., 1])
+    rays = rays_on_image(points[..., 0], points[..., 1])
     centre = f64([[0.0, 0.0], [0.5, -0.5]])
     radii = torch.cat([f64([0.0, 0.3, 1.0, 9.0]), distances(rays, centre)[0, 0, :3]])
     actual = encircled_energy(rays, centre, radii)
@@ -99,10 +97,10 @@ def test_encircled_energy_is_a_count():
 
 def test_figures_agree_with_the_lens_file():
     """Both use the same rays: core, 80 % radius, energy in the window and RMS about the chief ray."""
-    looks = view_of_spec(Spec())
+    view = view_of_spec(Spec())
     lens = make_lens([0, 0.7, 0], [0.1, 0.4, 2.6], ("air", "COC", "air"), semi_diameter=[0.5, torch.inf, torch.inf])
-    by_field, curve = tail(lens, looks, 256)
-    expected = figures(lens, looks, 256)
+    by_field, curve = tail(lens, view, 256)
+    expected = figures(lens, view, 256)
     for name in ("core_radius_um", "radius_80_um"):
         assert [row[name] for row in by_field] == pytest.approx(expected[name], nan_ok=True)
     assert [row["rms_um"] for row in by_field] == pytest.approx(expected["rms_chief_ray_um"], nan_ok=True)

@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from designs import LIMITS, NO_LIMITS, VIEW, image_error, problem, task_design, tiny_network
 from examples import by_descents, changed, materials, random_images, tiny_study, write
-from test_design import LIMITS, LOOKS, problem, small_network
 from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
 
 from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.criteria import ImageError, JointTaskLoss, SpotRadius, TaskLoss
-from tasklens.design.problem import Problem
+from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor, loss_at_psf
@@ -24,52 +23,19 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf
-from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import DescentSettings, LearningRates
+from tasklens.study.design_settings import DescentSettings
 from tasklens.study.loading import parse
-from tasklens.study.settings import CaptureSettings, Constraints, SensorSettings, Spec, TrainingSettings
+from tasklens.study.settings import CaptureSettings, SensorSettings, Spec, TrainingSettings
 from tasklens.study.tables import lens_design
-
-NO_LIMITS = Constraints.model_construct(**{key: 1e9 if "max" in key else -1e9 for key in Constraints.model_fields})
-NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9, "max_chief_ray_angle_deg": None})
-
-FAST = LearningRates(curvature=2e-2, thickness=5e-3, alpha_4=1e-2)
-RESTARTS = DescentSettings(steps=3, pixels=(20, 5), lenses=2)
-REFINEMENT = DescentSettings(steps=2, pixels=(5, 1))
-
-
-def image_error(part):
-    return ImageError(part.criterion == "log_image_error")
-
-
-def designed(network, lens, limits=LIMITS, parts=(RESTARTS, REFINEMENT), batch_norm="stored", **settings):
-    task = problem(limits)
-    supervisor = TaskLoss(frozen(network, task.dataset.images, batch_norm))
-    options = {"augment": True, "batch_norm": batch_norm} | settings
-    return by_descents(lens, lambda part: supervisor, task, *parts, **options)[::2]
-
-
-def spot_lens(start):
-    """A doublet after 200 steps of spot descent, which violates limits a little."""
-    settings = DescentSettings(
-        optimizer="adamw",
-        criterion="spot",
-        steps=200,
-        learning_rates=FAST,
-        betas=(0.9, 0.99),
-        final=1.0,
-        stop_scale=0.3,
-    )
-    return by_descents(start, lambda part: SpotRadius(), Problem(LOOKS, LIMITS, 0), settings, rays=64)[0]
 
 
 def test_frozen_network_stays_frozen(start):
     """Task-driven design moves the lens and nothing of the network: no weight, no batch statistic, no switch."""
-    network = small_network().train()
+    network = tiny_network().train()
     before = copy.deepcopy(network.state_dict())
-    lens, history = designed(network, start)
+    lens, history = task_design(network, start)
     assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())
     assert network.training and all(p.requires_grad and p.grad is None for p in network.parameters())
     assert not torch.equal(lens.curvature, start.curvature) and not torch.equal(lens.thickness, start.thickness)
@@ -78,24 +44,24 @@ def test_frozen_network_stays_frozen(start):
 
 
 def test_restarts_are_deterministic(start):
-    first, again = (designed(small_network(), start)[0] for _ in range(2))
+    first, again = (task_design(tiny_network(), start)[0] for _ in range(2))
     for name in ("curvature", "thickness", "alpha"):
         assert torch.equal(getattr(first, name), getattr(again, name))
 
 
 def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
     """With validation losses from a list, the second of three restarts is refined, here by a negligible step."""
-    judged, losses = [], iter([2.0, 1.0, 3.0])
+    evaluated_lenses, losses = [], iter([2.0, 1.0, 3.0])
 
     def validation_loss(self, lens, pixels):
-        judged.append(lens)
+        evaluated_lenses.append(lens)
         return next(losses, 0.0)
 
     monkeypatch.setattr(Supervisor, "validation_loss", validation_loss)
     coarse = DescentSettings(steps=3, pixels=(21, 20), lenses=3)
     nothing = DescentSettings(steps=1, pixels=(20, 20), step_size=1e-9)
-    lens, _ = designed(small_network(), start, NO_LIMITS, (coarse, nothing))
-    changes = [float((lens.curvature - other.curvature).abs().max()) for other in judged]
+    lens, _ = task_design(tiny_network(), start, NO_LIMITS, (coarse, nothing))
+    changes = [float((lens.curvature - other.curvature).abs().max()) for other in evaluated_lenses]
     assert changes[1] < 0.01 * min(changes[0], changes[2])
 
 
@@ -142,18 +108,17 @@ def test_several_restarts_are_refined(start, monkeypatch):
     ]
 
 
-def test_the_best_candidate_is_the_start(start):
+def test_the_best_candidate_is_the_start(spot_lens):
     """Plates lose to a lens in focus; the losses stand in history and origin."""
     still = DescentSettings(steps=2, pixels=(5, 5), step_size=1e-9, criterion="log_image_error")
-    sharp = spot_lens(start)
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    candidates = {"plates": plates, "sharp": sharp}
+    candidates = {"plates": plates, "sharp": spot_lens}
     lens, origin, history = by_descents(plates, image_error, problem(NO_LIMITS), still, candidates=candidates)
     losses = {row["phase"]: row["validation_loss"] for row in history if row["phase"].startswith("candidate")}
     assert origin["start"] == "sharp" and losses["candidate sharp"] == min(losses.values())
     assert origin["candidate_losses"] == {name.removeprefix("candidate "): loss for name, loss in losses.items()}
     assert origin["validation_loss"] == pytest.approx(losses["candidate sharp"], rel=1e-6)
-    torch.testing.assert_close(lens.curvature, sharp.curvature, rtol=0, atol=1e-6)
+    torch.testing.assert_close(lens.curvature, spot_lens.curvature, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("finished, kept", [(1.5, "sharp"), (0.5, "finished")])
@@ -183,8 +148,8 @@ class Failing(ImageError):
         return super().losses(captures, images, labels) * (torch.nan if self.left[0] < 0 else 1)
 
 
-@pytest.mark.parametrize("fails_at, told", [(1, False), (3, True), (5, False)])
-def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, fails_at, told):
+@pytest.mark.parametrize("fails_at, in_origin", [(1, False), (3, True), (5, False)])
+def test_a_lens_file_names_a_divergence_that_led_to_it(start, monkeypatch, fails_at, in_origin):
     """It reports a divergence of its own descents, not of a rejected restart or a rejected finish."""
     parts = [DescentSettings(steps=1, pixels=(20, 20), lenses=lenses) for lenses in (2, 1)]
     if fails_at == 5:  # of a finish that is worse than its start
@@ -196,26 +161,28 @@ def test_a_lens_tells_of_a_divergence_that_led_to_it(start, monkeypatch, fails_a
     else:
         criteria = iter([Failing(0 if fails_at == 3 else 99), Failing(0), Failing(99)])  # restarts, refinement
         _, origin, _ = by_descents(start, lambda p: next(criteria), problem(), *parts)
-    assert ("diverged" in origin) is told
+    assert ("diverged" in origin) is in_origin
 
 
 def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
     """Selection uses the repaired lens with clear apertures, which can cost more than the descent has gained."""
-    judged = []
+    evaluated_lenses = []
 
     def selection_loss(supervisor, lens, pixels):
-        judged.append(lens)
+        evaluated_lenses.append(lens)
         return 1.0
 
     monkeypatch.setattr(Supervisor, "selection_loss", selection_loss)
     finish = DescentSettings(steps=1, pixels=(5, 5), step_size=0.1, criterion="log_image_error")
-    margins = manufacturing_margins(start, LIMITS, clear_semi_diameters(start, LOOKS))
+    margins = manufacturing_margins(start, LIMITS, clear_semi_diameters(start, VIEW))
     least = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05  # violated by 0.05 mm
     limits = LIMITS.model_copy(update={"min_centre_thickness": least})
     lens, _, _ = by_descents(start, image_error, problem(limits), finish, candidates={"start": start})
-    repaired, _ = repair(lens, LOOKS, limits)
-    assert not torch.equal(repaired.thickness, lens.thickness) and torch.equal(judged[-1].thickness, repaired.thickness)
-    assert lens.semi_diameter.isinf().any() and not judged[-1].semi_diameter.isinf().any()
+    repaired, _ = repair(lens, VIEW, limits)
+    assert not torch.equal(repaired.thickness, lens.thickness) and torch.equal(
+        evaluated_lenses[-1].thickness, repaired.thickness
+    )
+    assert lens.semi_diameter.isinf().any() and not evaluated_lenses[-1].semi_diameter.isinf().any()
 
 
 def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
@@ -265,7 +232,7 @@ def test_the_image_error_alone_makes_a_lens():
     images = replace(problem().dataset, images=soft)
 
     def quality(lens):
-        grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
+        grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch, 11)
         sharp = images.batch(torch.arange(12))[0]
         return float(psnr(PsfCamera(grid.float()).grid(sharp), sharp).mean())
 
@@ -277,7 +244,7 @@ def test_the_image_error_alone_makes_a_lens():
 
 def test_a_joint_descent_trains_a_classifier_of_its_own(start):
     """Two restarts and a refinement begin with the trained classifier, move copies of it, and leave the original."""
-    network, criteria = small_network().train(), []
+    network, criteria = tiny_network().train(), []
     before = copy.deepcopy(network.state_dict())
 
     def joint(part):
@@ -299,7 +266,7 @@ def test_a_joint_descent_trains_a_classifier_of_its_own(start):
 
 def test_a_network_that_changes_halves_no_step(start):
     """An unchanged lens is no worse than the best, even if a network trained too fast classifies it ever worse."""
-    network = small_network().train()
+    network = tiny_network().train()
     finish = DescentSettings(steps=40, pixels=(5, 5), step_size=1e-9, final=1.0, network_learning_rate=1.0)
 
     def joint(part):
@@ -311,7 +278,7 @@ def test_a_network_that_changes_halves_no_step(start):
     assert len({row["step_size_um"] for row in rows}) == 1
 
 
-def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
+def test_a_joint_design_begins_with_the_best_start(start, spot_lens, monkeypatch):
     """The best start has the highest accuracy; no candidates compete with it."""
     joint = {"start": ["imaging1", "imaging2"], "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
     study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
@@ -320,18 +287,17 @@ def test_a_joint_design_begins_with_the_best_start(start, monkeypatch):
 
     def design(begin, candidates, *rest):
         calls.append((begin, candidates))
-        raise Seen
+        raise Called
 
-    sharp = spot_lens(start)
-    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (sharp, 70.0)}
+    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (spot_lens, 70.0)}
     monkeypatch.setattr(descents, "design", design)
-    with pytest.raises(Seen):
-        methods.design(design_settings, small_network(), None, starts, {})
+    with pytest.raises(Called):
+        methods.design(design_settings, tiny_network(), None, starts, {})
     ((begin, candidates),) = calls
-    assert torch.equal(begin.curvature, sharp.curvature) and not candidates
+    assert torch.equal(begin.curvature, spot_lens.curvature) and not candidates
 
 
-class Seen(Exception):
+class Called(Exception):
     """Ends a design at its beginning."""
 
 
@@ -347,27 +313,27 @@ def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names,
     design_settings = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
 
     def design(settings, network, train, starts, *rest):
-        raise Seen(max(starts, key=lambda name: starts[name][1]))
+        raise Called(max(starts, key=lambda name: starts[name][1]))
 
     monkeypatch.setattr(methods, "design", design)
     settings = design_settings.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
     starts, metrics = 2 * [tmp_path / "lens.yaml"], [tmp_path / name for name in accuracies]
     outputs = (tmp_path / name for name in ("out.yaml", "history.csv", "psf.safetensors"))
-    with pytest.raises(Seen, match=f"^{start}$"):
+    with pytest.raises(Called, match=f"^{start}$"):
         design_job.run(settings, [], None, [], [], starts, metrics, *outputs, NO_CHECKPOINT)
 
 
 def test_descending_lowers_the_loss(start):
     """Two dozen steps reduce the loss of a frozen network on its captures."""
-    network = small_network()
+    network = tiny_network()
     dataset = random_images(12, 16, 3, seed=0)
     fit({"network": network}, dataset, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
     images, labels = dataset.batch(torch.arange(12))
 
     def loss(lens):
-        grid = psf(trace_fields(lens, LOOKS, sobol_disc(64, 9)), LOOKS.fields, 10 * LOOKS.pixel_pitch, 11)
+        grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch, 11)
         return float(loss_at_psf(TaskLoss(network), images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
 
     steps = DescentSettings(steps=12, pixels=(10, 10), step_size=0.5)
-    lens, _ = designed(network, start, NO_LIMITS, (steps, steps), batch_size=12, augment=False)
+    lens, _ = task_design(network, start, NO_LIMITS, (steps, steps), batch_size=12, augment=False)
     assert loss(lens) < loss(start)

@@ -7,10 +7,10 @@ import pandas
 import pytest
 import torch
 import yaml
+from designs import problem
 from examples import changed, random_images, read_rows, tiny_study, trained_network
 from pydantic import ValidationError
 from rules import finish
-from test_design import problem
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
@@ -154,13 +154,13 @@ def test_numbers_of_the_table(tmp_path):
     assert (row["frozen"], row["tuned"], row["worst_field"], row["seeds"]) == (25.0, 50.0, 45.0, 2)
 
 
-@pytest.mark.parametrize("given", [SEGMENTATION, BOXES, MASKS], ids=["segmentation", "boxes", "masks"])
-def test_losses_have_gradients_at_captures(given):
+@pytest.mark.parametrize("content", [SEGMENTATION, BOXES, MASKS], ids=["segmentation", "boxes", "masks"])
+def test_losses_have_gradients_at_captures(content):
     """A frozen network passes gradients to captures, for lens design, but not to its own parameters."""
     torch.manual_seed(0)
     dataset = data()
-    network = task_networks.frozen(task_networks.build("a", settings(given), 10, 32))
-    task = Segmentation(dataset, OUTPUTS) if given is SEGMENTATION else Detection(dataset, OUTPUTS, given is MASKS)
+    network = task_networks.frozen(task_networks.build("a", settings(content), 10, 32))
+    task = Segmentation(dataset, OUTPUTS) if content is SEGMENTATION else Detection(dataset, OUTPUTS, content is MASKS)
     captures = dataset.batch(torch.arange(2)).requires_grad_()
     task.loss(network, captures, torch.arange(2), NOT_FLIPPED).backward()
     assert captures.grad is not None and captures.grad.isfinite().all() and captures.grad.abs().sum() > 0
@@ -217,7 +217,7 @@ def test_published_weights_know_classes_by_name():
     network = settings({"kind": "detection", "model": "fasterrcnn_resnet50_fpn", "pretrained": True})
     outputs = task_networks.outputs("a", network, ("toothbrush", "person"))
     assert outputs == (90, 1)
-    with pytest.raises(InputError, match=r"tasks\.networks\.a: .*fasterrcnn_resnet50_fpn know no stripes"):
+    with pytest.raises(InputError, match=r"tasks\.networks\.a: .*fasterrcnn_resnet50_fpn have no class stripes"):
         task_networks.outputs("a", network, ("person", "stripes"))
 
     class Finds(nn.Module):
@@ -230,7 +230,7 @@ def test_published_weights_know_classes_by_name():
 
 
 @pytest.mark.parametrize(
-    "given",
+    "content",
     [
         {"kind": "segmentation"},
         {"kind": "segmentation", "backbone": "resnet18"},
@@ -239,9 +239,9 @@ def test_published_weights_know_classes_by_name():
         {"kind": "depth", "model": "any"},
     ],
 )
-def test_networks_that_do_not_fit_their_task(given):
+def test_networks_that_do_not_fit_their_task(content):
     with pytest.raises(ValidationError):
-        settings(given)
+        settings(content)
 
 
 def test_splits_have_other_images():
@@ -323,8 +323,8 @@ def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
     [
         ({"task": "depth"}, "designs.for_boxes.task: 'depth' is not one of `tasks.networks`: boxes"),
         ({"batch_norm": "batch"}, "expected a frozen network, `batch_norm: stored`"),
-        ({"augment": True}, "since masks fit the images as they are"),
-        ({"descents": [{"steps": 2, "size": 16}]}, "since masks fit the images as they are"),
+        ({"augment": True}, "since masks fit only unchanged images"),
+        ({"descents": [{"steps": 2, "size": 16}]}, "since masks fit only unchanged images"),
     ],
 )
 def test_designs_that_do_not_fit_their_task(change, words):

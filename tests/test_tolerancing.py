@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import cooke_triplet, f64, make_lens, materials
+from examples import cooke_triplet, f64, make_lens
 from pydantic import ValidationError
+from tolerance_examples import AIR, COC, NOTHING, OKP4, doublet, grade
 
-from tasklens.optics.analysis.focus import refocused
+from tasklens.materials.material import D_LINE
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
@@ -18,28 +19,6 @@ from tasklens.optics.tolerancing.errors import DEVIATION, built, draw, elements,
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import View
 from tasklens.study.tolerance_settings import GRADES, Grade
-
-COC, OKP4, AIR = materials("COC", "OKP4", "air")
-D_LINE = 0.5875618
-NOTHING = dict.fromkeys(GRADES["precision_moulding"], 0.0)
-
-
-def grade(**tolerances: float) -> Grade:
-    """A grade with only these tolerances."""
-    return Grade(**NOTHING | tolerances)
-
-
-def doublet() -> tuple[Lens, View]:
-    """Two elements that form an image, and a view of its axis and of 5 degrees along x and y."""
-    lens = make_lens(
-        [0.0, 0.25, -0.2, -0.15, 0.1],
-        [0.2, 0.6, 0.3, 0.5, 4.0],
-        (AIR, COC, AIR, OKP4, AIR),
-        semi_diameter=[0.5, 1.4, 1.4, 1.4, 1.4],
-    )
-    view = View(f64([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]]), 4.6, (0.6563, D_LINE, 0.4861), 2.0, 31)
-    return refocused(lens, view, 256), view
-
 
 # ---- errors and lenses
 
@@ -327,7 +306,7 @@ def test_grades_have_names(name):
     assert Grade.model_validate(name).thickness_um == GRADES[name]["thickness_um"]
 
 
-@pytest.mark.parametrize("given", ["finest", GRADES["phone_moulding"] | {"radius_percent": -0.1}, NOTHING])
-def test_impossible_grades_are_refused(given):
+@pytest.mark.parametrize("content", ["finest", GRADES["phone_moulding"] | {"radius_percent": -0.1}, NOTHING])
+def test_impossible_grades_are_refused(content):
     with pytest.raises(ValidationError):
-        Grade.model_validate(given)
+        Grade.model_validate(content)

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from designs import problem, task_design, tiny_network
 from examples import f64
-from test_design import problem, small_network
-from test_task_design import designed, spot_lens
 
 from tasklens.design import supervision
 from tasklens.design.criteria import Contrast, TaskLoss
@@ -24,75 +23,76 @@ def supervisor(grade: Grade | None, criterion=None) -> Supervisor:
     return Supervisor(criterion or Contrast(problem().view.directions), problem(), None, False, 1, "chief_ray", grade)
 
 
-def test_without_a_grade_the_design_itself_is_looked_at(start):
+def test_without_a_grade_the_design_itself_is_evaluated(start):
     assert supervisor(None).as_built(start, 3, 8) == [start]
 
 
-def test_built_lenses_are_drawn_anew(start):
+def test_built_lenses_are_drawn_anew(spot_lens):
     """The seed sets the errors of each lens; each is focused; the design itself does not change."""
-    lens = spot_lens(start)
-    first, second = supervisor(COMMERCIAL).as_built(lens, 3, 2)
-    (again,), (other,) = (supervisor(COMMERCIAL).as_built(lens, seed) for seed in (3, 4))
+    first, second = supervisor(COMMERCIAL).as_built(spot_lens, 3, 2)
+    (again,), (other,) = (supervisor(COMMERCIAL).as_built(spot_lens, seed) for seed in (3, 4))
     assert torch.equal(first.thickness, again.thickness) and torch.equal(first.pose.position, again.pose.position)
     for one in (second, other):
         assert not torch.equal(first.thickness[:-1], one.thickness[:-1])
         assert not torch.equal(first.pose.rotation, one.pose.rotation)
-    assert lens.pose is None and lens.melt is None
+    assert spot_lens.pose is None and spot_lens.melt is None
     assert torch.isinf(first.semi_diameter[1:]).all()  # apertures stay open in a design
 
 
-def test_a_built_lens_carries_the_gradient_of_the_design(start):
+def test_a_built_lens_carries_the_gradient_of_the_design(spot_lens):
     """The gradient of its image points by a curvature and a thickness, against differences at the same errors.
 
     Both sides of a difference are focused: the image plane moves with the design.
     """
     without_form = PHONE.model_copy(update={"irregularity_fringes": 0.0})  # its height depends on the aperture
-    lens, criterion, pupil = spot_lens(start), supervisor(without_form), sobol_disc(16, seed=0)
+    criterion, pupil = supervisor(without_form), sobol_disc(16, seed=0)
 
     def points(curvature: torch.Tensor, thickness: torch.Tensor) -> torch.Tensor:
-        (built_lens,) = criterion.as_built(replace(lens, curvature=curvature, thickness=thickness), 1)
+        (built_lens,) = criterion.as_built(replace(spot_lens, curvature=curvature, thickness=thickness), 1)
         rays = trace_fields(built_lens, problem().view, pupil)
         return torch.where(rays.valid, rays.x, 0.0).sum()
 
-    values = [lens.curvature.clone().requires_grad_(), lens.thickness.clone().requires_grad_()]
+    values = [spot_lens.curvature.clone().requires_grad_(), spot_lens.thickness.clone().requires_grad_()]
     gradients = torch.autograd.grad(points(*values), values)
     for k, surface in ((0, 2), (1, 2)):
-        step = 1e-6 * f64([float(i == surface) for i in range(len(lens.media))])
+        step = 1e-6 * f64([float(i == surface) for i in range(len(spot_lens.media))])
         more, less = ([v.detach() + s * step * (i == k) for i, v in enumerate(values)] for s in (1, -1))
         expected = float(points(*more) - points(*less)) / 2e-6
         assert float(gradients[k][surface]) == pytest.approx(expected, rel=1e-4)
 
 
-def test_validation_is_of_built_lenses(start):
+def test_validation_is_of_built_lenses(spot_lens):
     """Validation is the mean of eight built lenses; a study reports others."""
-    lens, criterion = spot_lens(start), supervisor(COMMERCIAL)
-    every = criterion.as_built(lens, problem().seed + supervision._VALIDATION_SEED, 8)
+    criterion = supervisor(COMMERCIAL)
+    every = criterion.as_built(spot_lens, problem().seed + supervision._VALIDATION_SEED, 8)
     expected = sum(supervisor(None).validation_loss(built_lens, 1.0) for built_lens in every) / 8
-    assert criterion.validation_loss(lens, 1.0) == pytest.approx(expected, rel=1e-12)
-    assert criterion.validation_loss(lens, 1.0) != supervisor(None).validation_loss(lens, 1.0)
+    assert criterion.validation_loss(spot_lens, 1.0) == pytest.approx(expected, rel=1e-12)
+    assert criterion.validation_loss(spot_lens, 1.0) != supervisor(None).validation_loss(spot_lens, 1.0)
 
 
-def test_built_lenses_have_the_illumination_of_the_design(start, monkeypatch):
+def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch):
     """Relative illumination is traced by symmetry, which a decentred lens lacks."""
     lenses = []
     monkeypatch.setattr(supervision, "relative_illumination", lambda lens, view: lenses.append(lens) or f64([1.0] * 9))
-    lens, lit = spot_lens(start), replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
-    criterion = Supervisor(TaskLoss(small_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
-    assert math.isfinite(criterion.validation_loss(lens, 1.0))
+    lit = replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
+    criterion = Supervisor(TaskLoss(tiny_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
+    assert math.isfinite(criterion.validation_loss(spot_lens, 1.0))
     assert lenses and all(item.pose is None for item in lenses)
 
 
 def test_a_design_for_built_lenses_is_another(start):
     """With equal images and rays, built lenses lead to another design; the same seed repeats it."""
-    network = small_network()
-    plain, tolerant, again = (designed(network, start, tolerances=grade)[0] for grade in (None, COMMERCIAL, COMMERCIAL))
+    network = tiny_network()
+    plain, tolerant, again = (
+        task_design(network, start, tolerances=grade)[0] for grade in (None, COMMERCIAL, COMMERCIAL)
+    )
     assert not torch.equal(plain.curvature, tolerant.curvature)
     assert torch.equal(tolerant.curvature, again.curvature)
     assert tolerant.pose is None and tolerant.melt is None
 
 
 def test_a_classifier_supervises_built_lenses_too(start):
-    criterion, curvature = supervisor(COMMERCIAL, TaskLoss(small_network())), start.curvature.clone().requires_grad_()
+    criterion, curvature = supervisor(COMMERCIAL, TaskLoss(tiny_network())), start.curvature.clone().requires_grad_()
     (built_lens,) = criterion.as_built(replace(start, curvature=curvature), 5)
     loss = criterion.loss(built_lens, sobol_disc(32, 0), 20.0, torch.arange(2), 0)
     (gradient,) = torch.autograd.grad(loss.value, curvature)

@@ -128,15 +128,15 @@ def test_claims_about_absent_lenses_are_left_out():
     "low, high, p, seeds, margin, expected, reason",  # the difference is in the middle of its interval
     [
         (0.1, 2, 0.01, 5, 0, HOLDS, "above zero"),
-        (0.1, 2, 0.06, 5, 0, UNDECIDED, "within 2.0 points"),  # not after the correction
+        (0.1, 2, 0.06, 5, 0, UNDECIDED, "at most 2.0 points either way"),  # not after the correction
         (-2, -0.1, 0.01, 5, 0, FAILS, "below zero"),
-        (-0.4, 0.6, 0.7, 5, 0, UNDECIDED, "within 0.6 points"),
+        (-0.4, 0.6, 0.7, 5, 0, UNDECIDED, "at most 0.6 points either way"),
         (-0.8, 0.6, 0.01, 5, 1, HOLDS, "above -1 points"),
         (-3, -1.2, 0.01, 5, 1, FAILS, "below -1 points"),
-        (-2, -0.1, 0.2, 5, 1, UNDECIDED, "within 2.0 points"),
+        (-2, -0.1, 0.2, 5, 1, UNDECIDED, "at most 2.0 points either way"),
         (5, 6, 0.001, 4, 0, "suggests +5.5 points (5.0 to 6.0 over images and 4 seeds)", "fewer than five seeds"),
         (-6, -5, 0.001, 1, 0, "suggests -5.5 points (-6.0 to -5.0 over images, one seed)", "fewer than five seeds"),
-        (-0.4, 0.6, 0.7, 1, 0, UNDECIDED, "within 0.6 points"),
+        (-0.4, 0.6, 0.7, 1, 0, UNDECIDED, "at most 0.6 points either way"),
     ],
 )
 def test_rule(low, high, p, seeds, margin, expected, reason):
@@ -328,4 +328,4 @@ def test_map_of_regimes():
 )
 def test_undecided_is_within_what_the_interval_reaches(low, high, words):
     """Rounded up: a difference of 0.03 is not within 0.0 points."""
-    assert verdicts.verdict((low + high) / 2, low, high, 1.0, 5) == ("undecided", f"within {words} points")
+    assert verdicts.verdict((low + high) / 2, low, high, 1.0, 5) == ("undecided", f"at most {words} points either way")

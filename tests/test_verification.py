@@ -33,11 +33,11 @@ def results(tmp_path, monkeypatch, study):
         right = [int(k % 4 > 0) for k in range(IMAGES)]
         fields = {f"field{k}": right for k in range(1 if lens == SHARP else FIELDS)}
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | fields)
-        for path in (predictions(study, lens, name), reproduced(study, lens, name)):
+        for path in (predictions(study, lens, name), second_predictions(study, lens, name)):
             write(path, frame.to_csv(index=False))
         losses = {f"field{k}": [0.1 * (image % 3) for image in range(IMAGES)] for k in range(len(fields))}
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | losses)
-        write(frozen(study, lens, name), frame.to_csv(index=False))
+        write(frozen_predictions(study, lens, name), frame.to_csv(index=False))
         rows = [("accuracy", k, 75.0) for k in range(len(fields))] + [("chance", "", 10.0), ("parameters_m", "", 0.5)]
         rows += [("psnr_db", k, 20.0) for k in range(len(fields))]
         rows += [("minival_accuracy", k, 75.0) for k in range(len(fields))]
@@ -54,7 +54,7 @@ def metrics(study, lens, name) -> Path:
     return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).metrics
 
 
-def frozen(study, lens, name) -> Path:
+def frozen_predictions(study, lens, name) -> Path:
     return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).frozen
 
 
@@ -62,7 +62,7 @@ def predictions(study, lens, name) -> Path:
     return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).predictions
 
 
-def reproduced(study, lens, name) -> Path:
+def second_predictions(study, lens, name) -> Path:
     return outputs("reproduce", study, lens=lens, measured_name=name, seed=0).predictions
 
 
@@ -77,26 +77,26 @@ def lens_content(efl_mm, **margins) -> dict:
     return {"figures": figures, "margins": margins, "worst_margin": {"limit": worst, "value": margins[worst]}}
 
 
-def verified(study, **changes) -> verification.Findings:
+def verify(study, **changes) -> verification.Findings:
     """Findings in the files of the job; `changes` are changes of its settings."""
     contents = tables.verification(study).model_copy(update=changes)
     every = tables.verification(study)
-    anew = {key: outputs("reproduce", study, **named(key)).predictions for key in every.measured_keys}
+    anew = {key: outputs("reproduce", study, **wildcards_of(key)).predictions for key in every.measured_keys}
     csv_paths = {entry.name: outputs("table", study, table=entry.name).csv for entry in every.tables}
     return verification.verify(contents, measurements_of(study.name, every), anew, csv_paths)
 
 
-def named(key) -> dict:
+def wildcards_of(key) -> dict:
     return dict(zip(("lens", "measured_name", "seed"), key, strict=True))
 
 
 def failures(study) -> list[str]:
-    return [str(failure) for failure in verified(study).failures]
+    return [str(failure) for failure in verify(study).failures]
 
 
 def test_a_study_that_keeps_its_word(study):
     """Two lenses; sharp images and both lenses with two classifiers, and both restored."""
-    findings = verified(study)
+    findings = verify(study)
     assert not findings.failures and not findings.unconstrained
     assert (findings.lenses, findings.measurements) == (2, 8)
     assert verification.summary(findings) == "Checked 2 lenses and 8 measurements: 0 failures."
@@ -132,7 +132,7 @@ def test_a_lens_that_is_not_constrained_is_reported_only(study):
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(9.0, max_slope=-0.1)))
     settings = tables.verification(study)
     assert settings.constrained == settings.lenses == tuple(study.lenses)
-    findings = verified(study, constrained=("singlet-tasklens",))
+    findings = verify(study, constrained=("singlet-tasklens",))
     assert not findings.failures
     assert [failure.limit for failure in findings.unconstrained] == ["max_slope", "efl_tolerance"]
     assert "unconstrained: singlet-imaging1 seed 0: max_slope: margin -0.1" in verification.summary(findings)
@@ -177,7 +177,7 @@ def test_of_whom_an_optimum_is_asked():
     assert lenses == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
 
 
-def edited(path, change):
+def edit(path, change):
     """Change a CSV file in place; `change` may return another frame."""
     frame = pandas.read_csv(path, keep_default_na=False)
     other = change(frame)
@@ -190,7 +190,7 @@ def test_captures_that_are_recognised_otherwise(study):
     def lose_one(frame):
         frame.loc[1, "field3"] = 0
 
-    edited(reproduced(study, LENS, restored("small")), lose_one)
+    edit(second_predictions(study, LENS, restored("small")), lose_one)
     assert failures(study) == [
         f"{LENS} seed 0: small-restored: stored predictions: 0.0028 of the captures differ",
         f"{LENS} seed 0: small-restored: metrics: 0.0028 of the captures differ",
@@ -202,7 +202,7 @@ def test_a_swap_that_the_mean_does_not_show(study):
     def swap(frame):
         frame.loc[[0, 1], "field3"] = [1, 0]
 
-    edited(predictions(study, LENS, "other"), swap)
+    edit(predictions(study, LENS, "other"), swap)
     assert failures(study) == [f"{LENS} seed 0: other: stored predictions: 0.0056 of the captures differ"]
 
 
@@ -213,9 +213,9 @@ def test_an_edited_metrics_file(study):
         frame["value"] = frame["value"].astype(float)
         frame.loc[[0, 1], "value"] = [80.0, 70.0]
 
-    edited(metrics(study, LENS, "small"), shift)
+    edit(metrics(study, LENS, "small"), shift)
     assert failures(study) == [f"{LENS} seed 0: small: metrics: 0.0111 of the captures differ"]
-    edited(metrics(study, LENS, "small"), lambda frame: frame.iloc[1:])
+    edit(metrics(study, LENS, "small"), lambda frame: frame.iloc[1:])
     assert failures(study) == [f"{LENS} seed 0: small: metrics: nan of the captures differ"]
 
 
@@ -225,13 +225,13 @@ def test_an_edited_table(study):
     def better(frame):
         frame["accuracy"] += 1.0
 
-    edited(outputs("table", study, table="table1").csv, better)
+    edit(outputs("table", study, table="table1").csv, better)
     expected = "small: table1: 76.00 % in the table, 75.00 % from the weights"
     assert failures(study) == [f"{lens} seed 0: {expected}" for lens in (SHARP, LENS, "singlet-tasklens")]
 
 
 def test_other_images_do_not_reproduce(study):
-    edited(predictions(study, LENS, "small"), lambda frame: frame.iloc[:-1])
+    edit(predictions(study, LENS, "small"), lambda frame: frame.iloc[:-1])
     assert failures(study) == [f"{LENS} seed 0: small: stored predictions: 1.0000 of the captures differ"]
 
 

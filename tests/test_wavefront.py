@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+from examples import WAVELENGTHS, cooke_triplet, difference, f64, hyperboloid, make_lens, random_lens
 from reference_files import SHIPPED
 
 from tasklens.optics.analysis.aberrations import seidel_sums
@@ -22,16 +22,9 @@ REFERENCE = WAVELENGTHS[1]
 PUPIL = sobol_disc(128, seed=0)
 
 
-def looking(fields, wavelengths=(REFERENCE,)) -> View:
+def view_at(fields, wavelengths=(REFERENCE,)) -> View:
     """Fields (x, y) as tangents, for a pinhole of 1 mm."""
     return View(f64(fields), 1.0, wavelengths, 9.0, 31)
-
-
-def hyperboloid(shift: float = 0.0, f: float = 50.0, radius: float = 0.5) -> Lens:
-    """A plano-hyperboloid, k = -n^2, that images the axis perfectly at `shift` in front of the image plane."""
-    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
-    curvature, thickness = [0.0, -1 / (f * (n - 1))], [1.0, f + shift]
-    return make_lens(curvature, thickness, ("COC", "air"), conic=[0, -(n**2)], semi_diameter=[radius, torch.inf])
 
 
 def ellipsoid() -> Lens:
@@ -52,7 +45,7 @@ def stopped(lens: Lens, radius: float, stop: int = 0) -> Lens:
 @pytest.mark.parametrize("lens", [hyperboloid(radius=20.0), ellipsoid()], ids=["hyperboloid", "ellipsoid"])
 def test_a_perfect_lens_has_no_path_difference(lens):
     """F/1.5 in air, and an image in glass of half angle 13 degrees: less than a billionth of a wave."""
-    wave = wavefront(lens, looking([[0.0, 0.0]]), PUPIL)
+    wave = wavefront(lens, view_at([[0.0, 0.0]]), PUPIL)
     assert float(wave.opd.abs().max()) < 1e-9 and wave.centre.abs().max() < 1e-12
     assert float(wave.towards.norm(dim=-1).max()) > 0.2
 
@@ -60,7 +53,7 @@ def test_a_perfect_lens_has_no_path_difference(lens):
 def test_defocus_is_the_fourth_coefficient():
     """W = d NA^2 p^2 / 2 for an image at d in front of the plane: Z4 = d NA^2 / (4 sqrt(3)) and piston d NA^2 / 4."""
     shift, aperture = 0.4, 0.5 / 50
-    opd = wavefront(hyperboloid(shift), looking([[0.0, 0.0]]), sobol_disc(1024, 0)).opd[0, 0]
+    opd = wavefront(hyperboloid(shift), view_at([[0.0, 0.0]]), sobol_disc(1024, 0)).opd[0, 0]
     expected = shift * aperture**2 / (1e-3 * REFERENCE) / 4
     coefficients = zernike_coefficients(opd, sobol_disc(1024, 0), 11)
     assert float(coefficients[3]) == pytest.approx(expected / math.sqrt(3), rel=1e-2)
@@ -79,13 +72,13 @@ def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
     left, size = [], []
     for scale in (1.0, 0.5):
         lens = stopped(random_lens(seed), 0.05 * scale, stop)
-        looks = looking(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]))
-        s1, s2, s3, s4, s5 = (v.sum() for v in list(vars(seidel_sums(lens, looks)).values())[:5])
-        h = (looks.radii / looks.radii.max())[:, None]
+        view = view_at(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]))
+        s1, s2, s3, s4, s5 = (v.sum() for v in list(vars(seidel_sums(lens, view)).values())[:5])
+        h = (view.radii / view.radii.max())[:, None]
         expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
         expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
-        ideal = looks.tangents * paraxial(lens, REFERENCE).efl
-        opd = 1e-3 * REFERENCE * wavefront(lens, looks, pupil, ideal).opd[:, 0]
+        ideal = view.tangents * paraxial(lens, REFERENCE).efl
+        opd = 1e-3 * REFERENCE * wavefront(lens, view, pupil, ideal).opd[:, 0]
         left.append(float((opd - expected).abs().max()))
         size.append(float(opd.abs().max()))
     assert left[0] < 0.05 * size[0]
@@ -98,13 +91,13 @@ def test_the_centre_of_the_sphere_is_a_tilt():
 
     Moving the centre by D adds n' D . (chief ray - ray), direction cosines on the sphere, up to second order in D.
     """
-    lens, looks = stopped(random_lens(1), 0.2), looking([[0.0, 0.0], [0.2, 0.1]], WAVELENGTHS)
-    separate, common = wavefront(lens, looks, PUPIL), wavefront(lens, looks, PUPIL, chief_points(lens, looks))
+    lens, view = stopped(random_lens(1), 0.2), view_at([[0.0, 0.0], [0.2, 0.1]], WAVELENGTHS)
+    separate, common = wavefront(lens, view, PUPIL), wavefront(lens, view, PUPIL, chief_points(lens, view))
     assert common.centre.shape == separate.centre.shape == (2, 3, 2)
     torch.testing.assert_close(separate.opd[:, 1], common.opd[:, 1], rtol=0, atol=0, equal_nan=True)
     shift = common.centre - separate.centre
     assert 5e-3 < float(shift[1, 2].norm()) < 2e-2 and shift[0].abs().max() < 1e-15
-    chief = wavefront(lens, looks, 0 * PUPIL[:1]).towards
+    chief = wavefront(lens, view, 0 * PUPIL[:1]).towards
     turned = (shift[:, :, None] * (chief - separate.towards)).sum(-1) / (1e-3 * f64(WAVELENGTHS)[:, None])
     assert float(turned.nan_to_num().abs().max()) > 0.3
     torch.testing.assert_close(common.opd - separate.opd, turned, rtol=0, atol=5e-3, equal_nan=True)
@@ -127,38 +120,38 @@ def test_the_exit_pupil_is_the_image_of_the_stop():
 def test_a_telecentric_lens_has_a_plane_reference():
     """The stop in the front focus: finite gradients, and paths between those of a pupil far in front and far behind."""
     n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
-    semi, looks = [0.5, torch.inf, torch.inf], looking([[0.0, 0.1]])
+    semi, view = [0.5, torch.inf, torch.inf], view_at([[0.0, 0.1]])
 
     def lens(distance: torch.Tensor) -> Lens:
         base = make_lens([0.0, 1 / (4 * (n - 1)), 0.0], [0, 0, 4.0], ("air", "COC", "air"), semi_diameter=semi)
         return replace(base, thickness=torch.stack([distance, f64(0.0), f64(4.0)]))
 
     distance = f64(4.0).requires_grad_()
-    wave = wavefront(lens(distance), looks, PUPIL)
+    wave = wavefront(lens(distance), view, PUPIL)
     assert abs(float(wave.curvature.detach())) < 1e-15
     assert torch.autograd.grad(wave.opd.square().sum(), distance)[0].isfinite()
-    nearer, farther = (wavefront(lens(f64(4.0 + by)), looks, PUPIL) for by in (-1e-5, 1e-5))
+    nearer, farther = (wavefront(lens(f64(4.0 + by)), view, PUPIL) for by in (-1e-5, 1e-5))
     assert float(nearer.curvature) > 0 > float(farther.curvature)
     torch.testing.assert_close(wave.opd.detach(), (nearer.opd + farther.opd) / 2, rtol=0, atol=1e-6)
 
 
 def test_lost_rays_are_nan_and_those_of_a_lost_chief_ray_too():
     lens = make_lens([0.0, 0.3], [1.0, 5.0], ("air", "COC"), semi_diameter=[0.1, 0.5])
-    looks = looking([[0.0, 0.0], [0.0, 0.45], [0.0, 0.52], [0.0, 1.0]], WAVELENGTHS)
-    wave = wavefront(lens, looks, PUPIL)
-    valid = trace_fields(lens, looks, PUPIL).valid
+    view = view_at([[0.0, 0.0], [0.0, 0.45], [0.0, 0.52], [0.0, 1.0]], WAVELENGTHS)
+    wave = wavefront(lens, view, PUPIL)
+    valid = trace_fields(lens, view, PUPIL).valid
     assert valid[1].any() and valid[2].any() and not (valid[1].all() or valid[3].any())
     assert torch.equal(wave.opd[:2].isnan(), ~valid[:2]) and wave.opd[2:].isnan().all()
     assert torch.equal(wave.towards.isnan().any(-1), wave.opd.isnan())
     curvature = lens.curvature.clone().requires_grad_()
-    opd = wavefront(replace(lens, curvature=curvature), looks, PUPIL).opd
+    opd = wavefront(replace(lens, curvature=curvature), view, PUPIL).opd
     gradient = torch.autograd.grad(rms_wavefront_error(opd, PUPIL)[:2].sum(), curvature)[0]
     assert gradient.isfinite().all() and gradient[1] != 0
 
 
 def test_an_exit_pupil_on_the_image_has_no_wavefront():
     lens = make_lens([0.0], [0.0], ("air",), semi_diameter=[0.1])
-    assert wavefront(lens, looking([[0.0, 0.0], [0.1, 0.2]]), PUPIL).opd.isnan().all()
+    assert wavefront(lens, view_at([[0.0, 0.0], [0.1, 0.2]]), PUPIL).opd.isnan().all()
 
 
 @pytest.mark.parametrize("stop", [0, 2])
@@ -166,10 +159,10 @@ def test_an_exit_pupil_on_the_image_has_no_wavefront():
 def test_gradients_are_those_of_differences(name, stop):
     """Gradients of coefficients and RMS at two fields and two colours, by every parameter of the lens."""
     lens = stopped(random_lens(1), 0.2, stop)
-    looks, pupil = looking([[0.0, 0.05], [0.2, 0.1]], WAVELENGTHS[:2]), 0.8 * PUPIL
+    view, pupil = view_at([[0.0, 0.05], [0.2, 0.1]], WAVELENGTHS[:2]), 0.8 * PUPIL
 
     def numbers(values: torch.Tensor) -> torch.Tensor:
-        opd = wavefront(replace(lens, **{name: values}), looks, pupil).opd
+        opd = wavefront(replace(lens, **{name: values}), view, pupil).opd
         return torch.cat([zernike_coefficients(opd, pupil, 8), rms_wavefront_error(opd, pupil)[..., None]], -1)
 
     values = getattr(lens, name).clone().requires_grad_()
@@ -212,13 +205,13 @@ def aspheres() -> tuple[Lens, View]:
     lens = random_lens(3)
     alpha = lens.alpha * f64([0.0, 1.0, 1.0, 1.0, 1.0])
     lens = replace(lens, alpha=alpha, semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    return lens, looking([[0.1, 0.2]], WAVELENGTHS)
+    return lens, view_at([[0.1, 0.2]], WAVELENGTHS)
 
 
 def phone() -> tuple[Lens, View]:
     path = SHIPPED / "lenses" / "cellphone" / "source" / "US-12078784-B2-e6.zmx"
     imported = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
-    return imported.lens, looking([[0.15, 0.25]], imported.wavelengths_um)
+    return imported.lens, view_at([[0.15, 0.25]], imported.wavelengths_um)
 
 
 def triplet() -> tuple[Lens, View]:
@@ -226,10 +219,10 @@ def triplet() -> tuple[Lens, View]:
 
 
 @pytest.mark.parametrize(
-    "made, expected",
+    "make, expected",
     [(triplet, TRIPLET), (aspheres, [ASPHERES]), (phone, [PHONE])],
     ids=["triplet", "aspheres", "phone"],
 )
-def test_path_differences_are_those_of_optiland(made, expected):
+def test_path_differences_are_those_of_optiland(make, expected):
     """On and off axis, in three colours, to less than 1e-8 waves."""
-    torch.testing.assert_close(wavefront(*made(), POINTS).opd, f64(expected), rtol=0, atol=1e-8)
+    torch.testing.assert_close(wavefront(*make(), POINTS).opd, f64(expected), rtol=0, atol=1e-8)

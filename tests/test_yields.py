@@ -18,7 +18,7 @@ FINE = Grade.model_validate({name: 0.02 * value for name, value in GRADES["preci
 
 
 @pytest.fixture(scope="module")
-def found():
+def fine_tolerances():
     return yields.tolerances(cooke_triplet(), VIEW, FINE, 20, 0)
 
 
@@ -27,24 +27,34 @@ def spread(tolerances: yields.Tolerances) -> float:
     return math.sqrt(sum((lens.rms_um - tolerances.design.rms_um) ** 2 for lens in tolerances.built))
 
 
-def test_spots_deviate_in_proportion_to_small_errors(found):
+def test_spots_deviate_in_proportion_to_small_errors(fine_tolerances):
     """A tenth of the same errors gives a tenth of the deviations, up to second order."""
     tenth = Grade.model_validate({name: 0.1 * getattr(FINE, name) for name in GRADES["precision_moulding"]})
     finer = yields.tolerances(cooke_triplet(), VIEW, tenth, 20, 0)
-    assert spread(finer) == pytest.approx(0.1 * spread(found), rel=0.2) and spread(found) > 0.05
-    assert finer.moved_um.tolist() == pytest.approx((0.1 * found.moved_um).tolist(), rel=1e-6)
-    assert finer.design == found.design and len(found.built) == 20
+    assert spread(finer) == pytest.approx(0.1 * spread(fine_tolerances), rel=0.2) and spread(fine_tolerances) > 0.05
+    assert finer.moved_um.tolist() == pytest.approx((0.1 * fine_tolerances.moved_um).tolist(), rel=1e-6)
+    assert finer.design == fine_tolerances.design and len(fine_tolerances.built) == 20
 
 
-def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(found):
+def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(fine_tolerances):
     """For the same lens, the ratio of allotted tolerances to the grade falls for a coarser grade."""
     coarse = yields.tolerances(cooke_triplet(), VIEW, Grade.model_validate("commercial_moulding"), 20, 0)
-    assert spread(coarse) > 10 * spread(found)
-    assert found.allotted is not None and float(found.allotted.mean()) > 1
-    assert coarse.allotted is None or float(coarse.allotted.mean()) < float(found.allotted.mean())
+    assert spread(coarse) > 10 * spread(fine_tolerances)
+    assert fine_tolerances.allotted is not None and float(fine_tolerances.allotted.mean()) > 1
+    assert coarse.allotted is None or float(coarse.allotted.mean()) < float(fine_tolerances.allotted.mean())
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):
+    """JSON and text of the same lenses, which are simulated once."""
+    simulate, results = yields.tolerances, {}
+
+    def simulate_once(lens, view, grade, count, seed):
+        key = str(grade), count, seed
+        if key not in results:
+            results[key] = simulate(lens, view, grade, count, seed)
+        return results[key]
+
+    monkeypatch.setattr(yields, "tolerances", simulate_once)
     monkeypatch.chdir(tmp_path)
     fields = ("angle_deg", ((0.0, 0.0), (0.0, 15.0)))
     zemax.write(tmp_path / "lens.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.5876,), 0))

@@ -5,6 +5,8 @@ import math
 import pytest
 import torch
 from examples import f64, parallel_rays
+from prescriptions import tensors
+from zemax_texts import LENS_TEXT, edit, read_lens
 
 from tasklens.materials.catalogues import builtin
 from tasklens.materials.material import AIR, model_glass
@@ -13,83 +15,9 @@ from tasklens.optics.io.prescription import FIELDS
 from tasklens.optics.tracing.trace import trace_full
 from tasklens.runtime.files import FileError
 
-TEXT = """VERS 190513 80 123457 L123457
-MODE SEQ
-NAME A doublet
-UNIT MM X W X CM MR CPMM
-ENPD 1.2
-GCAT SECOND FIRST
-FTYP 0 0 2 3 0 0 0 2
-XFLN 0 1.5
-YFLN 0 20
-WAVM 1 0.6563 1
-WAVM 2 0.5893 1
-WAVM 3 0.4861 1
-WAVM 4 0.55 1
-PWAV 2
-SURF 0
-  TYPE STANDARD
-  CURV 0
-  DISZ INFINITY
-SURF 1
-  COMM front  lens
-  TYPE EVENASPH
-  CURV 0.25 0 0 0 0 ""
-  PARM 1 0.01
-  PARM 2 -0.002
-  PARM 8 1e-06
-  DISZ 0.8
-  GLAS COC 0 0 1.5 40
-  CONI -0.5
-  DIAM 0.9 0 0 0 1 ""
-SURF 2
-  TYPE STANDARD
-  CURV -0.1
-  DISZ 0.3
-  DIAM 0.8 1 0 0 1 ""
-SURF 3
-  STOP
-  CURV 0
-  DISZ 0.2
-  DIAM 0.55 0 0 0 1 ""
-SURF 4
-  TYPE STANDARD
-  CURV 0.1
-  DISZ 0.6
-  GLAS ___BLANK 1 0 1.64 23.3 0.01
-  FLAP 0 1.1 0
-SURF 5
-  TYPE STANDARD
-  CURV 0
-  DISZ 2.5
-SURF 6
-  TYPE STANDARD
-  CURV 0
-  DISZ 0
-TOL TOFF 0
-MNUM 1 1
-"""
-
-
-def read(tmp_path, text=TEXT, catalogues=(), encoding="utf-8"):
-    (tmp_path / "lens.zmx").write_bytes(text.encode(encoding))
-    return zemax.read(tmp_path / "lens.zmx", catalogues)
-
-
-def tensors(lens):
-    return (lens.curvature, lens.conic, lens.alpha, lens.thickness, lens.semi_diameter)
-
-
-def edited(*changes: tuple[str, str]) -> str:
-    text = TEXT
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return text
-
 
 def test_what_a_file_says(tmp_path):
-    imported = read(tmp_path)
+    imported = read_lens(tmp_path)
     lens = imported.lens
     assert lens.curvature.tolist() == [0.25, -0.1, 0.0, 0.1, 0.0]
     assert lens.conic.tolist() == [-0.5, 0.0, 0.0, 0.0, 0.0]
@@ -110,8 +38,8 @@ def test_what_a_file_says(tmp_path):
 )
 def test_the_distance_of_the_object(tmp_path, distance, unit, expected):
     """In the file's unit; beyond Zemax's limit the object is at infinity. The lens itself is the same."""
-    imported = read(tmp_path, edited(("DISZ INFINITY", f"DISZ {distance}"), ("UNIT MM", f"UNIT {unit}")))
-    far = read(tmp_path, edited(("UNIT MM", f"UNIT {unit}")))
+    imported = read_lens(tmp_path, edit(("DISZ INFINITY", f"DISZ {distance}"), ("UNIT MM", f"UNIT {unit}")))
+    far = read_lens(tmp_path, edit(("UNIT MM", f"UNIT {unit}")))
     assert imported.object_distance_mm == pytest.approx(expected, rel=1e-15) and math.isinf(far.object_distance_mm)
     assert all(torch.equal(a, b) for a, b in zip(*map(tensors, (imported.lens, far.lens)), strict=True))
 
@@ -119,7 +47,7 @@ def test_the_distance_of_the_object(tmp_path, distance, unit, expected):
 @pytest.mark.parametrize("line", ["ENPD 1.2", "FNUM 2.8 0"])
 def test_the_stop_is_what_the_aperture_asks_for(tmp_path, line):
     """A real ray close to the axis, scaled up to the rim of the pupil, meets the rim of the stop."""
-    lens = read(tmp_path, edited(("ENPD 1.2", line))).lens
+    lens = read_lens(tmp_path, edit(("ENPD 1.2", line))).lens
     h = 1e-5
     ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((0.5893,)))
     efl = -h / float(ray.m / ray.n)
@@ -128,7 +56,7 @@ def test_the_stop_is_what_the_aperture_asks_for(tmp_path, line):
 
 
 def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
-    imported = read(tmp_path, edited(("ENPD 1.2", "FLOA")))
+    imported = read_lens(tmp_path, edit(("ENPD 1.2", "FLOA")))
     assert imported.aperture is None and float(imported.lens.semi_diameter[2]) == 0.55
 
 
@@ -136,7 +64,7 @@ def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
 @pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1\n  CLAP 0 0.4 0"])
 def test_a_stop_that_vignettes_at_less_than_the_aperture_asks_for(tmp_path, aperture, line):
     """As in Edmund Optics' 47728: a pupil of 15 mm, and 13.5 mm clear at the stop."""
-    imported = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))
+    imported = read_lens(tmp_path, edit(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))
     assert imported.aperture is None and float(imported.lens.semi_diameter[2]) == 0.4
     zemax.write(tmp_path / "lens.zmx", imported)
     assert torch.equal(zemax.read(tmp_path / "lens.zmx").lens.semi_diameter, imported.lens.semi_diameter)
@@ -144,8 +72,8 @@ def test_a_stop_that_vignettes_at_less_than_the_aperture_asks_for(tmp_path, aper
 
 @pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.9 0", "DIAM 0.5 0 0 0 1\n  FLAP 0 0.5 0"])
 def test_a_stop_that_vignettes_nothing_keeps_the_aperture(tmp_path, line):
-    expected = read(tmp_path)
-    actual = read(tmp_path, edited(('DIAM 0.55 0 0 0 1 ""', line)))
+    expected = read_lens(tmp_path)
+    actual = read_lens(tmp_path, edit(('DIAM 0.55 0 0 0 1 ""', line)))
     assert actual.aperture == expected.aperture
     assert torch.equal(actual.lens.semi_diameter, expected.lens.semi_diameter)
 
@@ -161,19 +89,19 @@ def test_a_stop_that_vignettes_nothing_keeps_the_aperture(tmp_path, line):
     ],
 )
 def test_which_radii_clip(tmp_path, line, radius):
-    assert float(read(tmp_path, edited(("DIAM 0.8 1 0 0 1", line))).lens.semi_diameter[1]) == radius
+    assert float(read_lens(tmp_path, edit(("DIAM 0.8 1 0 0 1", line))).lens.semi_diameter[1]) == radius
 
 
 @pytest.mark.parametrize("flag", [1, 2])
 def test_a_fixed_semi_diameter_clips_where_the_surface_refracts(tmp_path, flag):
     """OpticStudio has no floating aperture on a surface without power: neither a dummy plane nor a stop in air."""
-    expected = read(tmp_path)
+    expected = read_lens(tmp_path)
     last = ("  CURV 0\n  DISZ 2.5", f"  CURV 0\n  DISZ 2.5\n  DIAM 0.1 {flag}")
-    actual = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0.4 {flag}"), last))
+    actual = read_lens(tmp_path, edit(("DIAM 0.55 0", f"DIAM 0.4 {flag}"), last))
     assert actual.aperture == expected.aperture
     semi = actual.lens.semi_diameter.tolist()
     assert semi[2] == float(expected.lens.semi_diameter[2]) and semi[4] == 0.1  # surface 5 ends the glass of surface 4
-    dummy = read(tmp_path, edited(("DIAM 0.55 0", f"DIAM 0 {flag}"))).lens
+    dummy = read_lens(tmp_path, edit(("DIAM 0.55 0", f"DIAM 0 {flag}"))).lens
     assert torch.equal(dummy.semi_diameter, expected.lens.semi_diameter)
 
 
@@ -181,8 +109,8 @@ def test_a_fixed_semi_diameter_clips_where_the_surface_refracts(tmp_path, flag):
 @pytest.mark.parametrize("kind", range(4))
 def test_units(tmp_path, unit, factor, kind):
     """In other units the file describes a lens of another size: every length scales, angles and conics do not."""
-    text = edited(("FTYP 0 0", f"FTYP {kind} 0"))
-    small, large = read(tmp_path, text), read(tmp_path, text.replace("UNIT MM", f"UNIT {unit}"))
+    text = edit(("FTYP 0 0", f"FTYP {kind} 0"))
+    small, large = read_lens(tmp_path, text), read_lens(tmp_path, text.replace("UNIT MM", f"UNIT {unit}"))
     a, b = small.lens, large.lens
     for name in ("thickness", "semi_diameter"):
         torch.testing.assert_close(getattr(b, name), factor * getattr(a, name), rtol=1e-12, atol=0)
@@ -196,8 +124,8 @@ def test_units(tmp_path, unit, factor, kind):
 
 
 def test_an_f_number_has_no_unit(tmp_path):
-    small = read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 0")))
-    large = read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 0"), ("UNIT MM", "UNIT IN")))
+    small = read_lens(tmp_path, edit(("ENPD 1.2", "FNUM 2.8 0")))
+    large = read_lens(tmp_path, edit(("ENPD 1.2", "FNUM 2.8 0"), ("UNIT MM", "UNIT IN")))
     assert small.aperture == large.aperture == ("f_number", 2.8)
     ratio = large.lens.semi_diameter[2] / small.lens.semi_diameter[2]
     assert float(ratio) == pytest.approx(25.4, rel=1e-12)
@@ -206,15 +134,15 @@ def test_an_f_number_has_no_unit(tmp_path):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_encodings(tmp_path, encoding, newline):
-    text = edited(("A doublet", "Ø 30 µm")).replace("\n", newline)
-    assert read(tmp_path, text, encoding=encoding).title == "Ø 30 µm"
+    text = edit(("A doublet", "Ø 30 µm")).replace("\n", newline)
+    assert read_lens(tmp_path, text, encoding=encoding).title == "Ø 30 µm"
 
 
 def test_extended_aspheres_are_normalised(tmp_path):
     """sum_j a_j (r / 2)^2j: alpha_2j = a_j / 4^j."""
     lines = "  XDAT 1 1.2E+01\n  XDAT 2 2\n  XDAT 4 0.5 0 0 1\n  XDAT 14 -0.25"
     changes = [("EVENASPH", "XASPHERE"), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", lines)]
-    alpha = read(tmp_path, edited(*changes)).lens.alpha
+    alpha = read_lens(tmp_path, edit(*changes)).lens.alpha
     assert alpha[0].tolist() == [0, 0.5 / 4**2, *[0] * 9, -0.25 / 4**12]
 
 
@@ -225,15 +153,15 @@ def test_the_catalogue_that_the_file_names_first_defines_a_glass(tmp_path):
         paths.append(tmp_path / f"{name}.agf")
         paths[-1].write_text(f"NM COC 5 0 1.5 50\nCD {index} 0 0\nLD 0.4 0.8\n")
     for order in (paths, paths[::-1]):
-        assert read(tmp_path, catalogues=order).lens.media[0].source == "second.agf"
-    assert read(tmp_path, catalogues=paths[2:]).lens.media[0].source == "THIRD.agf"
+        assert read_lens(tmp_path, catalogues=order).lens.media[0].source == "second.agf"
+    assert read_lens(tmp_path, catalogues=paths[2:]).lens.media[0].source == "THIRD.agf"
 
 
 def test_glasses_are_picked_up_and_labelled(tmp_path):
     """Solve 2 takes the glass of another surface; solve 1 is a model whatever the name says."""
-    lens = read(tmp_path, edited(("___BLANK 1 0 1.64 23.3 0.01", "COC 2 1 1.5 40"))).lens
+    lens = read_lens(tmp_path, edit(("___BLANK 1 0 1.64 23.3 0.01", "COC 2 1 1.5 40"))).lens
     assert lens.media[3] == builtin("COC")
-    lens = read(tmp_path, edited(("COC 0 0 1.5 40", "COC 1 0 1.5 40"), ("___BLANK 1 0", "___BLANK 2 1"))).lens
+    lens = read_lens(tmp_path, edit(("COC 0 0 1.5 40", "COC 1 0 1.5 40"), ("___BLANK 1 0", "___BLANK 2 1"))).lens
     assert lens.media[0] == lens.media[3] == model_glass(1.5, 40.0, 0.0, "COC")
     assert lens.media[0].refractive_index(0.5875618) == 1.5 and lens.media[0].name.startswith("COC ")
 
@@ -245,40 +173,42 @@ def test_an_odd_asphere_without_odd_terms_is_an_even_one(tmp_path, kind, keyword
     terms = [0.0, 0.01, 0.0, -0.002, 0.0, 1e-6]
     lines = head + "\n".join(f"  {keyword} {first + j} {value}" for j, value in enumerate(terms))
     changes = ("EVENASPH", kind), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", lines)
-    assert read(tmp_path, edited(*changes)).lens.alpha[0].tolist() == [0.01, -0.002, 1e-6]
-    odd = edited(changes[0], (changes[1][0], lines.replace(f"{keyword} {first + 2} 0.0", f"{keyword} {first + 2} 0.1")))
-    with pytest.raises(FileError, match=f"{keyword}: an odd term"):
-        read(tmp_path, odd)
+    assert read_lens(tmp_path, edit(*changes)).lens.alpha[0].tolist() == [0.01, -0.002, 1e-6]
+    odd = edit(changes[0], (changes[1][0], lines.replace(f"{keyword} {first + 2} 0.0", f"{keyword} {first + 2} 0.1")))
+    with pytest.raises(FileError, match=f"{keyword}: odd terms"):
+        read_lens(tmp_path, odd)
 
 
 @pytest.mark.parametrize("line", ["ENVD 20 1 1", "GFAC 1 0", "GFAC 0 3", "STUD 1", "FSVY 2 3", "CHZH 0 0"])
 def test_what_changes_no_ray_is_read(tmp_path, line):
-    expected, actual = read(tmp_path), read(tmp_path, edited(("MODE SEQ", f"MODE SEQ\n{line}")))
+    expected, actual = read_lens(tmp_path), read_lens(tmp_path, edit(("MODE SEQ", f"MODE SEQ\n{line}")))
     assert all(torch.equal(a, b) for a, b in zip(tensors(actual.lens), tensors(expected.lens), strict=True))
 
 
 def test_fields_of_old_files_and_more_than_twelve(tmp_path):
-    expected = read(tmp_path).fields
-    assert read(tmp_path, edited(("XFLN", "XFLD"), ("YFLN", "YFLD"))).fields == expected
-    assert read(tmp_path, edited(("XFLN 0 1.5", "XFLN 0 1.5\nXFLD 0 1.5"))).fields == expected
+    expected = read_lens(tmp_path).fields
+    assert read_lens(tmp_path, edit(("XFLN", "XFLD"), ("YFLN", "YFLD"))).fields == expected
+    assert read_lens(tmp_path, edit(("XFLN 0 1.5", "XFLN 0 1.5\nXFLD 0 1.5"))).fields == expected
     heights = [float(i) for i in range(14)]
     twelve = " ".join(map(str, heights[:12]))
     further = "".join(f"FEFD {i + 1} 0 {height} 1 0 0 0 0 0\n" for i, height in enumerate(heights))
     changes = [("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 14 3 0 0 0 2"), ("XFLN 0 1.5", f"XFLN{12 * ' 0'}")]
-    fields = read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further}"))).fields
+    fields = read_lens(tmp_path, edit(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further}"))).fields
     assert fields == ("angle_deg", tuple((0.0, height) for height in heights))
     with pytest.raises(FileError, match="FEFD: differs from field 3"):
-        read(tmp_path, edited(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further.replace('3 0 2.0', '3 0 2.5')}")))
+        read_lens(tmp_path, edit(*changes, ("YFLN 0 20\n", f"YFLN {twelve}\n{further.replace('3 0 2.0', '3 0 2.5')}")))
 
 
 def test_a_glass_that_no_catalogue_has_is_that_of_its_line(tmp_path):
     """The glass has nd and Vd of its line, with a remark; nd = Vd = 0 is refused (`MISTAKES`)."""
-    imported = read(tmp_path, edited(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
+    imported = read_lens(tmp_path, edit(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
     assert imported.lens.media[0] == model_glass(1.5, 40.0, 0.0, "MINE")
     (remark,) = imported.remarks
-    assert remark.startswith("glass MINE is in no catalogue: taken as one of nd = 1.5 and Vd = 40, as its line says")
-    assert "; the nearest one is " in remark
-    assert read(tmp_path).remarks == ()
+    assert remark.startswith(
+        "glass MINE is in no catalogue: using a model glass with nd = 1.5 and Vd = 40, as its line says"
+    )
+    assert ". The nearest glass is " in remark
+    assert read_lens(tmp_path).remarks == ()
 
 
 CONFIGURATIONS = """THIC 2 1 0.3 0 0 0 1 1 1 0 0
@@ -297,9 +227,9 @@ EFFL 0 2 0 0 0 0 6 1
 
 def test_configurations(tmp_path):
     """The saved configuration, or another, which sets surfaces; one with different fields is refused."""
-    text = edited(("MNUM 1 1\n", "MNUM 2 1\n" + CONFIGURATIONS))
-    saved = read(tmp_path, text)
-    assert all(torch.equal(a, b) for a, b in zip(tensors(saved.lens), tensors(read(tmp_path).lens), strict=True))
+    text = edit(("MNUM 1 1\n", "MNUM 2 1\n" + CONFIGURATIONS))
+    saved = read_lens(tmp_path, text)
+    assert all(torch.equal(a, b) for a, b in zip(tensors(saved.lens), tensors(read_lens(tmp_path).lens), strict=True))
     (tmp_path / "lens.zmx").write_text(text)
     assert saved.remarks == ("configuration 1 of 2 (--configuration)",)
     lens = zemax.read(tmp_path / "lens.zmx", configuration=2).lens
@@ -313,14 +243,14 @@ def test_configurations(tmp_path):
     with pytest.raises(FileError, match="PRAM: differs from configuration 1"):
         zemax.read(tmp_path / "lens.zmx", configuration=2)
     with pytest.raises(FileError, match=r"THIC: the file was saved in this configuration, but its surface has 0\.3"):
-        read(tmp_path, text.replace("THIC 2 1 0.3", "THIC 2 1 0.31"))
+        read_lens(tmp_path, text.replace("THIC 2 1 0.3", "THIC 2 1 0.31"))
 
 
 @pytest.mark.parametrize("end", ["SURF 4", "SURF 5", "SURF 6", "  DISZ 2.5"])
 def test_a_file_that_is_cut_off_is_refused(tmp_path, end):
     """The last surface of the file is not an image surface."""
     with pytest.raises(FileError, match=r"lens\.zmx"):
-        read(tmp_path, TEXT[: TEXT.index(end)])
+        read_lens(tmp_path, LENS_TEXT[: LENS_TEXT.index(end)])
 
 
 MISTAKES = [
@@ -366,11 +296,11 @@ MISTAKES = [
 @pytest.mark.parametrize("old, new, words", MISTAKES, ids=[new.strip() or f"no {old}" for old, new, _ in MISTAKES])
 def test_a_mistake_is_refused_with_its_line(tmp_path, old, new, words):
     with pytest.raises(FileError) as error:
-        read(tmp_path, edited((old, new)))
+        read_lens(tmp_path, edit((old, new)))
     assert all(word in str(error.value) for word in ["lens.zmx", *words]), error.value
 
 
 @pytest.mark.parametrize("text", ["", "hello", "SURF 0\n", "\0\0\0", "SURF x\n"])
 def test_what_is_no_lens_file_is_refused(tmp_path, text):
     with pytest.raises(FileError, match=r"lens\.zmx"):
-        read(tmp_path, text)
+        read_lens(tmp_path, text)

@@ -5,17 +5,14 @@ ours to the last digits. Its model glasses are a two-term Cauchy curve through n
 nF - nC, which these numbers fix, but not the partial dispersion (nF and nC differ by up to 6e-4).
 """
 
-import json
 import math
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import pytest
 import torch
 import yaml
 from examples import f64
-from reference_files import SHARED, reference_files
+from reference_files import SHARED, ZEMAX_FILES, read_zemax
 from reference_lenses import LINES, with_indices
 
 from tasklens.materials.material import AIR, D_LINE
@@ -26,38 +23,26 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
 
-FILES = [path for path in reference_files("lenses/*/source/*") if path.suffix.lower() == ".zmx"]
-
 NEAR_OBJECTS = {"3P_F2.5_FOV78.1_EFL2.8_IMH2.3_TTL4.33": 350.0, "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3.30": 370.0}
-
-
-def reference_of(path: Path) -> dict:
-    return json.loads((path.parent.parent / f"{path.stem}.json").read_text())
-
-
-@cache
-def reading_of(path: Path) -> tuple[Prescription, dict]:
-    """A file as read without further catalogues, and its reference."""
-    return zemax.read(path), reference_of(path)
 
 
 @pytest.fixture
 def reading(request):
-    return reading_of(request.param)
+    return read_zemax(request.param)
 
 
-every_file = pytest.mark.parametrize("reading", FILES, ids=lambda path: path.stem, indirect=True)
+every_file = pytest.mark.parametrize("reading", ZEMAX_FILES, ids=lambda path: path.stem, indirect=True)
 
 
 def test_every_file_is_read_without_further_catalogues():
-    assert len([reading_of(path) for path in FILES]) == (24 if SHARED.exists() else 11)
+    assert len([read_zemax(path) for path in ZEMAX_FILES]) == (24 if SHARED.exists() else 11)
 
 
 def test_kinds_of_files():
     """Both encodings and line ends, aspheres beyond r^16, distances below zero, stops in front and inside."""
-    raw = {path.read_bytes() for path in FILES}
+    raw = {path.read_bytes() for path in ZEMAX_FILES}
     assert {text.startswith(b"\xff\xfe") for text in raw} == {b"\r\n" in text for text in raw} == {False, True}
-    lenses = [reading_of(path)[0].lens for path in FILES]
+    lenses = [read_zemax(path)[0].lens for path in ZEMAX_FILES]
     assert max(lens.alpha.shape[1] for lens in lenses) > 8 and any((lens.thickness < 0).any() for lens in lenses)
     assert {lens.stop > 1 for lens in lenses} == {False, True}
 
@@ -94,7 +79,7 @@ def test_indices(reading):
             assert indices == pytest.approx(expected, rel=0, abs=1e-14)
 
 
-def bare(reading: tuple[Prescription, dict]) -> Lens:
+def bare_lens(reading: tuple[Prescription, dict]) -> Lens:
     """The lens as read with the indices of the reference, and no surface that clips."""
     lens = reading[0].lens
     media = tuple(with_indices(surface["n"]) for surface in reading[1]["surfaces"][:-1])
@@ -106,7 +91,7 @@ def test_first_order_and_rays(reading):
     """EFL, BFL, pupil, and where 12 rays in three colours meet the image: within 1e-9 mm, on aspheres 1.2e-6 mm."""
     imported, reference = reading
     expected = reference["reference"]
-    lens = bare(reading)
+    lens = bare_lens(reading)
     if imported.aperture is not None:
         lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, imported.aperture, D_LINE)
     first_order = paraxial(lens, D_LINE)
@@ -116,7 +101,7 @@ def test_first_order_and_rays(reading):
     if imported.aperture is not None:  # otherwise the file has the stop size, the reference a nominal F-number
         assert 2 * float(first_order.entrance_pupil_radius) == pytest.approx(reference["epd"], rel=0, abs=1e-9)
     tolerance = 1.2e-6 if lens.alpha.any() or lens.conic.any() else 1e-9
-    lens = bare(reading)
+    lens = bare_lens(reading)
     rays = [ray for ray in expected["rays"] if ray["ok"]]
     start = f64([ray["start"] for ray in rays]).T[:, None]
     assert len(rays) > 5
@@ -132,7 +117,7 @@ def test_spots(reading):
 
     Its rays fill a grid of 33 x 33 over the paraxial entrance pupil.
     """
-    reference, lens = reading[1], bare(reading)
+    reference, lens = reading[1], bare_lens(reading)
     expected = [
         spot for spot in reference["reference"]["spots"] if all(spot.get(f"passed_{line}") == 1 for line in LINES)
     ]
@@ -178,7 +163,7 @@ def test_nothing_is_lost_on_the_way_to_yaml_and_back_to_zemax(reading, tmp_path)
 
 def test_what_a_file_says_of_its_use():
     """Aperture, fields, wavelengths, primary, title and comments of four files, as they stand in their text."""
-    files = {path.stem: reading_of(path)[0] for path in FILES}
+    files = {path.stem: read_zemax(path)[0] for path in ZEMAX_FILES}
     near = {
         name: lens_file.object_distance_mm for name, lens_file in files.items() if lens_file.object_distance_mm < 1e10
     }
@@ -199,13 +184,13 @@ def test_what_a_file_says_of_its_use():
     assert phone.lens.semi_diameter[phone.lens.stop + 1 :].isinf().all()  # automatic
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", ZEMAX_FILES, ids=lambda path: path.stem)
 def test_every_file_is_a_lens_to_look_at(path):
     """A lens keeps its field, even that of a near object by real image height; without one, it has only the axis."""
     file = lens_files.read(path)
     half = math.degrees(math.atan(float(file.view.radii.max()) / file.view.efl))
-    expected = reference_of(path)["half_field_deg"]
-    if any("no field but the axis" in remark for remark in file.remarks):
+    expected = read_zemax(path)[1]["half_field_deg"]
+    if any("no field except the axis" in remark for remark in file.remarks):
         assert half == 0
     else:
         assert half == pytest.approx(expected, rel=0.02)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from examples import f64, make_lens
-from test_zemax_files import FILES, reading_of
+from reference_files import ZEMAX_FILES, read_zemax
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import zemax
@@ -24,10 +24,10 @@ WITHOUT_SURFACE = {"US-12078784-B2-e6", "US20210165194A1"}  # extended aspheres
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", ZEMAX_FILES, ids=lambda path: path.stem)
 def test_optiland_reads_what_we_write(tmp_path, path):
     """Surfaces, stop, aperture, fields and wavelengths are equal, and the focal length is within 5e-4."""
-    imported = reading_of(path)[0]
+    imported = read_zemax(path)[0]
     zemax.write(tmp_path / "lens.zmx", imported)
     if path.stem in WITHOUT_SURFACE:
         with pytest.raises(ValueError, match="xasphere"):

@@ -4,7 +4,8 @@ import codecs
 import math
 
 import pytest
-from test_zemax import TEXT, edited, read, tensors
+from prescriptions import tensors
+from zemax_texts import LENS_TEXT, edit, read_lens
 
 from tasklens.optics.io import zemax
 from tasklens.runtime.files import FileError
@@ -14,20 +15,20 @@ def assert_refused(tmp_path, text: str, line: str, *words: str, encoding: str = 
     """Reading fails with the file, the number of the line that is exactly `line`, and `words`."""
     number = text.split("\n").index(line) + 1
     with pytest.raises(FileError) as error:
-        read(tmp_path, text, encoding=encoding)
+        read_lens(tmp_path, text, encoding=encoding)
     message = str(error.value)
     assert all(word in message for word in (f"lens.zmx, line {number}: {line.split()[0]}", *words)), message
 
 
 def test_the_paraxial_working_f_number(tmp_path):
     """1 / (2 tan u) of the marginal ray; with the object at infinity that is the F-number in image space, efl / D."""
-    working, image = (read(tmp_path, edited(("ENPD 1.2", f"FNUM 2.8 {kind}"))) for kind in (1, 0))
+    working, image = (read_lens(tmp_path, edit(("ENPD 1.2", f"FNUM 2.8 {kind}"))) for kind in (1, 0))
     assert working.aperture == image.aperture == ("f_number", 2.8)
     assert all((a == b).all() for a, b in zip(tensors(working.lens), tensors(image.lens), strict=True))
-    near = edited(("ENPD 1.2", "FNUM 2.8 1"), ("DISZ INFINITY", "DISZ 350"))
+    near = edit(("ENPD 1.2", "FNUM 2.8 1"), ("DISZ INFINITY", "DISZ 350"))
     assert_refused(tmp_path, near, "FNUM 2.8 1", "near object", "ENPD")
-    assert_refused(tmp_path, edited(("ENPD 1.2", "FNUM 2.8 2")), "FNUM 2.8 2", "type")
-    assert read(tmp_path, edited(("ENPD 1.2", "FNUM 2.8"))).aperture == image.aperture  # files that we wrote before
+    assert_refused(tmp_path, edit(("ENPD 1.2", "FNUM 2.8 2")), "FNUM 2.8 2", "type")
+    assert read_lens(tmp_path, edit(("ENPD 1.2", "FNUM 2.8"))).aperture == image.aperture  # files that we wrote before
 
 
 SYSTEM = [  # a line of OpticStudio, in place of another, and words of the message
@@ -50,7 +51,7 @@ SYSTEM = [  # a line of OpticStudio, in place of another, and words of the messa
 @pytest.mark.parametrize("line, words", [(line, words) for line, *words in SYSTEM])
 def test_settings_of_the_system_that_change_rays(tmp_path, line, words):
     old = "FTYP 0 0 2 3 0 0 0 2" if line.startswith("FTYP") else "MODE SEQ"
-    text = edited((old, line if line.startswith("FTYP") else f"{old}\n{line}"))
+    text = edit((old, line if line.startswith("FTYP") else f"{old}\n{line}"))
     assert_refused(tmp_path, text, line, *words)
 
 
@@ -70,12 +71,12 @@ SURFACE = [
 
 @pytest.mark.parametrize("line, word", SURFACE)
 def test_data_of_a_surface_that_change_rays(tmp_path, line, word):
-    assert_refused(tmp_path, edited(("  CURV -0.1", f"  CURV -0.1\n  {line}")), f"  {line}", word)
+    assert_refused(tmp_path, edit(("  CURV -0.1", f"  CURV -0.1\n  {line}")), f"  {line}", word)
 
 
 @pytest.mark.parametrize("line, word", [pair for pair in SURFACE if pair[0].startswith(("OBDC", "SCBD", "CURV"))])
 def test_data_of_a_surface_behind_the_surfaces(tmp_path, line, word):
-    assert_refused(tmp_path, edited(("MNUM 1 1", f"{line}\nMNUM 1 1")), line, "belongs to a surface")
+    assert_refused(tmp_path, edit(("MNUM 1 1", f"{line}\nMNUM 1 1")), line, "belongs to a surface")
 
 
 @pytest.mark.parametrize(
@@ -90,7 +91,7 @@ def test_data_of_a_surface_behind_the_surfaces(tmp_path, line, word):
 )
 def test_data_of_the_only_configuration_that_change_rays(tmp_path, line, word):
     """The operands of Zemax's editor of configurations: keyword, surface or 0, configuration, value."""
-    assert_refused(tmp_path, edited(("MNUM 1 1", f"MNUM 1 1\n{line}")), line, word)
+    assert_refused(tmp_path, edit(("MNUM 1 1", f"MNUM 1 1\n{line}")), line, word)
 
 
 def test_what_changes_no_ray_changes_nothing(tmp_path):
@@ -99,7 +100,7 @@ def test_what_changes_no_ray_changes_nothing(tmp_path):
     surface = "  HIDE 1 1 1 1 0 0 0 0 0 0\n  OBDC 0.0 0.0\n  IGNR 0\n  PZUP 1 1 0 0\n  COAT AR\n  MIRR 2 0\n  FIMP \n"
     end = "WFNO 0 0 0 0 0 0 0 0 0 0\nMNUM 1 1\nIGNR   2   1 0 0 0 0 1 1\nTEMP   0   1 2.0E+1 0 0\n"
     changes = ("MODE SEQ", f"MODE SEQ\n{system}"), ("  CURV -0.1\n", f"  CURV -0.1\n{surface}"), ("MNUM 1 1\n", end)
-    imported, plain = read(tmp_path, edited(*changes)), read(tmp_path)
+    imported, plain = read_lens(tmp_path, edit(*changes)), read_lens(tmp_path)
     assert all((a == b).all() for a, b in zip(tensors(imported.lens), tensors(plain.lens), strict=True))
 
 
@@ -119,7 +120,7 @@ NUMBERS = [
 
 @pytest.mark.parametrize("old, new, word", NUMBERS)
 def test_numbers_out_of_range(tmp_path, old, new, word):
-    assert_refused(tmp_path, edited((old + "\n", new + "\n")), new, word)
+    assert_refused(tmp_path, edit((old + "\n", new + "\n")), new, word)
 
 
 @pytest.mark.parametrize(
@@ -129,9 +130,9 @@ def test_numbers_that_leave_the_range_in_mm(tmp_path, line):
     """A length must not become infinite, nor a coefficient zero, when metres become millimetres."""
     keyword = line.split()[0]
     old = {"DISZ": "  DISZ 0.8", "PARM": "  PARM 8 1e-06", "FLAP": "  FLAP 0 1.1 0", "YFLN": "YFLN 0 20"}[keyword]
-    text = edited((old, line), ("UNIT MM", "UNIT METER"), ("FTYP 0 0", "FTYP 1 0"))
+    text = edit((old, line), ("UNIT MM", "UNIT METER"), ("FTYP 0 0", "FTYP 1 0"))
     if line == "  PARM 8 1e300":
-        assert math.isfinite(read(tmp_path, text).lens.alpha[0, 7])
+        assert math.isfinite(read_lens(tmp_path, text).lens.alpha[0, 7])
     else:
         assert_refused(tmp_path, text, line)
 
@@ -147,13 +148,13 @@ def test_numbers_that_leave_the_range_in_mm(tmp_path, line):
 def test_a_lens_without_a_finite_stop(tmp_path, changes):
     """Powers that overflow, and a plane-parallel plate with an F-number."""
     line = "FNUM 2.8 0"
-    assert_refused(tmp_path, edited(*changes, ("ENPD 1.2", line)), line, "radius of the stop")
+    assert_refused(tmp_path, edit(*changes, ("ENPD 1.2", line)), line, "radius of the stop")
 
 
-def extended(*lines: str) -> str:
+def extended_asphere(*lines: str) -> str:
     """The text with an extended asphere of these numbers."""
     numbers = "\n".join(f"  XDAT {line}" for line in lines)
-    return edited(("EVENASPH", "XASPHERE"), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", numbers))
+    return edit(("EVENASPH", "XASPHERE"), ("  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06", numbers))
 
 
 @pytest.mark.parametrize(
@@ -175,13 +176,13 @@ def extended(*lines: str) -> str:
     ],
 )
 def test_terms_of_an_extended_asphere(tmp_path, lines, row, words):
-    assert_refused(tmp_path, extended(*lines), f"  XDAT {lines[row]}", *words)
+    assert_refused(tmp_path, extended_asphere(*lines), f"  XDAT {lines[row]}", *words)
 
 
 def test_all_terms_of_an_extended_asphere(tmp_path):
-    lens = read(tmp_path, extended("1 240", "2 1", "242 1e-300")).lens
+    lens = read_lens(tmp_path, extended_asphere("1 240", "2 1", "242 1e-300")).lens
     assert lens.alpha.shape[1] == 240 and float(lens.alpha[0, 239]) == 1e-300
-    assert not read(tmp_path, extended("1 0")).lens.alpha.any()
+    assert not read_lens(tmp_path, extended_asphere("1 0")).lens.alpha.any()
 
 
 ENCODINGS = {"utf-16-le": b"", "utf-16-be": b"", "utf-32": b"", "utf-16-be with a mark": codecs.BOM_UTF16_BE}
@@ -189,7 +190,7 @@ ENCODINGS = {"utf-16-le": b"", "utf-16-be": b"", "utf-32": b"", "utf-16-be with 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_encodings_without_a_mark_and_rare_ones(tmp_path, encoding):
-    text = edited(("A doublet", "Ø 30 µm – 透镜"))
+    text = edit(("A doublet", "Ø 30 µm – 透镜"))
     content = ENCODINGS[encoding] + text.encode(encoding.split()[0])
     (tmp_path / "lens.zmx").write_bytes(content)
     assert zemax.read(tmp_path / "lens.zmx").title == "Ø 30 µm – 透镜"
@@ -198,13 +199,13 @@ def test_encodings_without_a_mark_and_rare_ones(tmp_path, encoding):
 @pytest.mark.parametrize(
     "content, words",
     [
-        (codecs.BOM_UTF16_LE + TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
-        (TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
-        (codecs.BOM_UTF8 + TEXT.encode() + b"\xff", ["line 55", "UTF-8"]),
-        (TEXT.replace("A doublet", "A\0doublet").encode(), ["line 3", r"'\x00'"]),
-        (TEXT.replace("A doublet", "A\0doublet").encode("utf-16"), ["line 3", r"'\x00'"]),
-        (TEXT.replace("DISZ 0.8", "DISZ 0\x1b8").encode(), ["line 26", r"'\x1b'"]),
-        (codecs.BOM_UTF16_LE + TEXT.encode("utf-16-le").replace(b"d\0o\0", b"\0\xd8o\0"), ["line 3", "UTF-16"]),
+        (codecs.BOM_UTF16_LE + LENS_TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
+        (LENS_TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
+        (codecs.BOM_UTF8 + LENS_TEXT.encode() + b"\xff", ["line 55", "UTF-8"]),
+        (LENS_TEXT.replace("A doublet", "A\0doublet").encode(), ["line 3", r"'\x00'"]),
+        (LENS_TEXT.replace("A doublet", "A\0doublet").encode("utf-16"), ["line 3", r"'\x00'"]),
+        (LENS_TEXT.replace("DISZ 0.8", "DISZ 0\x1b8").encode(), ["line 26", r"'\x1b'"]),
+        (codecs.BOM_UTF16_LE + LENS_TEXT.encode("utf-16-le").replace(b"d\0o\0", b"\0\xd8o\0"), ["line 3", "UTF-16"]),
         (bytes(range(256)), ["line 1"]),
         (b"\x89PNG\r\n\x1a\n\0\0", ["line 2", "text file"]),
         (b"", ["SURF"]),

@@ -54,7 +54,7 @@ def random_prescription(seed: int) -> Prescription:
     )
 
 
-def unsourced(material: Material) -> Material:
+def without_source(material: Material) -> Material:
     """A material without its source, which a catalogue does not hold."""
     return replace(material, source="")
 
@@ -66,7 +66,7 @@ def test_round_trip_keeps_every_bit(tmp_path, seed):
     zemax.write(tmp_path / "lens.zmx", original)
     copy = zemax.read(tmp_path / "lens.zmx", [tmp_path / "mine.yaml"])
     assert replace(copy, lens=None) == replace(original, lens=None)
-    assert [unsourced(m) for m in copy.lens.media] == [unsourced(m) for m in original.lens.media]
+    assert [without_source(m) for m in copy.lens.media] == [without_source(m) for m in original.lens.media]
     assert copy.lens.stop == original.lens.stop
     for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
         a, b = getattr(copy.lens, name), getattr(original.lens, name)
@@ -118,7 +118,7 @@ def test_glasses_have_the_names_of_opticstudio(tmp_path):
     (tmp_path / "lens.agf").unlink()
     without = zemax.read(tmp_path / "lens.zmx")
     assert without.lens.media[4].abbe() == pytest.approx(MINE.abbe(), rel=1e-12)
-    assert "glass MINE is in no catalogue: taken as one of nd =" in without.remarks[0]
+    assert "glass MINE is in no catalogue: using a model glass with nd =" in without.remarks[0]
 
 
 def test_a_catalogue_has_nd_and_vd_for_lists(tmp_path):

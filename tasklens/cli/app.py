@@ -18,10 +18,10 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 study.app.command()(schema)
-app.add_typer(lens.app, name="lens", help="Look at lenses: a lens.yaml, or Zemax's .zmx.")
+app.add_typer(lens.app, name="lens", help="Inspect lenses: a lens.yaml, or a .zmx of Zemax.")
 app.command()(design.design)
 app.command()(rank.rank)
-app.add_typer(study.app, name="study", help="Compare lenses, networks and seeds: a study, which `snakemake` runs.")
+app.add_typer(study.app, name="study", help="Compare lenses, networks and seeds in a study, which `snakemake` runs.")
 
 
 @app.callback()
@@ -33,13 +33,13 @@ def overview(context: typer.Context) -> None:
 
 def _overview() -> str:
     """List all commands by group, each with the first sentence of its help."""
-    lines = ["TaskLens: lenses designed for a task."]
+    lines = ["TaskLens: design lenses for a neural network."]
     for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]  # of a group
         members = getattr(command, "commands", {})
         lines += ["", f"tasklens {name} ...   {command.help}" if members else f"tasklens {name}   {_sentence(command)}"]
         lines += [f"  {member:<18} {_sentence(subcommand)}" for member, subcommand in members.items()]
     return "\n".join(
-        [*lines, "", "Each explains itself: tasklens lens draw --help. Shell: tasklens --install-completion"]
+        [*lines, "", "Help on a command: tasklens lens draw --help. Shell completion: tasklens --install-completion"]
     )
 
 

@@ -25,53 +25,69 @@ from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
 _SPEC = "Specification"
-_METHOD = "least_squares, spot, image_quality, image_error, correlation; by a network: task, joint, end_to_end."
+_METHOD = (
+    "Design method: least_squares, spot, image_quality, image_error, correlation; with a network: task, joint, "
+    "end_to_end."
+)
 _ELEMENTS = "COC,OKP4"
-_START = "A lens of your own"
-_VERDICT = "What it is worth"
+_START = "Start from a lens file"
+_VERDICT = "Verdict"
 
 
 def design(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Lens: .yaml or .zmx.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File of the lens, .yaml or .zmx.", show_default=False)
+    ],
     elements: Annotated[
-        str | None, typer.Option(help="Materials from front to back: COC,OKP4, or a choice: COC|PMMA,OKP4|PC")
+        str | None, typer.Option(help="Materials from front to back: COC,OKP4, or with choices: COC|PMMA,OKP4|PC.")
     ] = None,
     method: Annotated[str, typer.Option(help=_METHOD)] = "least_squares",
-    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A setting of the method, as in a study: evaluations=2000, descents.0.steps=200."),
+        typer.Option("--set", help="Setting of the method, as in a study: evaluations=2000, descents.0.steps=200."),
     ] = None,
     limits: Annotated[
-        list[str] | None, typer.Option("--limit", help="A limit, of `constraints` of a study: max_track=6.")
+        list[str] | None, typer.Option("--limit", help="Limit, a key of `constraints` in a study: max_track=6.")
     ] = None,
     materials: Annotated[
         list[Path] | None, typer.Option("--materials", "--catalogue", help="File of further glasses (.yaml, .agf).")
     ] = None,
     start: Annotated[
         Path | None,
-        typer.Option(help="A lens to improve, .zmx or .yaml; its glasses stay.", rich_help_panel=_START),
+        typer.Option(help="Lens to improve, .zmx or .yaml; its glasses stay.", rich_help_panel=_START),
     ] = None,
     free: Annotated[
         str | None,
         typer.Option(
-            help="What varies: curvature,thickness:1+3,alpha_4..10 (surfaces from 0).", rich_help_panel=_START
+            help="Free variables and surfaces, numbered from 0: curvature,thickness:1+3,alpha_4..10.",
+            rich_help_panel=_START,
         ),
     ] = None,
     configuration: Annotated[
-        int | None, typer.Option(help="Configuration of a .zmx that has several.", rich_help_panel=_START)
+        int | None, typer.Option(help="Configuration number, if the .zmx file has several.", rich_help_panel=_START)
     ] = None,
     object_distance: Annotated[
         float | None,
-        typer.Option("--object", help="inf: the object of the file is moved away.", rich_help_panel=_START),
+        typer.Option(
+            "--object", help="Object distance; only inf: moves the file's object to infinity.", rich_help_panel=_START
+        ),
     ] = None,
-    f_number: Annotated[float | None, typer.Option(help="2.8", rich_help_panel=_SPEC)] = None,
-    field_of_view: Annotated[float | None, typer.Option(help="68.8 degrees, full", rich_help_panel=_SPEC)] = None,
-    diagonal: Annotated[float | None, typer.Option(help="Of the sensor: 4 mm", rich_help_panel=_SPEC)] = None,
-    pixel_pitch: Annotated[float | None, typer.Option(help="1.8 micrometres", rich_help_panel=_SPEC)] = None,
-    kernel_size: Annotated[int | None, typer.Option(help="Width of PSFs: 51 pixels", rich_help_panel=_SPEC)] = None,
+    f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.", rich_help_panel=_SPEC)] = None,
+    field_of_view: Annotated[
+        float | None, typer.Option(help="Full field of view (degrees); by default 68.8.", rich_help_panel=_SPEC)
+    ] = None,
+    diagonal: Annotated[
+        float | None, typer.Option(help="Diagonal of the sensor (mm); by default 4.", rich_help_panel=_SPEC)
+    ] = None,
+    pixel_pitch: Annotated[
+        float | None, typer.Option(help="Pixel pitch (um); by default 1.8.", rich_help_panel=_SPEC)
+    ] = None,
+    kernel_size: Annotated[
+        int | None, typer.Option(help="Width of the PSF window (pixels); by default 51.", rich_help_panel=_SPEC)
+    ] = None,
     wavelengths: Annotated[
-        str | None, typer.Option(help="0.6563,0.5893,0.4861 micrometres", rich_help_panel=_SPEC)
+        str | None, typer.Option(help="Wavelengths (um); by default 0.6563,0.5893,0.4861.", rich_help_panel=_SPEC)
     ] = None,
     images: Images = None,
     size: Size = 224,
@@ -81,7 +97,7 @@ def design(
     outputs: Outputs = "classes",
     argument: Arguments = None,
     verdict: Annotated[
-        bool, typer.Option(help="Compare the lens of `task` with those for image quality.", rich_help_panel=_VERDICT)
+        bool, typer.Option(help="Compare the lens of `task` with lenses for image quality.", rich_help_panel=_VERDICT)
     ] = True,
     force: Force = False,
     json: AsJson = False,
@@ -96,7 +112,7 @@ def design(
     """
     new_file(output, force, ".yaml", ".yml", ".zmx")
     if start is not None and (elements, diagonal) != (None, None):
-        raise InputError("--elements, --diagonal: not with --start, whose lens has them")
+        raise InputError("--elements, --diagonal: not allowed with --start, since its lens has them")
     if start is None and (free, configuration, object_distance) != (None, None, None):
         raise InputError("--free, --configuration, --object: only with --start FILE")
     spec = {
@@ -143,7 +159,7 @@ def design(
     lens, view, notes = result.lens, result.view, result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:
-        raise InputError(f"the design has no light at {dark} of its fields, and is not written: try another --seed")
+        raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: try another --seed")
     notebook.save_lens(output, lens, view, notes)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:

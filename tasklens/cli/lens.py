@@ -25,7 +25,7 @@ Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
 
 @lens_command(app)
 def show(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
-    """Summarise lenses: elements, focal length, sharpness from axis to corner, worst limit."""
+    """Summarise lenses: elements, focal length, sharpness from axis to corner, tightest margin."""
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
@@ -42,7 +42,7 @@ def show(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) 
 
 @lens_command(app)
 def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
-    """Compare lenses: a row for each, in one table."""
+    """Compare lenses in one table, a row per lens."""
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
@@ -90,12 +90,14 @@ def draw(
 def tolerance(
     read: Callable,
     file: File,
-    grade: Annotated[str, typer.Option(help="precision_moulding, commercial_moulding, phone_moulding.")] = _GRADE,
-    lenses: Annotated[int, typer.Option(min=10, help="Lenses that are built in simulation.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Of their errors.")] = 0,
+    grade: Annotated[
+        str, typer.Option(help="Grade: precision_moulding, commercial_moulding or phone_moulding.")
+    ] = _GRADE,
+    lenses: Annotated[int, typer.Option(min=10, help="Number of lenses built in simulation.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the errors of manufacture.")] = 0,
     json: AsJson = False,
 ) -> None:
-    """Estimate the losses in manufacture: yields, the errors that matter, tolerances for a drawing."""
+    """Estimate manufacturing losses: yield, critical errors, and tolerances for a drawing."""
     from tasklens.optics.tolerancing import focus, yields
     from tasklens.report import yields as report
     from tasklens.study.tolerance_settings import GRADES, Grade
@@ -117,10 +119,12 @@ def psf(
     read: Callable,
     file: File,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="PSFs: .npz, .safetensors, or a .png to look at.", show_default=False)
+        Path, typer.Option("--output", "-o", help="PSFs: .npz, .safetensors, or .png to view.", show_default=False)
     ],
     rays: Rays = 4096,
-    diffraction: Annotated[bool, typer.Option("--diffraction", help="With diffraction: half a minute.")] = False,
+    diffraction: Annotated[
+        bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
+    ] = False,
     force: Force = False,
 ) -> None:
     """Compute the point spread functions at nine fields in three colours."""
@@ -139,22 +143,31 @@ def simulate(
     file: File,
     image: Annotated[Path, typer.Argument(help="Image: JPEG, PNG or WebP.", show_default=False)],
     output: Annotated[Path, typer.Option("--output", "-o", help="Capture: .png or .jpg.", show_default=False)],
-    field: Annotated[str, typer.Option(help="axis, middle, corner, or X,Y on the sensor in millimetres.")] = "axis",
-    grid: Annotated[bool, typer.Option("--grid", help="All nine fields in one picture.")] = False,
-    sensor: Annotated[bool, typer.Option("--sensor", help="As the whole sensor sees it, from axis to corner.")] = False,
+    field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y on the sensor (mm).")] = "axis",
+    grid: Annotated[bool, typer.Option("--grid", help="Show all nine fields in one image.")] = False,
+    sensor: Annotated[bool, typer.Option("--sensor", help="Simulate the whole sensor, from axis to corner.")] = False,
     true_pixels: Annotated[
         bool,
-        typer.Option("--true-pixels", help="Pixels of the image are the sensor's, with --sensor; else it fills it."),
+        typer.Option(
+            "--true-pixels",
+            help="With --sensor: one image pixel per sensor pixel; by default the image fills it.",
+        ),
     ] = False,
-    distortion: Annotated[bool, typer.Option("--distortion", help="Of the lens, with --sensor.")] = False,
-    illumination: Annotated[bool, typer.Option("--illumination", help="Darker corners, with --sensor.")] = False,
-    colour: Annotated[Literal["srgb", "linear"], typer.Option(help="Convolve values, or light.")] = "srgb",
-    noise: Annotated[bool, typer.Option("--noise", help="With the noise of a phone's sensor in daylight.")] = False,
+    distortion: Annotated[
+        bool, typer.Option("--distortion", help="With --sensor: apply the distortion of the lens.")
+    ] = False,
+    illumination: Annotated[
+        bool, typer.Option("--illumination", help="With --sensor: apply the relative illumination.")
+    ] = False,
+    colour: Annotated[Literal["srgb", "linear"], typer.Option(help="Blur sRGB values, or linear light.")] = "srgb",
+    noise: Annotated[bool, typer.Option("--noise", help="Add the noise of a phone's sensor in daylight.")] = False,
     rays: Rays = 4096,
-    diffraction: Annotated[bool, typer.Option("--diffraction", help="With diffraction: half a minute.")] = False,
+    diffraction: Annotated[
+        bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
+    ] = False,
     force: Force = False,
 ) -> None:
-    """Simulate the capture of an image, as if all of it lay at one field, or with --sensor over the whole sensor."""
+    """Simulate the capture of an image at one field, or with --sensor over the whole sensor."""
     from tasklens import notebook
     from tasklens.report import image_files
     from tasklens.study.settings import SensorSettings
@@ -170,7 +183,7 @@ def simulate(
         options: Any = {"colour": colour, "distortion": distortion, "illumination": illumination, "rays": rays}
         with progress_bars():
             captures = notebook.simulate_sensor(image, lens.lens, lens.view, pitch, **options)[None]
-        say(f"{image}: in pixels of {pitch:g} um" if pitch else f"{image}: as if it filled the sensor")
+        say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
     else:
         captures = notebook.simulate(
             image,

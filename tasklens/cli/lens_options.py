@@ -16,30 +16,33 @@ from tasklens.runtime.errors import InputError
 if TYPE_CHECKING:
     from tasklens.optics.io.lens_files import LensFile
 
-_PANEL = "What differs from the file, or is not in it"
+_PANEL = "Values that differ from the file, or are missing in it"
 
 
-FieldOfView = Annotated[float | None, typer.Option(help="Full angle, degrees.", rich_help_panel=_PANEL)]
-FNumber = Annotated[float | None, typer.Option(help="Focal length / pupil.", rich_help_panel=_PANEL)]
-PixelPitch = Annotated[float | None, typer.Option(help="Micrometres.", rich_help_panel=_PANEL)]
-KernelSize = Annotated[int | None, typer.Option(help="Width of PSFs, pixels, odd.", rich_help_panel=_PANEL)]
+FieldOfView = Annotated[float | None, typer.Option(help="Full field of view (degrees).", rich_help_panel=_PANEL)]
+FNumber = Annotated[
+    float | None, typer.Option(help="F-number: focal length / diameter of the entrance pupil.", rich_help_panel=_PANEL)
+]
+PixelPitch = Annotated[float | None, typer.Option(help="Pixel pitch (um).", rich_help_panel=_PANEL)]
+KernelSize = Annotated[int | None, typer.Option(help="Width of the PSF window (pixels, odd).", rich_help_panel=_PANEL)]
 Wavelengths = Annotated[
-    str | None, typer.Option(help="Micrometres, the reference in the middle: 0.65,0.55,0.47.", rich_help_panel=_PANEL)
+    str | None,
+    typer.Option(help="Wavelengths (um), the reference in the middle: 0.65,0.55,0.47.", rich_help_panel=_PANEL),
 ]
 Focus = Annotated[
     float | None,
-    typer.Option(help="Shift of the image plane away from the lens, micrometres.", rich_help_panel=_PANEL),
+    typer.Option(help="Shift of the image plane away from the lens (um).", rich_help_panel=_PANEL),
 ]
 ObjectDistance = Annotated[
     float | None,
-    typer.Option("--object", help="Distance of the object, millimetres, or inf.", rich_help_panel=_PANEL),
+    typer.Option("--object", help="Distance of the object (mm), or inf.", rich_help_panel=_PANEL),
 ]
 Catalogues = Annotated[
-    list[Path] | None, typer.Option(help="Glass catalogue of a .zmx (.agf or YAML).", rich_help_panel=_PANEL)
+    list[Path] | None, typer.Option(help="Glass catalogue of a .zmx file (.agf or YAML).", rich_help_panel=_PANEL)
 ]
 
 Configuration = Annotated[
-    int | None, typer.Option(help="Configuration of a .zmx that has several.", rich_help_panel=_PANEL)
+    int | None, typer.Option(help="Configuration number, if the .zmx file has several.", rich_help_panel=_PANEL)
 ]
 
 

@@ -13,22 +13,36 @@ from tasklens.study.users_code import is_users
 _PANEL = "Network and photographs"
 
 Images = Annotated[
-    Path | None, typer.Option(help="Folder: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL)
+    Path | None,
+    typer.Option(
+        help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL
+    ),
 ]
-Size = Annotated[int, typer.Option(help="Side of the images, pixels.", rich_help_panel=_PANEL)]
+Size = Annotated[int, typer.Option(help="Side of the images (pixels).", rich_help_panel=_PANEL)]
 Network = Annotated[
     str | None,
-    typer.Option("--classifier", "--network", help="Name in timm, or package.module:function.", rich_help_panel=_PANEL),
+    typer.Option(
+        "--classifier",
+        "--network",
+        help="Name of the network in timm, or package.module:function.",
+        rich_help_panel=_PANEL,
+    ),
 ]
-Weights = Annotated[Path | None, typer.Option(help="Its weights: .safetensors, .pth, .npz.", rich_help_panel=_PANEL)]
-Pretrained = Annotated[bool, typer.Option("--pretrained", help="Weights from timm's hub.", rich_help_panel=_PANEL)]
+Weights = Annotated[
+    Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.", rich_help_panel=_PANEL)
+]
+Pretrained = Annotated[
+    bool, typer.Option("--pretrained", help="Use published weights from timm's hub.", rich_help_panel=_PANEL)
+]
 Outputs = Annotated[
     Literal["classes", "imagenet", "all_imagenet"],
-    typer.Option(help="Of the network: the folder's classes, or ImageNet's.", rich_help_panel=_PANEL),
+    typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's.", rich_help_panel=_PANEL),
 ]
 Arguments = Annotated[
     list[str] | None,
-    typer.Option("--argument", help="Of timm's create_model, or of the function: img_size=64.", rich_help_panel=_PANEL),
+    typer.Option(
+        "--argument", help="Argument of timm's create_model, or of the function: img_size=64.", rich_help_panel=_PANEL
+    ),
 ]
 
 
@@ -54,9 +68,9 @@ def nested(texts: Sequence[str], option: str) -> dict[str, Any]:
         for name in outer:
             inner = inner.setdefault(name, {})
             if not isinstance(inner, dict):
-                raise InputError(f"{option} {assignment}: {name} has the value {inner} by another {option}")
+                raise InputError(f"{option} {assignment}: {name} has the value {inner} from another {option}")
         if isinstance(inner.get(last), dict):
-            raise InputError(f"{option} {assignment}: {last} has the values {inner[last]} by another {option}")
+            raise InputError(f"{option} {assignment}: {last} has the values {inner[last]} from another {option}")
         try:
             inner[last] = yaml.safe_load(text)
         except (yaml.YAMLError, ValueError):  # no date of the calendar

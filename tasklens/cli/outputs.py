@@ -10,7 +10,7 @@ import typer
 
 from tasklens.runtime.errors import InputError
 
-Force = Annotated[bool, typer.Option("--force", help="Overwrite the output.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite the output file.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 
 
@@ -19,7 +19,7 @@ def new_file(path: Path, force: bool, *suffixes: str) -> Path:
     if path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
     if path.is_dir() or (path.exists() and not force):
-        raise InputError(f"{path}: exists; --force overwrites it" if path.is_file() else f"{path}: is a folder")
+        raise InputError(f"{path}: already exists; --force overwrites it" if path.is_file() else f"{path}: is a folder")
     return path
 
 

@@ -20,12 +20,12 @@ from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
-_SENSOR, _MORE = "Sensor and object", "More than the lenses as designed, and the network as it is"
+_SENSOR, _MORE = "Sensor and object", "Further options"
 
 
 def rank(
     lenses: Annotated[
-        list[Path], typer.Argument(help="Lenses, .zmx or .yaml, and folders of them.", show_default=False)
+        list[Path], typer.Argument(help="Lens files, .zmx or .yaml, or folders of them.", show_default=False)
     ],
     images: Images = None,
     classifier: Network = None,
@@ -34,35 +34,45 @@ def rank(
     outputs: Outputs = "classes",
     argument: Arguments = None,
     size: Size = 224,
-    photographs: Annotated[int, typer.Option(min=10, help="Photographs, at most.")] = 500,
-    diagonal: Annotated[float, typer.Option(help="Diagonal, millimetres.", rich_help_panel=_SENSOR)] = 4.0,
-    pixel_pitch: Annotated[float, typer.Option(help="Micrometres.", rich_help_panel=_SENSOR)] = 1.8,
-    kernel_size: Annotated[int, typer.Option(help="Width of PSFs, pixels, odd.", rich_help_panel=_SENSOR)] = 51,
+    photographs: Annotated[int, typer.Option(min=10, help="Maximum number of photographs.")] = 500,
+    diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).", rich_help_panel=_SENSOR)] = 4.0,
+    pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).", rich_help_panel=_SENSOR)] = 1.8,
+    kernel_size: Annotated[
+        int, typer.Option(help="Width of the PSF window (pixels, odd).", rich_help_panel=_SENSOR)
+    ] = 51,
     object_distance: Annotated[
-        float | None, typer.Option("--object", help="Distance in millimetres; else infinity.", rich_help_panel=_SENSOR)
+        float | None,
+        typer.Option("--object", help="Distance of the object (mm); by default infinity.", rich_help_panel=_SENSOR),
     ] = None,
     noise: Annotated[
-        float | None, typer.Option(help="Electrons of a pixel at white: shot noise.", rich_help_panel=_SENSOR)
+        float | None, typer.Option(help="Add shot noise: electrons per pixel at white.", rich_help_panel=_SENSOR)
     ] = None,
     scale: Annotated[
-        bool, typer.Option("--scale", help="Scale lenses to the sensor: patents, no products.", rich_help_panel=_SENSOR)
+        bool,
+        typer.Option(
+            "--scale", help="Scale lenses to the sensor; for patents, not for products.", rich_help_panel=_SENSOR
+        ),
     ] = False,
     sieve: Annotated[
         int | None,
-        typer.Option(min=3, help="Measure only so many, those of the most MTF.", rich_help_panel=_MORE),
+        typer.Option(min=3, help="Measure only this many lenses, those with the highest MTF.", rich_help_panel=_MORE),
     ] = None,
-    diffraction: Annotated[bool, typer.Option("--diffraction", help="PSFs with it.", rich_help_panel=_MORE)] = False,
+    diffraction: Annotated[
+        bool, typer.Option("--diffraction", help="Include diffraction in the PSFs.", rich_help_panel=_MORE)
+    ] = False,
     fine_tune: Annotated[
-        float, typer.Option(min=0, help="Epochs in which the network gets used to each lens.", rich_help_panel=_MORE)
+        float, typer.Option(min=0, help="Epochs of fine-tuning on each lens.", rich_help_panel=_MORE)
     ] = 0.0,
     as_built: Annotated[
-        int, typer.Option(min=0, help="Build so many of the first lenses in simulation.", rich_help_panel=_MORE)
+        int, typer.Option(min=0, help="Build this many of the best lenses in simulation.", rich_help_panel=_MORE)
     ] = 0,
-    grade: Annotated[str, typer.Option(help="How well they are made.", rich_help_panel=_MORE)] = "precision_moulding",
+    grade: Annotated[
+        str, typer.Option(help="Grade of manufacture of built lenses.", rich_help_panel=_MORE)
+    ] = "precision_moulding",
     catalogue: Catalogues = None,
-    name: Annotated[str, typer.Option(help="Results are in results/NAME.")] = "ranking",
-    cores: Annotated[int, typer.Option("--cores", "-j", min=1, help="Jobs at once.")] = 2,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results of other options.")] = False,
+    name: Annotated[str, typer.Option(help="Name; results are in results/NAME.")] = "ranking",
+    cores: Annotated[int, typer.Option("--cores", "-j", min=1, help="Number of jobs at once.")] = 2,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Overwrite results with other options.")] = False,
 ) -> None:
     """Rank lenses by the accuracy of a network behind them: a table and a page. An interrupted ranking resumes.
 
@@ -71,7 +81,7 @@ def rank(
     if images is None or classifier is None:
         raise InputError("expected --images FOLDER and --classifier NAME with --weights FILE (or --pretrained)")
     if as_built and diffraction:
-        raise InputError("--as-built: lenses are built without diffraction; leave out one of them")
+        raise InputError("--as-built: lenses are built without diffraction; omit one of them")
     network = network_settings(classifier, weights, pretrained, outputs, argument)
     from tasklens.materials.library import users_files
     from tasklens.pipeline import ranking

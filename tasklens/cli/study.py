@@ -20,37 +20,43 @@ from tasklens.study.study import Study
 
 app = typer.Typer(no_args_is_help=True)
 
-Files = Annotated[list[Path], typer.Argument(help="Study files, each laid over those before it.", show_default=False)]
-Place = Annotated[Path, typer.Argument(help="Study file, or folder of its results.", show_default=False)]
+Files = Annotated[list[Path], typer.Argument(help="Study files; each overrides those before it.", show_default=False)]
+Place = Annotated[Path, typer.Argument(help="Study file, or its results folder.", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Name of the study: results are in results/<name>.", show_default=False)],
+    name: Annotated[str, typer.Argument(help="Name of the study; results are in results/<name>.", show_default=False)],
     images: Annotated[str | None, typer.Option(help="Folder of photographs, or `built-in`.")] = None,
-    size: Annotated[int | None, typer.Option(help="Side of the images [pixels].")] = None,
-    networks: Annotated[str | None, typer.Option(help="Such as resnet,vit, or of timm; the first supervises.")] = None,
-    weights: Annotated[Path | None, typer.Option(help="Weights of the first network; it is not trained again.")] = None,
+    size: Annotated[int | None, typer.Option(help="Side of the images (pixels).")] = None,
+    networks: Annotated[
+        str | None, typer.Option(help="Networks, such as resnet,vit, or names in timm; the first supervises.")
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights of the first network, which is not trained again.")
+    ] = None,
     outputs: Annotated[
         Literal["classes", "imagenet", "all_imagenet"],
-        typer.Option(help="Of it: the folder's, or ImageNet's."),
+        typer.Option(help="Outputs of the first network: the folder's classes, or ImageNet's."),
     ] = "classes",
-    argument: Annotated[list[str] | None, typer.Option(help="Of its model: img_size=64.")] = None,
-    elements: Annotated[str | None, typer.Option(help="Such as doublet,triplet or mine=COC+OKP4.")] = None,
+    argument: Annotated[list[str] | None, typer.Option(help="Argument of the first network: img_size=64.")] = None,
+    elements: Annotated[str | None, typer.Option(help="Elements, such as doublet,triplet or mine=COC+OKP4.")] = None,
     f_number: Annotated[float | None, typer.Option(help="F-number of the lenses.")] = None,
-    field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal [degrees].")] = None,
+    field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal (degrees).")] = None,
     seeds: Annotated[int | None, typer.Option(help="Number of seeds.")] = None,
-    minutes: Annotated[float | None, typer.Option(help="Time to spend [minutes].")] = None,
-    cores: Annotated[int, typer.Option(min=1, help="Cores to spend it on.")] = 2,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: defaults for what is not given.")] = False,
+    minutes: Annotated[float | None, typer.Option(help="Time budget (minutes).")] = None,
+    cores: Annotated[int, typer.Option(min=1, help="Number of cores.")] = 2,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Ask no questions; take defaults for missing options.")
+    ] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Study file; by default NAME.yaml.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
-    """Write a commented study file that fits a time, from answers or options."""
+    """Write a commented study file that fits a time budget, from answers or options."""
     path = output or Path(f"{name}.yaml")
     if path.exists() and not force:
-        raise FileError(f"{path}: is there already; --force overwrites it, --output names another file")
+        raise FileError(f"{path}: already exists; --force overwrites it, --output names another file")
 
     def asked(value: Any, question: str, default: Any) -> Any:
         return value if value is not None else default if yes else typer.prompt(question, default=default)
@@ -111,7 +117,7 @@ def _elements(text: str) -> dict[str, list[str]]:
 def check(
     files: Files,
     networks: Annotated[bool, typer.Option("--networks", help="Build every classifier once, without weights.")] = False,
-    weights: Annotated[bool, typer.Option(help="Look for the files of weights of all classifiers.")] = True,
+    weights: Annotated[bool, typer.Option(help="Check that the weight files of all classifiers exist.")] = True,
 ) -> None:
     """Check a study file, its images and imported lenses; compile the tracer if necessary; print a summary."""
     from tasklens.pipeline.checks import check as check_study
@@ -126,7 +132,7 @@ def check(
 def plan(
     files: Files,
     target: Annotated[str, typer.Option(help="Target of the workflow.")] = "tables",
-    cores: Annotated[int, typer.Option(min=1, help="Cores that it is to run on.")] = 2,
+    cores: Annotated[int, typer.Option(min=1, help="Number of cores to plan for.")] = 2,
     as_json: Json = False,
 ) -> None:
     """Show the remaining jobs with their time, memory and disk space; nothing is run or written."""
@@ -171,7 +177,7 @@ def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str,
         print("Changed since the last run:", *figures["changed"], sep="\n  ")
     total = sum(jobs.remaining for jobs in planned.values())
     if not total:
-        print(f"{study.name}: nothing is to be done for {target}.")
+        print(f"{study.name}: nothing to do for {target}.")
         return
     print(durations.forecast((rule for rule, jobs in planned.items() for _ in range(jobs.remaining)), cores))
     memory, disk = f"{figures['memory_mb']} MB for the largest job", f"{figures['disk_mb']:.0f} MB more"
@@ -179,7 +185,7 @@ def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str,
 
 
 def _but(unknown: list[str]) -> str:
-    return f", not counting {', '.join(unknown)}, of which nothing is known yet" if unknown else ""
+    return f", not counting {', '.join(unknown)}, which are not measured yet" if unknown else ""
 
 
 def _changes(study: Study) -> list[changes.Change]:
@@ -192,19 +198,19 @@ def _folder(place: Path) -> Path:
     """Return the results folder of a study; `place` is its study file or the results folder itself."""
     if place.is_dir():
         if not (place / "study.yaml").is_file():
-            raise FileError(f"{place}: no study.yaml in it; expected the results of a study, results/<name>")
+            raise FileError(f"{place}: contains no study.yaml; expected the results of a study, results/<name>")
         return place
     return Path("results", loading.load(place).name)
 
 
 @app.command()
 def status(place: Place, as_json: Json = False) -> None:
-    """Show running, finished and failed jobs, from files alone: also for a study on a cluster."""
+    """Show running, finished and failed jobs, read from files; this also works for a study on a cluster."""
     folder = _folder(place)
     places = [folder, *sorted(path.parent for path in folder.glob("*/run.json"))]  # with the points of a sweep
     study_runs = [run for item in places if (run := runs.read(item)) is not None]
     if not study_runs:
-        raise FileError(f"{folder}/run.json: no run of this study is known; `tasklens study plan` says what remains")
+        raise FileError(f"{folder}/run.json: no run of this study; `tasklens study plan` shows what remains")
     if as_json:
         states = [_state(run) for run in study_runs]
         print(json.dumps(states[0] | ({"points": states[1:]} if states[1:] else {}), indent=1))
@@ -227,7 +233,7 @@ def _state(run: runs.Run) -> dict[str, Any]:
 def diff(
     old: Place,
     new: Place,
-    every: Annotated[bool, typer.Option("--all", help="All columns, not only accuracies.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Compare all columns, not only accuracies.")] = False,
     as_json: Json = False,
 ) -> None:
     """Show the differences between two studies: configuration, and numbers in their tables."""
@@ -253,13 +259,13 @@ def _configuration(place: Path) -> Mapping[str, Any]:
 def export(
     place: Place,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Zip file; by default <name>.zip.")] = None,
-    weights: Annotated[bool, typer.Option("--weights", help="With the weights of all networks.")] = False,
+    weights: Annotated[bool, typer.Option("--weights", help="Include the weights of all networks.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Export a study to one zip file for a colleague: everything except images, checkpoints and weights."""
     folder = _folder(place)
     path = output or Path(f"{folder.resolve().name}.zip")
     if path.exists() and not force:
-        raise FileError(f"{path}: is there already; --force overwrites it, --output names another file")
+        raise FileError(f"{path}: already exists; --force overwrites it, --output names another file")
     count = exporting.export(folder, path, weights)
     print(f"{path}: {count} files, {path.stat().st_size / 1e6:.1f} MB")

@@ -152,7 +152,7 @@ class Contrast(Criterion):
     OTF(f) = sum_p PSF(p) exp(-2 pi i f.p), with p from the centre of the window. It is the mean over colours, over both
     frequencies, and over gratings across the field (tangential) and along it. The real part penalises a shifted or
     reversed contrast; the modulus, the MTF, does not. Descents on the MTF led to lenses of high MTF whose captures
-    classifiers read worse (docs/notes.md).
+    classifiers read worse (docs/notes/baselines.md).
 
     Attributes:
         directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.

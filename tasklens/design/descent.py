@@ -205,8 +205,8 @@ def divergence(lens: Lens, view: View, pupil: Tensor, losses: Tensor) -> Diverge
 def _first_surface(lens: Lens, view: View, pupil: Tensor) -> str:
     for i, numbers in enumerate(zip(lens.curvature, lens.thickness, lens.alpha, strict=True)):
         if not all(torch.isfinite(number).all() for number in numbers):
-            return f"surface {i} has a shape that is not finite"
+            return f"the shape of surface {i} is not finite"
     for i, rays in enumerate(trace_fields_full(lens, view, pupil)[1]):
         if any(not torch.isfinite(value[rays.lost_at < 0]).all() for value in (rays.x, rays.y, rays.l, rays.m, rays.n)):
-            return f"rays stop being finite at surface {i}"
-    return "all surfaces and rays are finite, the network or a limit is not"
+            return f"rays become non-finite at surface {i}"
+    return "all surfaces and rays are finite; the network or a limit is not"

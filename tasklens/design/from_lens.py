@@ -81,7 +81,7 @@ def design(
 
     Raises:
         InputError: the object is at a finite distance, there are not three wavelengths, the lens lacks a variable, or
-            `tasklens.design` raises it.
+            `design_lens` raises it.
     """
     spec, view = _spec(file)
     free = resolved(file.lens, free)
@@ -180,14 +180,18 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
         if deficit > 0 and name not in fixed_names and name in Constraints.model_fields:
             own_values[name] = getattr(limits, name) + (-deficit if name.startswith("min_") else deficit)
     changes = ", ".join(f"{name} {value:.4g}" for name, value in own_values.items())
-    remarks = [f"the lens breaks usual limits, which become its own: {changes} (--limit)"] if own_values else []
+    remarks = (
+        [f"the lens violates default limits, which are relaxed to its own values: {changes} (--limit)"]
+        if own_values
+        else []
+    )
     return limits.model_copy(update=own_values), remarks
 
 
 def _spec(file: LensFile) -> tuple[Spec, View]:
     """Return the specification of a lens, and its view with nine fields."""
     if file.view.object_vergence:
-        raise InputError("designs are for objects at infinity: give --object inf, which refocuses the lens")
+        raise InputError("designs need an object at infinity: give --object inf, which refocuses the lens")
     colours = file.view.wavelengths
     if len(colours) != 3 or sorted(colours, reverse=True) != list(colours):
         colours = tuple(sorted(set(colours), reverse=True))
@@ -206,7 +210,9 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         "wavelengths_um": colours,
     }
     if not tangent:
-        raise InputError("the lens has no field but the axis: give its field of view in degrees, --field-of-view")
+        raise InputError(
+            "the lens has no field except the axis: give its full field of view in degrees, --field-of-view"
+        )
     try:
         spec = Spec.model_validate(values)
     except ValidationError as error:

@@ -47,8 +47,8 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
                 return lenses
         if len(lenses) == count_before:
             raise InputError(
-                f"none of {_BLOCK} random lenses of focal length {view.efl:.2f} mm has room for its focus within "
-                f"constraints.max_track = {limits.max_track:g} mm and no surface steeper than 0.9 of "
+                f"none of {_BLOCK} random lenses of focal length {view.efl:.2f} mm focuses within "
+                f"constraints.max_track = {limits.max_track:g} mm with surfaces no steeper than 0.9 times "
                 f"constraints.max_slope = {limits.max_slope:g} at the stop; raise one of these, or spec.f_number"
             )
 

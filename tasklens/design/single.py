@@ -27,10 +27,42 @@ _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
 
-def design(
+def design_lens(
     method: str = "least_squares", elements: Sequence[str] = ("COC", "OKP4"), **settings: Any
 ) -> tuple[Lens, View, dict[str, Any]]:
-    """Design one lens; see `help(tasklens.design)`.
+    """Design one lens, and before it the lenses that its method starts from.
+
+        lens, view, notes = tasklens.design_lens("least_squares", ["COC", "OKP4"], f_number=2.8)
+        tasklens.save_lens("lens.yaml", lens, view, notes)
+
+    A doublet by least squares takes a minute.
+
+    Args:
+        method: least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end.
+        elements: materials from front to back, by name, built-in or from `materials`. "COC|PMMA" lets the design
+            choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
+
+    Keywords:
+        seed: seed of all random numbers.
+        settings: settings of the method, by the keys of a study file, such as {"evaluations": 2000} or
+            {"descents": {"0": {"steps": 200}}}.
+        constraints: limits that differ from the defaults of a study, such as {"max_track": 6.0} [mm].
+        materials: files of further plastics (.yaml, .agf).
+        images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
+            default rendered textures.
+        size: side of the photographs [pixels].
+        classifier: the network, such as {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}.
+        network: trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits.
+        loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image.
+        start: file of a lens to improve (.zmx, lens.yaml), instead of `elements`. Its glasses stay, and limits that it
+            violates are relaxed to its own values.
+        free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
+            None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
+        f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect: specification;
+            by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels.
+
+    Returns:
+        The lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
 
     Raises:
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
@@ -77,7 +109,7 @@ def designs(
 
         def spot(combination: Sequence[str]) -> float:
             options = {"constraints": constraints, "materials": materials, "seed": seed, **spec}
-            notes = design("least_squares", combination, settings={"evaluations": _BRIEF}, **options)[2]
+            notes = design_lens("least_squares", combination, settings={"evaluations": _BRIEF}, **options)[2]
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)
@@ -96,8 +128,8 @@ def designs(
     for name, entry in study.lenses.items():
         if len(start_names := starts(study, name)) > 1:
             raise InputError(
-                f"{entry.design_name} begins with one lens, got {', '.join(start_names)}; give it as `start` "
-                f"(on the command line --set start=[{study.lens(start_names[0]).design_name}])"
+                f"{entry.design_name} starts from one lens, got {', '.join(start_names)}; choose one with `start` (on "
+                f"the command line --set start=[{study.lens(start_names[0]).design_name}])"
             )
     view = view_of_spec(study.spec)
     lenses: dict[str, Lens] = {}
@@ -147,8 +179,8 @@ def unused_images(folder: Path, size: int) -> ImageDataset:
         images = users_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
     if len(images) < _LEAST:
         raise FileError(
-            f"{folder}: {len(images)} photographs are left for a verdict on the lens, expected {_LEAST} or more (a "
-            "fifth of <class>/*, or test/<class>/*); add some, or leave it out: --no-verdict"
+            f"{folder}: {len(images)} photographs are left for a verdict on the lens; expected {_LEAST} or more (a "
+            "fifth of <class>/*, or test/<class>/*); add some, or use --no-verdict"
         )
     return images
 

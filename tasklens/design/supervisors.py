@@ -139,4 +139,4 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
     if not (loss.numel() == 1 and loss.is_floating_point() and bool(loss.isfinite())):
         raise InputError(f"loss: expected a finite number, or one for each image, got {loss}")
     if not loss.requires_grad or not torch.autograd.grad(loss, images)[0].any():
-        raise InputError("loss: has no gradient at the images; the network or the loss detaches them")
+        raise InputError("loss: has no gradient with respect to the images; the network or the loss detaches them")

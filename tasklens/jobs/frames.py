@@ -14,16 +14,16 @@ from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import frames, predictions
 from tasklens.simulation.charts import resolution_chart
-from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
 from tasklens.simulation.sensor import capture
+from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.study.report_jobs import FramesJob
 from tasklens.study.settings import CaptureSettings
 
 _SHAPE = 1080, 1920  # of the frames [pixels]
 _FIELD = 4  # middle of the nine fields
 _RULE = (
-    "Last rows: the first test image in file order that the network of {one} recognises at the middle field\n"
-    "and that of {other} does not, and the first of which the opposite is true; where there are such"
+    "Last rows: the first test image in file order that the network of {one} recognises at the middle field\nbut that "
+    "of {other} does not, and the first one vice versa, if there are any"
 )
 
 
@@ -54,9 +54,9 @@ def run(
         lens_prescription, content = prescription.read(lens_of[lens])
         view = view_of(lens_prescription.lens, content, str(lens_of[lens]))
         pitch = pitch_on_sensor(view, _SHAPE)
-        field_psfs = trace_field_psfs(lens_prescription.lens, view, _SHAPE, pitch)
+        sensor_psfs = trace_sensor_psfs(lens_prescription.lens, view, _SHAPE, pitch)
         for name, image in sources.items():
-            rows[name][lens] = capture(image, field_psfs, settings.captures[lens].colour)
+            rows[name][lens] = capture(image, sensor_psfs, settings.captures[lens].colour)
     network = settings.comparison.claims[0].classifier
     title = f"{_SHAPE[0]} x {_SHAPE[1]} pixels of {pitch:.2f} um fill the sensor; networks: {network}"
     psf_of, correct_of = (dict(zip(settings.captures, paths, strict=True)) for paths in (psfs, correct))

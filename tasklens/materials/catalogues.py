@@ -85,7 +85,7 @@ def read_agf(path: Path) -> tuple[dict[str, Material], dict[str, FileError]]:
                 raise line.error("comes before the first glass (NM)")
             entries[-1][line.keyword] = line
     if not entries:
-        raise FileError(f"{path}: no glass (NM) in it")
+        raise FileError(f"{path}: has no glass (NM)")
     glasses: dict[str, Material] = {}
     errors: dict[str, FileError] = {}
     for entry in entries:

@@ -106,7 +106,9 @@ class Library:
             return
         makers = [glass.zemax.partition(" ")[0] for glass in matches if glass.coefficients != first.coefficients]
         if makers:
-            self.remarks.append(f"glass {first.name} of {catalogue}; others: {', '.join(makers)} (--catalogue)")
+            self.remarks.append(
+                f"glass {first.name} taken from {catalogue}; other makers: {', '.join(makers)} (--catalogue)"
+            )
 
     def _unknown(self, name: str) -> str:
         names = {glass for glasses, _ in self._sources() for glass in glasses}

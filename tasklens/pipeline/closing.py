@@ -63,9 +63,7 @@ def _sweep(study: Study, by_study: Mapping[str, runs.Run]) -> list[str]:
 def _answer(study: Study, verdicts: Path) -> list[str]:
     """Return the answer of the study in sentences, as its page gives it."""
     frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
-    settings = ReportJob.of(study)
-    sentences = words.summary(frame, settings.by_task, settings.margins, len(study.seeds))
-    return [sentence.text for sentence in sentences]
+    return [sentence.text for sentence in words.summary(frame, ReportJob.of(study))]
 
 
 def _next(study: Study, verdicts: Path) -> list[tuple[str, str]]:

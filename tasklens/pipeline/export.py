@@ -29,7 +29,7 @@ def export(folder: Path, output: Path, weights: bool) -> int:
         FileError: the folder has no study.
     """
     if not (folder / "study.yaml").is_file():
-        raise FileError(f"{folder}: no study.yaml in it; expected the results of a study, results/<name>")
+        raise FileError(f"{folder}: contains no study.yaml; expected the results of a study, results/<name>")
     folder = folder.resolve()  # `.` has no name
     files = list(files_of(folder, weights))
     with replacing(output) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -48,8 +48,8 @@ study.yaml    the configuration, with every default
 tables/       tables as CSV, Markdown and LaTeX; verdicts.csv: each claim with its interval
 lenses/       prescription (lens.yaml), history of the design, PSFs (psf.safetensors) of every lens and seed
 metrics/      accuracies by field, and predictions by image
-benchmarks/   time and memory of every job; logs/ has what each said
+benchmarks/   time and memory of every job; logs/ has their logs
 {"classifiers/  weights of every network" if weights else "The weights of networks are left out."}
 
-To make it again:  snakemake -j2 tables --configfile study.yaml
+To reproduce it:  snakemake -j2 tables --configfile study.yaml
 """

@@ -122,7 +122,7 @@ class Durations:
             line += f", about {duration(total / cores)} on {cores} core{'s' if cores > 1 else ''}"
         if any(rule in self.guesses and rule not in self.here and rule not in self.elsewhere for rule in counts):
             line += f", if jobs are as long as those of the study {self.similar}"
-        return f"{line}; nothing is known yet of how long {', '.join(unknown)} takes." if unknown else f"{line}."
+        return f"{line}; the duration of {', '.join(unknown)} is not known yet." if unknown else f"{line}."
 
 
 def durations_of(study: Study) -> Durations:

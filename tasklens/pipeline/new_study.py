@@ -54,10 +54,10 @@ class Cut:
 CUTS = (
     Cut("all four tables", ("table1", "table2", "table3", "table4")),
     Cut("tables 1 to 3, without restoration", ("table1", "table2", "table3")),
-    Cut("tables 1 and 3, of one network", ("table1", "table3")),
-    Cut("table 1, without designs by spot and end to end", ("table1",), _CORE),
-    Cut("table 1 of three designs", ("table1",), _LEAST),
-    Cut("table 1 of three designs with a quarter of their steps and images", ("table1",), _LEAST, 0.25),
+    Cut("tables 1 and 3, with one network", ("table1", "table3")),
+    Cut("table 1, without spot and end-to-end designs", ("table1",), _CORE),
+    Cut("table 1 with three designs", ("table1",), _LEAST),
+    Cut("table 1 with three designs and a quarter of their steps and images", ("table1",), _LEAST, 0.25),
 )
 
 
@@ -210,8 +210,8 @@ def fit(request: StudyRequest, minutes: float, cores: int) -> tuple[Cut, float]:
         if forecast_s <= 60 * minutes:
             return cut, forecast_s
     raise InputError(
-        f"--minutes {minutes:g}: the least study of this kind takes about {duration(forecast_s)} on {cores} cores; "
-        "give it more time, or fewer elements, networks or seeds"
+        f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(forecast_s)} on {cores} cores; "
+        "allow more time, or choose fewer elements, networks or seeds"
     )
 
 
@@ -225,7 +225,7 @@ def check(request: StudyRequest, cut: Cut) -> None:
     class_folders.check(study.images)
     defaults = default_study()["classifiers"]
     if request.weights is not None and request.networks[0] in defaults:
-        raise InputError(f"--weights: for a network of timm; {request.networks[0]} is trained on the images")
+        raise InputError(f"--weights: only for a network from timm; {request.networks[0]} is trained on the images")
     if others := [name for name in request.networks if name not in defaults]:
         from tasklens.recognition import classifiers
 
@@ -236,24 +236,26 @@ def check(request: StudyRequest, cut: Cut) -> None:
 
 _COMMENTS = {
     "name": "results are in results/<name>",
-    "seeds": "each job once per seed; of five or more, verdicts are more than suggestions",
-    "tables": "1: task-driven against imaging lenses; 2: other networks; 3: end-to-end design; 4: with restoration",
-    "images": "with `folder`, photographs in train/<class>/* and test/<class>/* (or val); else rendered",
-    "spec": "of all lenses; lengths in mm unless a key says otherwise",
-    "elements": "plastics from front to back; tasklens/materials/plastics.yaml has those that are built in",
+    "seeds": "each job runs once per seed; five or more seeds give verdicts, fewer give suggestions",
+    "tables": (
+        "1: task-driven compared with imaging lenses; 2: other networks; 3: end-to-end design; 4: with restoration"
+    ),
+    "images": "photographs in train/<class>/* and test/<class>/* (or val) of `folder`; without it, rendered images",
+    "spec": "specification of all lenses; lengths in mm unless a key says otherwise",
+    "elements": "plastics from front to back; tasklens/materials/plastics.yaml has the built-in ones",
     "supervisor": "supervises the task-driven designs, and measures lenses in tables 1, 3 and 4",
-    "classifiers": "networks by their names in timm",
-    "designs": "config/config.yaml says of each what it is",
-    "fine_tuning": "of every classifier on every lens",
-    "restoration": "of table 4",
+    "classifiers": "networks, by their names in timm",
+    "designs": "config/config.yaml explains each of them",
+    "fine_tuning": "fine-tuning of every classifier on every lens",
+    "restoration": "the restoration network of table 4",
 }
 
 
 def text(request: StudyRequest, cut: Cut, forecast_s: float, cores: int, path: Path) -> str:
     """Return the text of the study file: description, command, duration, and keys with comments."""
     lines = [
-        f"# {cut.words[0].upper()}{cut.words[1:]}: about {duration(forecast_s)} on {cores} cores of the machine on",
-        "# which config/durations.csv was measured. All keys: `tasklens study schema`, and the page of keys in docs.",
+        f"# {cut.words[0].upper()}{cut.words[1:]}: about {duration(forecast_s)} on {cores} cores of the machine that",
+        "# config/durations.csv was measured on. All keys: `tasklens study schema`, or the reference page in docs.",
         "#",
         f"#   snakemake -j{cores} tables --configfile {path}",
     ]

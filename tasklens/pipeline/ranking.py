@@ -65,7 +65,7 @@ def lens_paths(places: Sequence[Path]) -> list[Path]:
         else:
             raise FileError(f"{path}: no such lens file or folder")
     if not files:
-        raise FileError(f"{', '.join(map(str, places))}: no lens file in it, {', '.join(_SUFFIXES)}")
+        raise FileError(f"{', '.join(map(str, places))}: no lens file there, expected {', '.join(_SUFFIXES)}")
     return list(dict.fromkeys(files))
 
 
@@ -108,12 +108,13 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
     efl = float(first_order.efl)
     tangent, half = float(file.view.radii.max()) / file.view.efl, sensor.diagonal_mm / 2
     if not tangent:
-        raise InputError("has no field but the axis in its file")
+        raise InputError("its file has no field except the axis")
     if not scaled:
         radius = efl * tangent
         if radius < _COVERAGE * half:
             raise InputError(
-                f"covers {2 * radius:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale: it fits)"
+                f"covers {2 * radius:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale makes it "
+                "fit)"
             )
         tangent = half / efl
     lens_spec = {

@@ -157,7 +157,7 @@ def status(run: Run, durations: Durations) -> list[str]:
         lines[0] = f"{run.study}: the last run ended after {span}, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
     elif not run.is_alive:
         lines[0] = f"{run.study}: the last run was killed, {len(run.labels(DONE))} of {len(run.jobs)} jobs done"
-        lines.append("  the same `snakemake` command goes on, after `snakemake --unlock`")
+        lines.append("  to continue: `snakemake --unlock`, then the same `snakemake` command")
     else:
         lines += [f"  {run.describe(label, durations)}" for label in run.labels(RUNNING)]
     for label in run.labels(FAILED):
@@ -179,7 +179,7 @@ def read(folder: Path) -> Run | None:
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, KeyError):
-        raise FileError(f"{path}: not the state of a run; the next run writes it anew") from None
+        raise FileError(f"{path}: not the state of a run; the next run rewrites it") from None
 
 
 def title(label: str) -> str:

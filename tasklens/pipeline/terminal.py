@@ -32,8 +32,8 @@ _SHOWN = 8  # running jobs below the bar
 _LOG_LINES = 12  # of a failed job
 _NOTHING = "Nothing to be done"
 _STOPPING = "Terminating processes"  # on Ctrl-C; the jobs then end with errors
-_TOLD = (_STOPPING, "Will exit after", "Unlock")
-_KNOWN = (
+_PASSED_ON = (_STOPPING, "Will exit after", "Unlock")
+_REPLACED = (
     "Exiting because a job execution failed",
     "At least one job did not complete",
     "non-zero exit status",
@@ -110,13 +110,13 @@ class Terminal(logging.Handler):
                 self._finish_job(record.job_id)  # type: ignore[attr-defined]
             elif event == "job_error":
                 self._fail_job(record)
-            elif record.levelno >= logging.WARNING or str(record.msg).startswith(_TOLD):
+            elif record.levelno >= logging.WARNING or str(record.msg).startswith(_PASSED_ON):
                 self.stopping |= str(record.msg).startswith(_STOPPING)
                 text = self.format(record)
-                if not any(phrase in text for phrase in _KNOWN):
+                if not any(phrase in text for phrase in _REPLACED):
                     self._print(text)
             elif str(record.msg).startswith("Trying to restart job"):
-                self._print("        it is tried again")
+                self._print("        the job is tried again")
             elif str(record.msg).startswith(_NOTHING):
                 self._print(f"{_NOTHING}.\n{closing.success(self.study, {})}")
         except Exception:  # as in every handler: an error of the display must not end a run
@@ -170,7 +170,7 @@ class Terminal(logging.Handler):
         elapsed = duration(run.jobs[label].seconds or 0.0)
         self._print(f"FAILED  {self._title(run, label)}  after {elapsed}; its log {log}:")
         empty = (
-            "what failed is printed above"
+            "the failures are printed above"
             if run.jobs[label].rule == "verify"
             else "the job was killed, or did not start"
         )

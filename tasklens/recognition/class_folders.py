@@ -128,8 +128,8 @@ def _check_whole(images: ImageSettings, folder: Path) -> None:
         raise FileError(f"{folder}: expected two classes or more, a folder each, found only {names[0]}")
     if images.train is None and images.test is None:
         raise FileError(
-            f"images.folder = {folder}: has neither train nor test; say by images.test or images.train how many "
-            "photographs are for which"
+            f"images.folder = {folder}: has neither train nor test; set images.test or images.train to the number of "
+            "photographs for it"
         )
     for name in names:
         if next(photographs(folder / name), None) is None:

@@ -91,8 +91,8 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         config = timm.get_pretrained_cfg(settings.model)
         if config is not None and config.num_classes != count:
             raise InputError(
-                f"{settings.model}: published with {config.num_classes} outputs, {count} are wanted: "
-                "its new head needs `training`, or its own outputs `outputs: imagenet`"
+                f"{settings.model}: published with {config.num_classes} outputs, but {count} are needed: train a new "
+                "head with `training`, or keep its own with `outputs: imagenet`"
             )
     if pretrained:
         check_published(settings.model)
@@ -128,20 +128,20 @@ def _unreadable(path: Path, error: Exception) -> str:
         return "the file is empty"
     if "weights_only" in text:
         return (
-            "it holds objects beside the weights, which are not run: save the weights alone, "
+            "it contains objects other than weights, which are refused: save only the weights, "
             "safetensors.torch.save_file(network.state_dict(), 'mine.safetensors')"
         )
     if mismatch := re.search(r"size mismatch for .*?torch.Size\(\[(\d+)[^]]*\]\) from checkpoint", text):
         head = f"its head has {mismatch[1]} outputs"
         if int(mismatch[1]) == ImageNetInfo().num_classes():
-            return f"{head}: those of ImageNet are `outputs: imagenet`, on the command line --outputs imagenet"
+            return f"{head}: for those of ImageNet, set `outputs: imagenet` (on the command line --outputs imagenet)"
     unexpected = re.findall(r'"([^"]+)"', text.partition("Unexpected key(s)")[2])
     prefixes = {name.partition(".")[0] for name in unexpected}
     if "Missing key(s)" in text and len(prefixes) == 1 and len(unexpected) > 1:
         (prefix,) = prefixes
-        return f"the names of its weights begin with '{prefix}.': remove this, and save them again"
+        return f"the names of its weights begin with '{prefix}.': remove this prefix, and save them again"
     if isinstance(error, KeyError | EOFError | UnpicklingError):
-        return "it is no file of weights (.safetensors, .pth, .npz)"
+        return "it is not a file of weights (.safetensors, .pth, .npz)"
     return shorten(text, _LONGEST, placeholder=" ...")
 
 
@@ -167,8 +167,8 @@ def check_published(model: str) -> None:
         socket.create_connection((host, port), timeout=_REACH_S).close()
     except OSError as error:
         raise InputError(
-            f"{model}: its published weights are not in the cache, and {host} is not within reach ({error}); connect, "
-            "or name a file in `weights`"
+            f"{model}: its published weights are not in the cache, and {host} cannot be reached ({error}); connect to "
+            "it, or name a file in `weights`"
         ) from error
 
 
@@ -242,11 +242,13 @@ def check_logits(answer: object, images: int, classes: int) -> None:
     if not isinstance(answer, Tensor) or answer.shape != (images, classes) or not answer.is_floating_point():
         kind = f"a tensor {tuple(answer.shape)}" if isinstance(answer, Tensor) else type(answer).__name__
         raise InputError(
-            f"the network answers {images} images with {kind}; expected logits ({images}, {classes}), from a network "
-            "that classifies (of timm, without arguments such as features_only)"
+            f"the network returns {kind} for {images} images; expected logits ({images}, {classes}), from a classifier "
+            "(from timm, without arguments such as features_only)"
         )
     if not answer.requires_grad:
-        raise InputError("the network's answer has no gradient at its images; a layer of it detaches them")
+        raise InputError(
+            "the network's output has no gradient with respect to its images; one of its layers detaches them"
+        )
 
 
 def parameters_m(classifier: Classifier) -> float:

@@ -78,8 +78,8 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
     missing = [names[identity] for identity, label in classes.items() if label not in set(labels)]
     if missing:
         raise FileError(
-            f"{path}: no object of {', '.join(missing)} in the {len(images)} images that were chosen; take more "
-            "(`train`, `test`), or another seed"
+            f"{path}: no object of {', '.join(missing)} in the {len(images)} chosen images; take more (`train`, "
+            "`test`), or another seed"
         )
     return ObjectDataset(
         images,
@@ -102,11 +102,11 @@ def _content(path: Path) -> dict[str, list[dict[str, Any]]]:
     except FileNotFoundError:
         raise FileError(f"{path}: no such file; expected COCO's annotations of instances") from None
     except ValueError as error:
-        raise FileError(f"{path}: no JSON ({error})") from error
+        raise FileError(f"{path}: not valid JSON ({error})") from error
     for section, keys in required_keys.items():
         entries = content.get(section) if isinstance(content, dict) else None
         if not isinstance(entries, list):
-            raise FileError(f"{path}: has no list `{section}`, as COCO's annotations have")
+            raise FileError(f"{path}: has no list `{section}`; expected annotations in the format of COCO")
         for number, entry in enumerate(entries):
             missing = [key for key in keys if not isinstance(entry, dict) or key not in entry]
             if missing:

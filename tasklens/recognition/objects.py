@@ -103,7 +103,7 @@ def read(images: Path, objects: Path, *, device: torch.device = CPU) -> ObjectDa
         raise damaged(objects, f"no {error.args[0]} of objects") from None
     pixels = array.shape[-1] * array.shape[-2]
     if len(dataset.owner) != len(dataset.labels) or dataset.masks.shape != (len(dataset.labels), pixels // 8):
-        raise damaged(objects, "labels, masks and images of different numbers or sizes")
+        raise damaged(objects, "labels, masks and images differ in number or size")
     if len(dataset.owner) and not 0 <= int(dataset.owner.min()) <= int(dataset.owner.max()) < len(array):
         raise FileError(f"{objects}: objects of images that {images} does not have; remove both")
     return dataset

@@ -58,8 +58,8 @@ def outputs(name: str, settings: TaskSettings, classes: Sequence[str]) -> tuple[
     unknown = [label for label in classes if label not in categories]
     if unknown:
         raise InputError(
-            f"tasks.networks.{name}: the published weights of {settings.model} know no {', '.join(unknown)}, but "
-            f"{', '.join(categories)}; rename the classes of the data, or train without `pretrained`"
+            f"tasks.networks.{name}: the published weights of {settings.model} have no class {', '.join(unknown)}, "
+            f"only {', '.join(categories)}; rename the classes of the data, or train without `pretrained`"
         )
     return tuple(categories.index(label) for label in classes)
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from tasklens.report.figures import METADATA, VECTOR
+from tasklens.report import vector_files
 from tasklens.runtime.files import replacing
 
 _TASK, _OTHER, _NEUTRAL = "#0072B2", "#D55E00", "#777777"  # Okabe and Ito
@@ -33,22 +33,22 @@ def draw(
     parts = [(name, comparisons[comparisons["lens"].str.startswith(f"{name}-")]) for name in elements]
     designs = {name: accuracies[accuracies["elements"] == name] for name in elements}
     heights = [_FRAME + _ROW * max(len(rows), designs[name]["design"].nunique()) for name, rows in parts]
-    with matplotlib.rc_context(VECTOR):
+    with matplotlib.rc_context(vector_files.STYLE):
         figure = Figure(figsize=(10.5, sum(heights)), layout="constrained")
         panels = figure.subplots(len(parts), 2, squeeze=False, sharex="col", height_ratios=heights)
         for (left, right), (name, rows) in zip(panels, parts, strict=True):
             _differences(left, rows, name)
             _errors(right, designs[name], {lens.removeprefix(f"{name}-") for lens in task_driven}, sharp)
-        panels[0][0].set_title("Accuracy of the task-driven lens minus another", fontsize="medium")
-        panels[0][1].set_title("Wrong answers by design; a dot is one seed", fontsize="medium")
+        panels[0][0].set_title("Accuracy of the task-driven lens minus that of another", fontsize="medium")
+        panels[0][1].set_title("Wrong answers by design; each dot is one seed", fontsize="medium")
         panels[-1][0].set_xlabel("difference [points]")
-        panels[-1][1].set(xlabel="wrong answers [%]; dotted: without a lens", xscale="log")
+        panels[-1][1].set(xlabel="wrong answers [%], fewer to the right; dotted: no lens", xscale="log")
         panels[-1][1].invert_xaxis()
         panels[-1][1].xaxis.set(major_locator=LogLocator(subs=(1, 3)), major_formatter="{x:g}")
         panels[-1][1].xaxis.set_minor_formatter(NullFormatter())
         figure.align_ylabels(panels[:, 0])
         with replacing(path) as temporary:
-            figure.savefig(temporary, format="svg", metadata=METADATA["svg"])
+            figure.savefig(temporary, format="svg", metadata=vector_files.METADATA["svg"])
 
 
 def _differences(axes: Axes, rows: pandas.DataFrame, elements: str) -> None:

@@ -36,14 +36,14 @@ _SEIDEL = {
     "lateral_colour": "C_II",
 }
 _NOTE = """\
-{rays} rays per field and colour, of which the fraction valid arrives. In window, core, EE80 and MTF are of the light
+{rays} rays per field and colour; "valid" is the fraction that arrives. In window, core, EE80 and MTF use the light
 that passes the clear apertures; core and EE80 are the radii about the chief ray that encircle 50 % and 80 % of it.
-The RMS is of the rays that arrive, that of the wavefront at the middle wavelength about the image point that fits
-best (without piston and tilt). The MTF is geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the
-sensor's Nyquist frequency): diffraction comes on top and ends every MTF at {cutoff:.0f} cycles/mm. T is along the
-field, S across it. Focus: of rays next to the chief ray, along z from the image plane. Aberrations: Seidel sums of
-the wavefront at the edge of the pupil and the largest field, at the middle wavelength; C_I and C_II from the longest
-to the shortest wavelength. Distortion and relative illumination are at the middle wavelength too."""
+The RMS is of the rays that arrive. RMS wavefront: at the middle wavelength, about the best image point (without
+piston and tilt). The MTF is geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist
+frequency); diffraction lowers it further, to zero at {cutoff:.0f} cycles/mm. T is along the field, S across it.
+Focus: of rays next to the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the
+edge of the pupil and the largest field, at the middle wavelength; C_I and C_II from the longest to the shortest
+wavelength. Distortion and relative illumination are at the middle wavelength."""
 
 
 def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:
@@ -103,8 +103,8 @@ def _lens(content: Mapping) -> dict[str, str]:
         rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
     origin = content.get("origin", {})
     if "validation_loss" in origin:
-        rows["loss on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
+        rows["loss of this lens on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
     if (test := optimum(content)) is not None:
-        rows[f"largest gain of the loss by a step within the limits, on {test.images} images"] = str(test)
+        rows[f"largest decrease of the loss by a small step within the limits, on {test.images} images"] = str(test)
     losses = origin.get("candidate_losses", {})
-    return rows | {f"that of {name}, before the descents": f"{loss:.4f}" for name, loss in losses.items()}
+    return rows | {f"loss of {name} as a candidate start": f"{loss:.4f}" for name, loss in losses.items()}

@@ -10,7 +10,7 @@ from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.study.effort import Efforts
 
 _NOTE = """\
-Study `{study}`. Lenses tried are the steps of descents, or the evaluations of least squares. Time is that of the
+Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares. Time is that of the
 design job on one core, with the figures and PSFs of its lens; the shortest of all seeds, since other work on the
 machine prolongs a job. "In all" adds the designs of all lenses from which the start was chosen, without the
 fine-tunings that this choice needed."""

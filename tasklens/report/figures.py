@@ -25,7 +25,7 @@ from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
-from tasklens.report import curves, spot_panels
+from tasklens.report import curves, spot_panels, vector_files
 from tasklens.report.along_field import along_field
 from tasklens.report.cross_section import cross_section
 from tasklens.runtime.files import replacing
@@ -37,12 +37,9 @@ _FANS = 41
 _RIM = 1.02  # drawn radius of a surface, as a multiple of the radius that light uses
 _DPI = 110
 _PLACES = 6  # decimals of a position in a figure
-# Text stays text, and element ids are the same in every run.
-VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor"), "white"
 )
-METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 @dataclass(frozen=True)
@@ -120,11 +117,11 @@ def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
         layout.execute(figure)
         figure.set_layout_engine("none")
         _round(figure)
-    with matplotlib.rc_context(VECTOR):
+    with matplotlib.rc_context(vector_files.STYLE):
         for path in paths:
             kind = path.suffix.removeprefix(".")
             with replacing(path) as temporary:
-                figure.savefig(temporary, dpi=dpi, format=kind, metadata=METADATA.get(kind))
+                figure.savefig(temporary, dpi=dpi, format=kind, metadata=vector_files.METADATA.get(kind))
 
 
 def _round(part: Figure | SubFigure) -> None:
@@ -158,8 +155,8 @@ def section_svg(lens: Lens, view: View) -> str:
     used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
     cross_section(figure.subplots(), lens, view, shown_fields(view), _COLOURS)
-    with matplotlib.rc_context(VECTOR):
-        figure.savefig(text, format="svg", metadata=METADATA["svg"])
+    with matplotlib.rc_context(vector_files.STYLE):
+        figure.savefig(text, format="svg", metadata=vector_files.METADATA["svg"])
     return text.getvalue()
 
 

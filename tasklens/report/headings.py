@@ -11,6 +11,8 @@ import pandas
 
 STD, PAPER = "_std", "_paper"
 GAP = "–"
+_NO_LENS = "no lens"  # row of sharp images
+_LEAST_P = 0.001  # smaller p-values are shown as such
 _GROUPS = ("elements", "classifier")  # within which the best value is marked
 
 
@@ -55,33 +57,38 @@ HEADINGS = {
     "worst_psnr_db": Heading("worst PSNR", "dB", ".1f", "max", meaning="PSNR at the field with the lowest one"),
     "rms_spot_um": Heading("RMS spot", "um", ".1f", "min", meaning="RMS distance of rays from their centroid"),
     "core_radius_um": Heading(
-        "core radius", "um", ".1f", "min", meaning="Circle about the chief ray that holds half of the light"
+        "core radius", "um", ".1f", "min", meaning="Radius of the circle about the chief ray with half of the light"
     ),
     "radius_80_um": Heading(
-        "80 % radius", "um", ".1f", "min", meaning="Circle about the chief ray that holds 80 % of the light"
+        "80 % radius", "um", ".1f", "min", meaning="Radius of the circle about the chief ray with 80 % of the light"
     ),
     "energy_in_window": Heading("light in window", "", ".3f", "max", meaning="Share of light inside the PSF window"),
     "tail_energy": Heading("light in tail", "", ".3f", meaning="Share of light outside three core radii"),
     "outside_window": Heading("light outside window", "", ".3f", meaning="Share of light outside the PSF window"),
-    "rms_um": Heading("RMS spot", "um", ".1f", meaning="RMS distance of rays from the chief ray or their centroid"),
+    "rms_um": Heading("RMS about chief ray", "um", ".1f", meaning="RMS distance of rays from the chief ray"),
     "rms_over_core": Heading("RMS / core", "", ".1f", meaning="1 for a uniform disc, 1.2 for a Gaussian spot"),
     "worst_margin": Heading(
         "worst margin",
         *("", "+.3f"),
-        meaning="Distance to the nearest limit of manufacture, focal length or distortion; negative violates it",
+        meaning="Distance to the nearest limit, in its own unit (mm, or a fraction); negative: violated",
     ),
     "failed": Heading(
         "failed",
         *("%", ".0f"),
         factor=100.0,
-        meaning="Seeds with half of the light outside the window or half of the accuracy above chance lost",
+        meaning="Share of seeds with more than half of the light outside the window, or half of the accuracy lost",
     ),
     "parameters_m": Heading("parameters", "M", ".1f"),
-    "lenses_tried": Heading("lenses tried", "", ".0f"),
-    "lenses_tried_in_all": Heading("lenses tried in all", "", ".0f"),
+    "lenses_tried": Heading("evaluations", "", ".0f"),
+    "lenses_tried_in_all": Heading("evaluations in all", "", ".0f"),
     "core_minutes": Heading("time", "min", ".1f"),
     "core_minutes_in_all": Heading("time in all", "min", ".1f"),
-    "difference": Heading("difference", "points", "+.1f", meaning="Accuracy of the lens minus that of its baseline"),
+    "difference": Heading(
+        "difference",
+        "points",
+        "+.1f",
+        meaning="Accuracy of the lens minus that of its baseline; for a failure, the distance to its rule",
+    ),
     "low": Heading("from", "points", "+.1f", meaning="Lower end of the 95 % interval"),
     "high": Heading("to", "points", "+.1f", meaning="Upper end of the 95 % interval"),
     "p_holm": Heading("p (Holm)", "", ".3f", meaning="p-value, corrected for all rows of the same claim and table"),
@@ -98,8 +105,8 @@ HEADINGS = {
     "f_number": Heading("F-number", "", ".2f"),
     "rms_task_um": Heading("RMS spot, task", "um", ".1f"),
     "rms_imaging_um": Heading("RMS spot, imaging", "um", ".1f"),
-    "tried_task": Heading("lenses tried, task", "", ".0f"),
-    "tried_imaging": Heading("lenses tried, imaging", "", ".0f"),
+    "tried_task": Heading("evaluations, task", "", ".0f"),
+    "tried_imaging": Heading("evaluations, imaging", "", ".0f"),
     "frozen": Heading("frozen", "%", ".1f", "max", meaning="Score of the network that was trained on sharp images"),
     "tuned": Heading("tuned", "%", ".1f", "max", meaning="Score after fine-tuning on the captures of the lens"),
     "worst_field": Heading("worst field", "%", ".1f", "max", meaning="Score after fine-tuning at the worst field"),
@@ -131,7 +138,7 @@ HEADINGS = {
 def heading(name: str) -> Heading:
     """Return the heading of a column, the same for the paper's values; the name in words if it has no heading."""
     base = name.removesuffix(PAPER)
-    return HEADINGS.get(base, Heading(base.replace("_", " ")))
+    return HEADINGS.get(base, Heading(base if "=" in base else base.replace("_", " ")))  # points of a sweep have a =
 
 
 def columns(table: pandas.DataFrame) -> list[str]:
@@ -159,7 +166,11 @@ def cell(name: str, row: Mapping[Any, Any], numeric: bool) -> str:
     value = row[name]
     if pandas.isna(value) or value == "":
         return GAP
-    return " ± ".join(filter(None, number(name, row))) if numeric else str(value)
+    if not numeric:
+        return _NO_LENS if (name, value) == ("design", "reference") else str(value)
+    if name == "p_holm" and value < _LEAST_P:
+        return f"<{_LEAST_P:g}"
+    return " ± ".join(filter(None, number(name, row)))
 
 
 def texts(table: pandas.DataFrame) -> pandas.DataFrame:

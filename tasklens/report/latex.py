@@ -1,7 +1,6 @@
 """LaTeX tables for a paper."""
 
 import re
-from typing import Any
 
 import pandas
 
@@ -43,7 +42,10 @@ def tabular(table: pandas.DataFrame, caption: str, label: str) -> str:
     best = {name: headings.best(table, name) for name in names}
     rows = []
     for k, row in enumerate(table.to_dict("records")):
-        cells = (_number(name, row, best[name][k]) if numeric[name] else _text(row[name]) for name in names)
+        cells = (
+            _number(name, row, best[name][k]) if numeric[name] else escaped(headings.cell(name, row, False))
+            for name in names
+        )
         rows.append(f"{' & '.join(cells)} \\\\")
     return _TEMPLATE.format(
         caption=escaped(caption),
@@ -75,7 +77,3 @@ def _number(name: str, row: dict, best: bool) -> str:
     value, spread = (re.sub(r"[+-]", r"$\g<0>$", text) for text in headings.number(name, row))
     value = rf"\textbf{{{value}}}" if best else value
     return rf"{value} $\pm$ {spread}" if spread else value
-
-
-def _text(value: Any) -> str:
-    return "--" if pandas.isna(value) or value == "" else escaped(str(value))

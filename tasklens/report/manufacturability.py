@@ -47,13 +47,13 @@ def markdown(
             )
             for shape in shapes
         ],
-        columns=["surface", "semi-diameter [mm]", "steepest [deg]", "off its sphere [um]", "inflections"],
+        columns=["surface", "semi-diameter [mm]", "steepest [deg]", "departure from sphere [um]", "inflections"],
     )
     sensitive = ", ".join(f"{part} ({errors_um[part]:.1f} um)" for part in worst)
     tolerances = (
-        f"With errors of {words} of radii, form, thicknesses, index, decentres and tilts, then focused, the rays of "
-        f"the core, the half of each field's rays nearest to its chief ray, move by {moved_um:.1f} um (RMS of many "
-        f"lenses). Most sensitive, by errors as large as their tolerances: {sensitive}."
+        f"Core rays are the half of each field's rays nearest to the chief ray. Errors of {words} in radii, form, "
+        f"thickness, index, decentre and tilt move them by {moved_um:.1f} um (RMS over many lenses, after refocusing). "
+        f"Largest displacements by one error at its full tolerance: {sensitive}."
     )
     parts = [
         "## Manufacturability",
@@ -70,7 +70,7 @@ def verdict(margins: Mapping[str, float], moved_um: float, grade: str, pixel_um:
     violations = [f"{name.replace('_', ' ')} by {-value:.3g}" for name, value in margins.items() if not value >= 0]
     if violations:
         return f"Not manufacturable: it violates {', '.join(violations)}."
-    displacement = f"move the rays of the core by {moved_um:.1f} um; a pixel has {pixel_um:.1f}."
+    displacement = f"errors move the core rays by {moved_um:.1f} um RMS; a pixel is {pixel_um:.1f} um."
     if moved_um <= pixel_um:
-        return f"Within {grade}: all limits are kept, and its errors {displacement}"
-    return f"Needs tighter tolerances than {grade}: all limits are kept, but those errors {displacement}"
+        return f"Within {grade}. All limits are kept, and its {displacement}"
+    return f"Needs tighter tolerances than {grade}. All limits are kept, but its {displacement}"

@@ -57,7 +57,7 @@ def verdict(
     """
     above = low > -margin
     if p_holm >= 1 - bootstrap.CONFIDENCE or not (above or high < -margin):
-        return UNDECIDED, f"within {math.ceil(round(10 * max(-low, high), 6)) / 10:.1f} points"
+        return UNDECIDED, f"at most {math.ceil(round(10 * max(-low, high), 6)) / 10:.1f} points either way"
     if seeds < LEAST_SEEDS:
         over += ", one seed" if seeds == 1 else f" and {seeds} seeds"
         return f"{SUGGESTS} {difference:+.1f} points ({low:.1f} to {high:.1f} over {over})", "fewer than five seeds"

@@ -38,7 +38,7 @@ class Checkpoint:
             try:
                 self.records = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:  # an error of pickle, zipfile or torch
-                raise damaged(path, f"no checkpoint ({error})") from error
+                raise damaged(path, f"not a checkpoint ({error})") from error
 
     def part(self, name: str, **holders: Any) -> "Part":
         """Return the part of this name; if it was saved, load the states of `holders` and torch's random state.
@@ -64,7 +64,7 @@ class Checkpoint:
             try:
                 torch.save(self.records, temporary)
             except RuntimeError as error:
-                raise FileError(f"{self.path}: cannot be written ({error}); make room, and run again") from error
+                raise FileError(f"{self.path}: cannot be written ({error}); free disk space and run again") from error
         self.written = time.monotonic()
 
     def remove(self) -> None:

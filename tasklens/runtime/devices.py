@@ -37,9 +37,9 @@ def claim_several(number: int) -> list[torch.device]:
     if count == 0:
         return number * [CPU]
     if number > count:
-        raise InputError(f"{number} processes need a GPU each; visible are {count}: lower `processes`")
+        raise InputError(f"{number} processes need one GPU each, but {count} are visible; lower `processes`")
     if number > 1:  # two groups that claim GPUs at the same time could deadlock
-        wait_until(lambda: _lock("several"), "another process group, which claims GPUs")
+        wait_until(lambda: _lock("several"), "another process group that is claiming GPUs")
     gpus: list[torch.device] = []
 
     def claimed() -> bool:
@@ -49,7 +49,7 @@ def claim_several(number: int) -> list[torch.device]:
                 gpus.append(torch.device("cuda", index))
         return len(gpus) == number
 
-    wait_until(claimed, f"{number} of {count} GPUs, which other jobs of yours hold")
+    wait_until(claimed, f"{number} of {count} GPUs, held by your other jobs")
     if number > 1:
         _locked.pop("several").release()
     return gpus

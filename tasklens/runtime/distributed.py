@@ -35,7 +35,7 @@ class ProcessGroup:
         """
         if batch % self.size:
             raise InputError(
-                f"fine_tuning.batch_size: {batch} is no multiple of the {self.size} processes of a classifier"
+                f"fine_tuning.batch_size: {batch} is not a multiple of the {self.size} processes of a classifier"
             )
         return slice(self.rank, None, self.size)
 
@@ -70,7 +70,8 @@ def process_group() -> Iterator[ProcessGroup]:
     count = torch.cuda.device_count()
     if 0 < count < int(os.environ["WORLD_SIZE"]):
         raise InputError(
-            f"processes: a classifier's {os.environ['WORLD_SIZE']} processes need a GPU each, this machine has {count}"
+            f"processes: a classifier's {os.environ['WORLD_SIZE']} processes need one GPU each, but this machine has "
+            f"{count}"
         )
     timeout = timedelta(days=1)  # for GPUs, and for the first process, which measures before the others train
     backends = "cpu:gloo,cuda:nccl" if count else "gloo"

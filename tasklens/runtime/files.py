@@ -76,7 +76,7 @@ def read_yaml(path: Path) -> Any:
     except (yaml.YAMLError, ValueError) as error:
         raise damaged(path, str(error).splitlines()[0]) from None
     if not isinstance(content, dict):
-        raise damaged(path, "no keys and values")
+        raise damaged(path, "not keys and values")
     return content
 
 
@@ -94,7 +94,7 @@ def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
     try:
         return pandas.read_csv(io.StringIO(text), **options)
     except ValueError as error:  # errors of pandas are ValueErrors too
-        raise damaged(path, f"no table ({str(error).splitlines()[0]})") from None
+        raise damaged(path, f"not a table ({str(error).splitlines()[0]})") from None
 
 
 def read_json(path: Path) -> Any:
@@ -102,7 +102,7 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise damaged(path, f"no JSON ({error})") from None
+        raise damaged(path, f"not valid JSON ({error})") from None
 
 
 def damaged(path: Path, what: str) -> FileError:
@@ -184,7 +184,7 @@ def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: M
         try:
             save_file(contiguous, temporary, {"json": json.dumps(metadata)})
         except SafetensorError as error:
-            raise FileError(f"{path}: cannot be written ({error}); make room, and run again") from None
+            raise FileError(f"{path}: cannot be written ({error}); free disk space and run again") from None
         temporary.chmod(path.parent.stat().st_mode & 0o666)  # safetensors lets only the owner read it
 
 
@@ -207,7 +207,7 @@ def writing_array(
             size = numpy.dtype(dtype).itemsize * math.prod(shape)
             free = shutil.disk_usage(temporary.parent).free  # on a full disk, writing to the map kills the process
             if free < size:
-                raise FileError(f"{path}: needs {size / 1e6:.1f} MB, the disk has {free / 1e6:.1f} MB free")
+                raise FileError(f"{path}: needs {size / 1e6:.1f} MB, but the disk has {free / 1e6:.1f} MB free")
         array = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
         yield array
         array.flush()
@@ -223,7 +223,7 @@ def _alone(path: Path) -> Iterator[None]:
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path.with_name(f".{path.name.lstrip('.')}.lock"))
     if not acquire(lock):
-        raise FileError(f"{path}: another process is writing it; wait for it, or end it")
+        raise FileError(f"{path}: another process is writing this file; wait for it, or stop it")
     try:
         yield
     finally:
@@ -246,7 +246,7 @@ def map_array(path: Path) -> "torch.Tensor":
     except FileNotFoundError:
         raise
     except (ValueError, TypeError, OSError) as error:
-        raise FileError(f"{path}: no complete array; remove it ({error})") from error
+        raise FileError(f"{path}: not a complete array; remove it ({error})") from error
 
 
 def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]:
@@ -262,7 +262,7 @@ def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             metadata = json.loads((file.metadata() or {}).get("json", "{}"))
     except (SafetensorError, ValueError) as error:
-        raise damaged(path, f"no complete file of tensors ({error})") from None
+        raise damaged(path, f"not a complete file of tensors ({error})") from None
     return tensors, metadata
 
 

@@ -20,7 +20,7 @@ def acquire(lock: FileLock) -> bool:
     except Timeout:
         return False
     except NotImplementedError:  # on file systems of some clusters
-        print(f"{lock.lock_file}: no locks on this file system; let one run at a time use it", file=sys.stderr)
+        print(f"{lock.lock_file}: this file system has no file locks; use it from one run at a time", file=sys.stderr)
     return True
 
 

@@ -34,7 +34,7 @@ def read(path: Path) -> Any:
         where = _place(path, getattr(error, "problem_mark", None))
         raise FileError(f"{where}: not valid YAML: {_why(error)}") from None
     except RecursionError:
-        raise FileError(f"{path}: keys within keys, too many of them") from None
+        raise FileError(f"{path}: keys are nested too deeply") from None
     except FileError:
         raise
     except ValueError as error:  # a number with thousands of digits, or an invalid date
@@ -47,7 +47,7 @@ def _text(path: Path) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = content[: error.start].count(b"\n") + 1
-        raise FileError(f"{path}, line {row}: not valid YAML: no UTF-8; save it as UTF-8") from None
+        raise FileError(f"{path}, line {row}: not valid YAML: the text is not UTF-8; save it as UTF-8") from None
 
 
 def _place(path: Path, mark: yaml.Mark | None) -> str:
@@ -58,7 +58,7 @@ def _why(error: yaml.YAMLError) -> str:
     problem = getattr(error, "problem", None) or str(error).splitlines()[0]
     if problem.startswith("but "):
         problem = f"{getattr(error, 'context', '')}, {problem}"
-    return "a tab; indent by spaces" if r"'\t'" in problem else problem
+    return "a tab; indent with spaces" if r"'\t'" in problem else problem
 
 
 def _check(node: yaml.Node, path: Path) -> None:
@@ -68,7 +68,7 @@ def _check(node: yaml.Node, path: Path) -> None:
     def count(node: yaml.Node) -> int:
         if id(node) in sizes:
             if not sizes[id(node)]:
-                raise FileError(f"{_place(path, node.start_mark)}: holds itself; write it out")
+                raise FileError(f"{_place(path, node.start_mark)}: contains itself; write the value out")
             return sizes[id(node)]
         sizes[id(node)] = 0
         children: list[yaml.Node] = []
@@ -86,7 +86,7 @@ def _check(node: yaml.Node, path: Path) -> None:
             )
         sizes[id(node)] = 1 + sum(map(count, children))
         if sizes[id(node)] > _NODES:
-            raise FileError(f"{_place(path, node.start_mark)}: stands for more than {_NODES} values; write fewer")
+            raise FileError(f"{_place(path, node.start_mark)}: expands to more than {_NODES} values; write fewer")
         return sizes[id(node)]
 
     count(node)
@@ -101,5 +101,5 @@ def _check_keys(node: yaml.MappingNode, path: Path) -> None:
     for key, _ in node.value:
         if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
             if key.value in seen:
-                raise FileError(f"{_place(path, key.start_mark)}: {key.value} stands twice; remove one")
+                raise FileError(f"{_place(path, key.start_mark)}: {key.value} appears twice; remove one")
             seen.add(key.value)

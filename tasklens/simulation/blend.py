@@ -29,7 +29,7 @@ from tasklens.runtime.errors import InputError
 
 
 @dataclass(frozen=True)
-class FieldPsfs:
+class SensorPsfs:
     """PSFs over the quadrant x, y >= 0 of a sensor of H x W pixels; the other quadrants are mirror images.
 
     Attributes:
@@ -60,7 +60,7 @@ class FieldPsfs:
         return max(halo, self.core.shape[-1] // 2)
 
 
-def blend(image: Tensor, psfs: FieldPsfs, linear: bool = True) -> Tensor:
+def blend(image: Tensor, psfs: SensorPsfs, linear: bool = True) -> Tensor:
     """Render the capture (3, H, W) of an image (3, H, W); differentiable in the image and in the core and halo of PSFs.
 
     To save memory, the backward pass keeps only the image and convolves each row of tiles again.
@@ -137,7 +137,7 @@ def _hats(half: Tensor, pixels: int, length: int, step: int) -> list[_Hat]:
     return hats
 
 
-def _convolve(image: Tensor, quadrant: Tensor, psfs: FieldPsfs, step: int) -> Tensor:
+def _convolve(image: Tensor, quadrant: Tensor, psfs: SensorPsfs, step: int) -> Tensor:
     """Spread the light of an image (3, h, w) by core or halo (Y, X, 3, K, K), to (3, h + K - 1, w + K - 1).
 
     The pixels of both are `step` times as wide as sensor pixels.

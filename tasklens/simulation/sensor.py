@@ -8,8 +8,8 @@ from torch import Tensor
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.simulation.blend import FieldPsfs, blend
-from tasklens.simulation.field_psfs import pitch_on_sensor, trace_field_psfs
+from tasklens.simulation.blend import SensorPsfs, blend
+from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
 Colour = Literal["srgb", "linear"]
 
@@ -26,7 +26,7 @@ def simulate(
 ) -> Tensor:
     """Capture an image (3, H, W) of sRGB values in [0, 1] and any size with the whole sensor: (3, H, W).
 
-    The centre of the image is on the axis. For several images through one lens, call `trace_field_psfs` once and
+    The centre of the image is on the axis. For several images through one lens, call `trace_sensor_psfs` once and
     `capture` for each image.
 
     Args:
@@ -43,10 +43,10 @@ def simulate(
     """
     shape = _size(image)
     pitch = pixel_pitch or pitch_on_sensor(view, shape)
-    return capture(image, trace_field_psfs(lens, view, shape, pitch, rays, distortion, illumination), colour)
+    return capture(image, trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination), colour)
 
 
-def capture(image: Tensor, psfs: FieldPsfs, colour: Colour = "srgb") -> Tensor:
+def capture(image: Tensor, psfs: SensorPsfs, colour: Colour = "srgb") -> Tensor:
     """Capture an image (3, H, W) of sRGB values with traced PSFs; differentiable in both.
 
     Raises:

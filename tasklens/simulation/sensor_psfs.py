@@ -23,7 +23,7 @@ from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
-from tasklens.simulation.blend import FieldPsfs
+from tasklens.simulation.blend import SensorPsfs
 
 _MOTION = 0.4  # of the light between neighbouring nodes [pixels]
 _NEAREST = 8.0  # minimum node spacing [pixels]
@@ -102,7 +102,7 @@ def along_y(view: View, radius: Tensor) -> View:
     return replace(view, fields=torch.stack([torch.zeros_like(radius), radius], -1))
 
 
-def trace_field_psfs(
+def trace_sensor_psfs(
     lens: Lens,
     view: View,
     shape: tuple[int, int],
@@ -110,7 +110,7 @@ def trace_field_psfs(
     rays: int = 4096,
     distortion: bool = False,
     illumination: bool = False,
-) -> FieldPsfs:
+) -> SensorPsfs:
     """Trace the PSFs of a lens over a sensor of H x W pixels, centred on the axis; differentiable in the lens.
 
     The optional relative illumination has no derivatives. PSFs are centred on the chief ray, and normalised to the
@@ -156,7 +156,7 @@ def trace_field_psfs(
         if illumination:
             values = relative_illumination(lens.detached(), along_y(view, field_map.fields.detach()))
             brightness = field_map.at(radius, values).float()
-    return FieldPsfs(shape, y, x, torch.stack(core), None if negligible else halos, _HALO_PIXEL, source, brightness)
+    return SensorPsfs(shape, y, x, torch.stack(core), None if negligible else halos, _HALO_PIXEL, source, brightness)
 
 
 def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_size: int) -> tuple[Tensor, Tensor]:

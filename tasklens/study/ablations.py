@@ -58,17 +58,17 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
 
 
 def check_differences(entries: Mapping[str, LensEntry], base: Any, capture: CaptureSettings, where: str) -> None:
-    """Check that variants differ from the design, and from each other.
+    """Check that variants differ from the design and from each other.
 
     Args:
-        entries: their lenses by name.
-        base, capture: settings of the design and of captures that they are variants of.
+        entries: lenses of the variants, by name.
+        base, capture: settings of the unchanged design and captures.
 
     Raises:
-        ValueError: a variant changes nothing, or is another one again; the message begins with `where`.
+        ValueError: a variant changes nothing, or equals another one; the message begins with `where`.
     """
-    known = {(base, capture): "the design itself"}
+    names = {(base, capture): "the design itself"}
     for name, entry in entries.items():
-        other = known.setdefault((entry.design, entry.capture or capture), f"the variant {name}")
+        other = names.setdefault((entry.design, entry.capture or capture), f"the variant {name}")
         if other != f"the variant {name}":
             raise ValueError(f"{where}.{name}: has the same values as {other}; change one, or remove it")

@@ -50,16 +50,16 @@ class BuiltContents(SeededLenses):
 
 
 def check_rays_alone(study: Study) -> None:
-    """Raise StudyError for built lenses of a study whose captures have diffraction."""
+    """Raise StudyError if captures have diffraction, which built lenses do not have."""
     if study.capture.diffraction:
         raise StudyError(
-            "tolerances: lenses are built by rays alone, while classifiers of this study have learned captures with "
-            "diffraction; expected `capture: {diffraction: false}`"
+            "tolerances: built lenses have no diffraction, but the classifiers of this study are trained on captures "
+            "with diffraction; expected `capture: {diffraction: false}`"
         )
 
 
 def built(study: Study) -> BuiltContents:
-    """Return the contents of the table of built lenses: those of table 1, or of the designs that are asked for.
+    """Return the contents of the table of built lenses: the lenses of table 1, or of the requested designs.
 
     Raises:
         StudyError: captures have diffraction.

@@ -14,7 +14,7 @@ from tasklens.study.messages import in_words
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.study import Study
 
-_TAKEN = {  # reserved names by section, and their use
+_RESERVED = {  # names by section, and their use
     "elements": dict.fromkeys(("figure3", "figure4"), "files of comparisons"),
     "designs": {"reference": "the sharp images in tables"},
     "imported": {"reference": "the sharp images in tables"},
@@ -33,15 +33,15 @@ def check(study: Study) -> None:
 
 
 def _check_names(study: Study) -> None:
-    for section, uses in _TAKEN.items():
+    for section, uses in _RESERVED.items():
         for name, use in uses.items():
             if name in getattr(study, section):
-                raise ValueError(f"{section}.{name}: {use} are called {name}; rename these {section}")
+                raise ValueError(f"{section}.{name}: this name is reserved for {use}; rename these {section}")
     if study.supervisor not in study.classifiers:
         raise ValueError(f"supervisor: {study.supervisor!r} is not one of {', '.join(study.classifiers)}")
     for name in study.imported:
         if name in study.designs:
-            raise ValueError(f"imported.{name}: one of the designs is called {name} too; rename one")
+            raise ValueError(f"imported.{name}: `designs` has the same name; rename one")
     elements = dict.fromkeys([*study.elements, *(lens.elements for lens in study.imported.values())])
     for name in study.specs:
         if name not in elements:
@@ -76,13 +76,13 @@ def _check_ablation(study: Study, name: str) -> None:
         design_names += [item.name(key, other) for key, item in study.ablations.items() for other in item.variants]
         if design_names.count(lenses[variant].design_name) > 1:
             other = lenses[variant].design_name
-            raise ValueError(f"ablations.{name}: {other} is the name of another design too; rename one")
+            raise ValueError(f"ablations.{name}: another design is also called {other}; rename one")
     ablations.check_differences(lenses, study.designs[ablation.design], study.capture, f"ablations.{name}.variants")
 
 
 def _check_networks(study: Study) -> None:
     if study.images.minival < 2:
-        raise ValueError("images.minival: expected 2 or more, from which errors are computed")
+        raise ValueError("images.minival: expected 2 or more, since errors are computed from them")
     batches = {"fine_tuning": study.fine_tuning.batch_size, "restoration": study.restoration.batch_size}
     batches |= {f"classifiers.{k}.training": v.training.batch_size for k, v in study.classifiers.items() if v.training}
     for where, images in batches.items():
@@ -90,8 +90,8 @@ def _check_networks(study: Study) -> None:
     for name, classifier in study.classifiers.items():
         if study.fine_tuning.batch_size % classifier.processes:
             raise ValueError(
-                f"classifiers.{name}.processes: {classifier.processes} processes cannot share "
-                f"fine_tuning.batch_size = {study.fine_tuning.batch_size} equally"
+                f"classifiers.{name}.processes: {classifier.processes} processes cannot share fine_tuning.batch_size = "
+                f"{study.fine_tuning.batch_size} equally"
             )
     if study.images.size % study.restoration.multiple:
         raise ValueError(
@@ -106,7 +106,9 @@ def _check_lenses(study: Study) -> None:
         where = f"specs.{name}" if name in study.specs else "spec"
         spec = study.spec_of(name)
         if spec.object_distance_mm is not None and study.designs:
-            raise ValueError(f"{where}.object_distance_mm: designs are for objects at infinity; import lenses alone")
+            raise ValueError(
+                f"{where}.object_distance_mm: designs need an object at infinity; use only imported lenses"
+            )
         feasibility.check(name, where, materials, spec, study.constraints, study.images.size)
         if study.tasks.networks and spec.kernel_size // 2 >= study.tasks.scenes.size:
             raise ValueError(
@@ -131,8 +133,8 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     for key, size in lens.sizes.items():
         if not kernel_size // 2 < size <= study.images.size:
             raise ValueError(
-                f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} "
-                f"and at most images.size = {study.images.size}, got {size}"
+                f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} and at most images.size = "
+                f"{study.images.size}, got {size}"
             )
     if not isinstance(design, GradientDesignSettings):
         return
@@ -148,7 +150,7 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     for name in design.starting_designs:
         if name not in choices:
             raise ValueError(
-                f"{where}.start: {name!r} is not one of the designs that it may begin with, {', '.join(choices)}"
+                f"{where}.start: {name!r} cannot be the start of this design; expected one of {', '.join(choices)}"
             )
     _check_acyclic(study, where, lens.design_name, design.starting_designs)
 
@@ -159,7 +161,7 @@ def _check_acyclic(study: Study, where: str, name: str, starts: tuple[str, ...])
     while queue:
         other = queue.pop()
         if other == name:
-            raise ValueError(f"{where}.start: {name} would begin with itself, by way of {', '.join(starts)}")
+            raise ValueError(f"{where}.start: {name} would start from itself, through {', '.join(starts)}")
         if other not in seen:
             seen.add(other)
             design = study.designs.get(other)

@@ -24,21 +24,21 @@ def description(lens: LensEntry) -> str:
             f", with apertures that stop up to {design.vignetting:.0%} of the light" if design.vignetting else ""
         )
         reference = design.reference.replace("_", " ")
-        return f"Least squares on ray positions about the {reference}, from {design.starts} starts{stop}{vignetting}."
+        return f"Least squares on rays about the {reference}, from {design.starts} random starts{stop}{vignetting}."
     last = design.descents[-1]
     criterion = _CRITERIA[last.criterion]
     if lens.other_task:
         criterion = f"the loss of a network for {lens.other_task}"
     if last.network_learning_rate is not None:
-        criterion = "the loss of a network that is trained together with the lens"
+        criterion = "the loss of a network trained together with the lens"
     verb = "Maximises" if last.criterion in ("correlation", "contrast") else "Minimises"
     steps = sum(descent.steps * descent.lenses for descent in design.descents)
-    return f"{verb} {criterion}, {_start(design.start)}; {steps} lenses tried."
+    return f"{verb} {criterion}, {_start(design.start)}; {steps} lens evaluations."
 
 
 def _start(start: str | tuple[str, ...]) -> str:
     if start == "flat":
         return "from flat plates"
     if start == "best_imaging":
-        return "from the most accurate imaging lens"
+        return "from the imaging lens with the best minival accuracy"
     return f"from {start[0]}" if len(start) == 1 else f"from the best of {', '.join(start)}"

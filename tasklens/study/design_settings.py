@@ -48,27 +48,27 @@ class DescentSettings(Frozen):
     steps: Steps = Field(description="Number of steps.")
     lenses: Small = Field(
         1,
-        description="Number of lenses that are descended from: the best ones of the descent before. The first descent "
-        "begins so many times with the start, in different image orders.",
+        description="Number of lenses to descend from: the best ones of the previous descent. The first descent "
+        "begins this many times from the start, with different image orders.",
     )
     optimizer: Literal["ray_space", "adamw"] = Field(
         "ray_space",
-        description="Ray space: steps of given ray displacement on the sensor, by a Gauss-Newton metric of the rays; "
-        "or AdamW on the parameters, as in the paper.",
+        description="ray_space: steps of a given ray displacement on the sensor, with a Gauss-Newton metric of the "
+        "rays; adamw: AdamW on the parameters, as in the paper.",
     )
     criterion: Literal["task", "spot", "image_error", "log_image_error", "correlation", "contrast"] = Field(
         "task",
-        description="Loss of a field: the network's loss in its task, of a classifier the cross-entropy; the RMS spot "
-        "radius [mm]; of captures the mean squared error from the sharp image (paper, Eq. 2), its logarithm, or 1 - "
-        "their normalised correlation; of PSFs the contrast, real part of the OTF, lost at 1/4 and 1/2 of the Nyquist "
-        "frequency of the present pixels.",
+        description="Loss per field. task: the network's loss in its task, for a classifier the cross-entropy; spot: "
+        "the RMS spot radius [mm]; image_error, log_image_error, correlation: of captures, the mean squared error "
+        "from the sharp image (paper, Eq. 2), its logarithm, or 1 - their normalised correlation; contrast: of PSFs, "
+        "the contrast (real part of the OTF) lost at 1/4 and 1/2 of the Nyquist frequency of the current pixels.",
     )
     temperature: Magnification = Field(
         1.0, description="T of the loss T cross_entropy(logits / T): above 1, confident wrong answers weigh less."
     )
     network_learning_rate: LearningRate | None = Field(
         None,
-        description="Learning rate of a copy of the network that is trained with the lens; null: it is frozen.",
+        description="Learning rate of a copy of the network, trained with the lens; null: the network is frozen.",
     )
     batch_size: Batch | None = Field(
         None, description="Images per step, each at all nine fields; null: `batch_size` of the design."
@@ -78,14 +78,14 @@ class DescentSettings(Frozen):
         (1.0, 1.0), description="First and last pixel pitch [sensor pixels]."
     )
     duration: Part = Field(1.0, description="Fraction of the steps after which pixels have their last size.")
-    stop_scale: Part = Field(1.0, description="Radius of the stop at the first step, as a fraction.")
+    stop_scale: Part = Field(1.0, description="Radius of the stop at the first step, as a fraction of the full radius.")
     stop_duration: Part = Field(0.5, description="Fraction of the steps after which the stop is fully open.")
     centre: Literal["pinhole", "chief_ray"] = Field(
         "pinhole",
-        description="Centre of PSFs: the pinhole point, so that lost light finds the focal length, or the chief ray, "
-        "as in all evaluation, so that distortion costs nothing within its limit.",
+        description="Centre of PSFs. pinhole: the pinhole point, so that lost light drives the focal length to its "
+        "value; chief_ray: the chief ray, as in all evaluation, so that distortion within its limit costs nothing.",
     )
-    final: Part = Field(0.1, description="Step size, or learning rates, at the last step, as a fraction; cosine.")
+    final: Part = Field(0.1, description="Step size or learning rates at the end, as a fraction; cosine schedule.")
     step_size: Annotated[float, Field(gt=0, le=100)] = Field(
         0.5, description="Ray space: RMS ray displacement per step [current pixels]."
     )
@@ -98,14 +98,14 @@ class DescentSettings(Frozen):
     penalty: Positive = Field(100.0, description="AdamW: weight of the squared violations of limits [1/mm^2].")
     max_incidence_deg: Angle | None = Field(
         None,
-        description="AdamW: angle of incidence on a surface beyond which rays are penalised (paper, 3.3) [degrees].",
+        description="AdamW: angle of incidence on a surface above which rays are penalised (paper, 3.3) [degrees].",
     )
 
     @field_validator("pixels")
     @classmethod
     def _ever_finer(cls, pixels: tuple[float, float]) -> tuple[float, float]:
         if pixels[0] < pixels[1]:
-            raise ValueError("expected a first pitch that is as coarse as the last, or coarser")
+            raise ValueError("expected a first pitch at least as coarse as the last")
         return pixels
 
     @model_validator(mode="after")
@@ -113,11 +113,11 @@ class DescentSettings(Frozen):
         for optimizer, keys in OPTIMIZER_KEYS.items():
             for key in keys:
                 if optimizer != self.optimizer and getattr(self, key) != type(self).model_fields[key].default:
-                    raise ValueError(f"{key}: of `optimizer: {optimizer}`; this descent is by {self.optimizer}")
+                    raise ValueError(f"{key}: only for `optimizer: {optimizer}`, not `{self.optimizer}`")
         if self.criterion != "task":
             for key in ("temperature", "network_learning_rate"):
                 if getattr(self, key) != type(self).model_fields[key].default:
-                    raise ValueError(f"{key}: of `criterion: task`; this descent is by {self.criterion}")
+                    raise ValueError(f"{key}: only for `criterion: task`, not `{self.criterion}`")
         return self
 
     @property
@@ -131,7 +131,7 @@ def _start(value: Any) -> Any:
     for name in [value, *names]:
         if isinstance(name, str) and name.endswith((".zmx", ".yaml", ".yml")):
             raise ValueError(
-                f"a lens of a file is imported first: `imported: {{mine: {{elements: ..., file: {name}}}}}` and "
+                f"a lens file must be imported first: `imported: {{mine: {{elements: ..., file: {name}}}}}` and "
                 "`start: [mine]`"
             )
     if value not in ("flat", "best_imaging") and not (names and all(isinstance(name, str) for name in names)):
@@ -140,7 +140,7 @@ def _start(value: Any) -> Any:
 
 
 class GradientDesignSettings(Frozen):
-    """Settings of a design by descents: the first begins with the start, each other with the best lenses before it."""
+    """Settings of a design by descents: each but the first begins with the best lenses of the one before it."""
 
     _renamed = renamed(
         {
@@ -157,9 +157,9 @@ class GradientDesignSettings(Frozen):
     method: Literal["descents"] = Field("descents", description="Design by descents.")
     start: Annotated[Literal["flat", "best_imaging"] | tuple[str, ...], BeforeValidator(_start)] = Field(
         "flat",
-        description="Flat plates; the imaging lens of the best minival accuracy; or a list of designs or imported "
-        "lenses, of which the best lens of the same elements and seed is the start: by the criterion of the last "
-        "descent, or, where that trains a network, by the minival accuracy of the worst field, fine-tuned.",
+        description="flat: flat plates; best_imaging: the imaging lens with the best minival accuracy; or a list of "
+        "designs or imported lenses: the best of them with the same elements and seed, by the criterion of the last "
+        "descent or, if that trains a network, by the minival accuracy of the worst field after fine-tuning.",
     )
     descents: tuple[DescentSettings, ...] = Field(min_length=1, description="Descents, one after another.")
     batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")
@@ -167,29 +167,30 @@ class GradientDesignSettings(Frozen):
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Batch = Field(
         64,
-        description="Captures per forward pass, which affects only memory; a network whose batch norms take the "
-        "statistics of the batch always has all captures of a step in one.",
+        description="Captures per forward pass; it affects only memory. A network whose batch norms use the "
+        "statistics of the batch always takes all captures of a step at once.",
     )
     batch_norm: Literal["stored", "batch"] = Field(
         "stored", description="Statistics of the frozen network's batch norms: stored, or of the batch."
     )
     task: Name | None = Field(
         None,
-        description="One of `tasks.networks`, of which the network supervises in the classifier's place, on images "
-        "with objects; null: the classifier.",
+        description="Task of `tasks.networks` whose network supervises the design in place of the classifier, on "
+        "images with objects; null: the classifier.",
     )
     free: dict[VariableName, tuple[SurfaceNumber, ...]] | None = Field(
         None,
-        description="Variables that are free, and of which surfaces, numbered from 0; null: all of every surface that "
-        "refracts. A thickness is the distance behind the surface.",
+        description="Free variables, and their surfaces, numbered from 0; null: all variables of every surface that "
+        "refracts. A thickness is the distance behind its surface.",
     )
     keep_apertures: bool = Field(
-        False, description="Clear apertures of the start stay and vignette; else they follow from the design."
+        False,
+        description="Keep the clear apertures of the start, which vignette; false: they follow from the design.",
     )
     tolerances: Grade | None = Field(
         None,
-        description="Grade of manufacture for which the lens is designed: each step sees a lens built from it, with "
-        "errors of its own, and focused; null: the lens as designed.",
+        description="Grade of manufacture to design for: each step uses a lens built from the design with errors of "
+        "its own, and focused; null: the lens as designed.",
     )
 
     @field_validator("descents")
@@ -197,20 +198,18 @@ class GradientDesignSettings(Frozen):
     def _ever_fewer(cls, descents: tuple[DescentSettings, ...]) -> tuple[DescentSettings, ...]:
         for before, after in pairwise(descents):
             if after.lenses > before.lenses:
-                raise ValueError(f"lenses: expected at most {before.lenses}, those of the descent before")
+                raise ValueError(f"lenses: expected at most {before.lenses}, as many as in the previous descent")
         return descents
 
     @model_validator(mode="after")
     def _network_has_its_images(self) -> "GradientDesignSettings":
         if self.task is not None:
             if self.augment or any(descent.size is not None for descent in self.descents):
-                raise ValueError(
-                    "task: expected no `size` and `augment: false`, since masks fit the images as they are"
-                )
+                raise ValueError("task: expected no `size` and `augment: false`, since masks fit only unchanged images")
             if self.batch_norm == "batch" or any(d.trains_network or d.temperature != 1 for d in self.descents):
                 raise ValueError("task: expected a frozen network, `batch_norm: stored`, and no `temperature`")
         if not self.by_network and (self.task is not None or self.batch_norm == "batch"):
-            raise ValueError("task, batch_norm: of the network, which no descent has as its `criterion: task`")
+            raise ValueError("task, batch_norm: only for designs with a descent of `criterion: task`")
         return self
 
     @property
@@ -238,24 +237,24 @@ class LeastSquaresSettings(Frozen):
     evaluations: Steps = Field(8000, description="Budget of evaluations of all residuals, with or without derivatives.")
     reference: Literal["centroid", "chief_ray"] = Field("centroid", description="Reference point of spots.")
     highest_order: Literal[4, 6, 8, 10] = Field(10, description="Highest order of the variable asphere coefficients.")
-    corner_weight: Positive = Field(1.0, description="Weight of the corner field; geometric from 1 on axis.")
+    corner_weight: Positive = Field(1.0, description="Weight of the corner field; geometric series from 1 on axis.")
     max_chief_ray_angle_deg: Angle | None = Field(
         None, description="Largest chief ray angle on the sensor [degrees]; null: no limit."
     )
     linear_beyond_um: Positive | None = Field(
         None,
-        description="Error beyond which the cost of a ray grows linearly in a last stage [um]: a sharper core with "
-        "more haze than the least RMS spot has; null: no such stage.",
+        description="Error above which the cost of a ray grows linearly in a last stage [um], for a sharper core with "
+        "more haze than the smallest RMS spot has; null: no such stage.",
     )
     vignetting: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None,
-        description="Largest fraction of the light of a field that the clear aperture of one surface may stop, nothing "
-        "on the axis, so that what passes makes a smaller spot; null: no light is stopped.",
+        description="Largest fraction of the light of a field that the clear aperture of one surface may stop to make "
+        "the spot smaller; on the axis it stops none. Null: no light is stopped.",
     )
     spot_um: Positive | dict[Name, Positive] | None = Field(
         None,
-        description="RMS spot radius at which the search ends [um], also by name of elements: for a lens that is as "
-        "sharp as another, such as one of the paper's; null: the whole budget.",
+        description="RMS spot radius at which the search ends [um], one value or one by name of elements, for a lens "
+        "as sharp as another, such as one of the paper's; null: the whole budget.",
     )
 
     def of_elements(self, elements: str) -> "LeastSquaresSettings":
@@ -265,7 +264,7 @@ class LeastSquaresSettings(Frozen):
         return self.model_copy(update={"spot_um": self.spot_um.get(elements)})
 
 
-_FORMAT_2 = {  # what replaces the methods of format 2
+_FORMAT_2 = {  # replacements of the methods of format 2
     "task": "a `start` and `descents` of `criterion: task`",
     "joint_ray_space": "a `start` and `descents` with a `network_learning_rate`",
     "image_quality": "a `start` and `descents` of `criterion: image_error`, log_image_error, correlation or contrast",
@@ -282,7 +281,7 @@ def _this_format(value: Any) -> Any:
         raise ValueError(f"method: {method}: since format 3 this is {_FORMAT_2[method]}; see config/config.yaml")
     if method not in ("descents", "least_squares"):
         suffix = f", got {method!r}" if isinstance(method, str) else ""
-        raise ValueError(f"method: expected descents, which is the default, or least_squares{suffix}")
+        raise ValueError(f"method: expected descents (the default) or least_squares{suffix}")
     return value
 
 

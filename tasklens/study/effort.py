@@ -1,4 +1,4 @@
-"""Effort of the designs of a study: lenses tried, its own and those of the lenses that it was chosen from."""
+"""Effort of the designs of a study: lenses tried, with and without those of the lenses that they were chosen from."""
 
 from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens
@@ -12,10 +12,10 @@ class Effort(Frozen):
 
     Attributes:
         lens: name of the lens.
-        tried: lenses tried: steps of descents, or evaluations of the search by least squares, without its last tens to
+        tried: lenses tried: steps of descents, or evaluations of the least-squares search, without its last tens to
             hundreds under strict limits; zero for imported lenses.
-        tried_in_all: the same, with those of the lenses in `chosen_from`.
-        chosen_from: names of the lenses that it may have been started from, and of those that these were.
+        tried_in_all: the same, including those of the lenses in `chosen_from`.
+        chosen_from: names of the lenses that may have been its start, of their possible starts, and so on.
     """
 
     lens: str
@@ -25,7 +25,7 @@ class Effort(Frozen):
 
 
 class Efforts(Frozen):
-    """Efforts of all designs in the tables of a study, and of those that they were chosen from."""
+    """Efforts of all designs in the tables of a study, and of the designs that they were chosen from."""
 
     study: str
     seeds: tuple[int, ...]
@@ -34,13 +34,13 @@ class Efforts(Frozen):
     @property
     def lens_keys(self) -> list[LensKey]:
         """All lenses."""
-        return [(each.lens, seed) for each in self.efforts for seed in self.seeds]
+        return [(entry.lens, seed) for entry in self.efforts for seed in self.seeds]
 
 
 def effort(study: Study) -> Efforts:
     """Return the efforts of a study."""
-    wanted = dict.fromkeys(table_lenses(study))
-    wanted |= dict.fromkeys(other for lens in wanted for other in _chosen_from(study, lens))
+    lenses = dict.fromkeys(table_lenses(study))
+    lenses |= dict.fromkeys(other for lens in lenses for other in _chosen_from(study, lens))
     efforts = (
         Effort(
             lens=name,
@@ -49,13 +49,13 @@ def effort(study: Study) -> Efforts:
             chosen_from=_chosen_from(study, name),
         )
         for name in study.lenses
-        if name in wanted
+        if name in lenses
     )
     return Efforts(study=study.name, seeds=study.seeds, efforts=tuple(efforts))
 
 
 def tried_in_all(study: Study, lens: str) -> int:
-    """Return how many lenses were tried for one, with those of the lenses that it was chosen from."""
+    """Return how many lenses were tried for one, including those of the lenses that it was chosen from."""
     return sum(_tried(study.lens(name).design) for name in (lens, *_chosen_from(study, lens)))
 
 

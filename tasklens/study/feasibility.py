@@ -1,4 +1,4 @@
-"""Feasibility of lenses and of the steps of trainings, checked before the first job; no torch here."""
+"""Feasibility of lenses and training steps, checked before the first job; no torch here."""
 
 from tasklens.materials.material import Material
 from tasklens.runtime.errors import InputError
@@ -6,7 +6,7 @@ from tasklens.study.settings import Constraints, Spec
 
 
 def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
-    """Check the indices of the plastics, the size of the PSF window, the limits, and the room for flat plates.
+    """Check the indices of the plastics, the size of the PSF window, the limits, and the space for flat plates.
 
     Args:
         name: name of the elements.
@@ -21,8 +21,8 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
             if not material.covers(wavelength):
                 low, high = material.range_um
                 raise ValueError(
-                    f"{where}.wavelengths_um: {wavelength} um of {name} is outside the {low} to {high} um in which the "
-                    f"coefficients of {material.name} hold"
+                    f"{where}.wavelengths_um: {wavelength} um of {name} is outside the {low} to {high} um for which "
+                    f"the coefficients of {material.name} are valid"
                 )
             try:
                 index = material.refractive_index(wavelength)
@@ -30,8 +30,8 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
                 raise ValueError(f"materials: {error}") from None
             if not 1 < index < 3:
                 raise ValueError(
-                    f"materials: {material.name} of {name} has the index {index:.6g} at {wavelength} um; expected "
-                    "more than 1 and less than 3: correct its coefficients"
+                    f"materials: {material.name} of {name} has the index {index:.6g} at {wavelength} um; expected more "
+                    "than 1 and less than 3: correct its coefficients"
                 )
     if spec.kernel_size // 2 >= size:
         raise ValueError(
@@ -45,8 +45,8 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
         )
     if limits.min_edge_thickness >= limits.max_centre_thickness:
         raise ValueError(
-            f"constraints.min_edge_thickness: {limits.min_edge_thickness} mm must be less than "
-            f"max_centre_thickness = {limits.max_centre_thickness} mm, or no element can be convex"
+            f"constraints.min_edge_thickness: {limits.min_edge_thickness} mm must be less than max_centre_thickness = "
+            f"{limits.max_centre_thickness} mm, or no element can be convex"
         )
     elements = len(plastics)
     least = limits.stop_distance + limits.min_back_focus
@@ -54,14 +54,14 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
     available = min(limits.max_track, limits.flat_track * spec.efl_mm)
     if least >= available:
         raise ValueError(
-            f"constraints: a {name} takes at least {least:.2f} mm from stop to image, more than the "
-            f"{available:.2f} mm of max_track = {limits.max_track} and of {limits.flat_track} focal lengths; a flat "
-            "start would have a negative thickness"
+            f"constraints: a {name} needs at least {least:.2f} mm from stop to image, but max_track = "
+            f"{limits.max_track} mm and flat_track = {limits.flat_track} focal lengths allow {available:.2f} mm; a "
+            "flat start would have a negative thickness"
         )
 
 
 def check_step(where: str, images: int, size: int) -> None:
-    """Check that the images of a step fit into the memory of a large machine; raises ValueError."""
-    if (found := images * 3 * size**2 * 4) > 1e11:
-        each = f"{size} x {size} pixels"
-        raise ValueError(f"{where}: {images} images of {each} take {found / 1e9:.0f} GB; expected at most 100 GB")
+    """Check that the images of a step fit in the memory of a large machine; raises ValueError."""
+    if (memory := images * 3 * size**2 * 4) > 1e11:  # [B]
+        shape = f"{size} x {size} pixels"
+        raise ValueError(f"{where}: {images} images of {shape} take {memory / 1e9:.0f} GB; expected at most 100 GB")

@@ -25,11 +25,11 @@ from tasklens.study.study import Study, StudyError
 
 
 def folder_digest(folder: Path) -> str:
-    """Compute the digest of names, sizes and modification times of all files below a folder, which may be absent."""
+    """Return the digest of names, sizes and modification times of all files below a folder, which may be absent."""
     entries, seen = [], set()
     for root, folders, files in os.walk(folder, followlinks=True):
         status = os.stat(root)
-        if (status.st_dev, status.st_ino) in seen:  # a link to a folder around it would not end
+        if (status.st_dev, status.st_ino) in seen:  # a link to an enclosing folder would never end
             folders.clear()
             continue
         seen.add((status.st_dev, status.st_ino))
@@ -41,7 +41,7 @@ def folder_digest(folder: Path) -> str:
     return sha256("\n".join(entries).encode()).hexdigest()[:16]
 
 
-@cache  # a million photographs are listed once
+@cache  # list a million photographs only once
 def source(folder: Path | None) -> str | None:
     """Return the digest of a folder of images; None without a folder."""
     return None if folder is None else folder_digest(folder)
@@ -85,7 +85,7 @@ class RestorationJob(Frozen):
 
 
 class CapturePipelineSettings(Frozen):
-    """Settings of what a classifier sees: captures of a lens (None: sharp images), restored or not (None)."""
+    """Settings of a classifier's input: captures of a lens (None: sharp images), restored or not (None)."""
 
     capture: CaptureSettings | None
     restoration: RestorationSettings | None
@@ -99,7 +99,7 @@ def _pipeline(study: Study, lens: str, restored: bool) -> dict[str, Any]:
 
 
 def lens_columns(study: Study, lens: str) -> dict[str, Any]:
-    """Return the columns by which tables know a lens, or the sharp images."""
+    """Return the columns that identify a lens, or the sharp images, in tables."""
     if lens == SHARP:
         return {"elements": "", "design": "reference"}
     entry = study.lens(lens)

@@ -15,7 +15,7 @@ PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from fla
 
 
 class LearningRates(Frozen):
-    """Learning rates of AdamW for the lens; in a study also the name of one of `PRESETS`."""
+    """Learning rates of AdamW for the lens; a study may also name one of `PRESETS`."""
 
     _renamed = renamed({"final": "`final` of the descent"})
 
@@ -25,15 +25,15 @@ class LearningRates(Frozen):
     decay: Fraction = Field(0.02, description="Ratio of learning rates of successive asphere orders (paper 3.3).")
     normalised: bool = Field(
         True,
-        description="Asphere variables are alpha_k R^(k - 1), R the radius that light uses on the surface of the start "
-        "[mm]; else alpha_k itself, as in the paper.",
+        description="Optimise alpha_k R^(k - 1), with R the radius that light uses on the surface of the start [mm]; "
+        "false: alpha_k itself, as in the paper.",
     )
 
     @model_validator(mode="before")
     @classmethod
-    def _from_preset(cls, given: Any) -> Any:
-        if not isinstance(given, str):
-            return given
-        if given not in PRESETS:
+    def _from_preset(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        if value not in PRESETS:
             raise ValueError(f"expected learning rates, or one of {', '.join(PRESETS)}")
-        return PRESETS[given]
+        return PRESETS[value]

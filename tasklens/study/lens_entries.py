@@ -18,13 +18,13 @@ from tasklens.study.task_settings import TaskSettings
 _WORKFLOW = Path(__file__).parents[2]
 
 
-def _found(path: Any) -> Any:
-    """Return a path as it is, or that in the folder of the workflow if there is no file here."""
+def _here_or_shipped(path: Any) -> Any:
+    """Return a path, or the same path in the folder of the workflow if there is no such file here."""
     shipped = _WORKFLOW / path if isinstance(path, str | Path) else None
     return shipped if shipped and shipped.is_file() and not Path(path).exists() else path
 
 
-LensFile = Annotated[FilePath, BeforeValidator(_found)]
+LensFile = Annotated[FilePath, BeforeValidator(_here_or_shipped)]
 
 
 class ImportedLens(Frozen):
@@ -53,10 +53,14 @@ class LensEntry(Frozen):
 
     name: str = Field(description="`{elements}-{design_name}`.")
     elements: str = Field(description="Name of its elements.")
-    plastics: tuple[Material, ...] = Field(description="Materials with coefficients: editing one redesigns its lenses.")
+    plastics: tuple[Material, ...] = Field(
+        description="Materials with coefficients; a changed one redesigns its lenses."
+    )
     design_name: str = Field(description="Name of its design.")
     design: DesignSettings | ImportedLens = Field(description="Design method, or file.")
-    capture: CaptureSettings | None = Field(None, description="Changed capture of an ablation; null: the study's.")
+    capture: CaptureSettings | None = Field(
+        None, description="Changed capture settings of an ablation; null: those of the study."
+    )
 
     @property
     def descents(self) -> tuple[DescentSettings, ...]:
@@ -65,7 +69,7 @@ class LensEntry(Frozen):
 
     @property
     def start(self) -> str | tuple[str, ...] | None:
-        """Start of the descents; None where there are none."""
+        """Start of the descents; None without descents."""
         return self.design.start if isinstance(self.design, GradientDesignSettings) else None
 
     @property
@@ -85,12 +89,12 @@ class LensEntry(Frozen):
 
     @property
     def other_task(self) -> str | None:
-        """Name of the task beside classification that the lens is designed for."""
+        """Name of the task other than classification that the lens is designed for."""
         return self.design.task if isinstance(self.design, GradientDesignSettings) else None
 
     @property
     def supervised(self) -> bool:
-        """True if a descent is on the loss of captures or PSFs."""
+        """True if a descent minimises a loss of captures or PSFs."""
         return any(descent.criterion != "spot" for descent in self.descents)
 
     @property
@@ -103,8 +107,8 @@ class LensEntry(Frozen):
     def constrained(self) -> bool:
         """True if the lens has to keep the constraints and the focal length, which verification checks.
 
-        Imported lenses have not to, nor designs from flat plates that need not converge: those end-to-end, and those
-        by a network that begin with AdamW.
+        False for imported lenses, and for designs from flat plates that need not converge: end-to-end designs, and
+        designs by a network that begin with AdamW.
         """
         if isinstance(self.design, ImportedLens):
             return False
@@ -113,7 +117,7 @@ class LensEntry(Frozen):
 
 
 class LensDesign(Frozen):
-    """The slice of a study that the design of one lens may read.
+    """The part of a study that the design of one lens may read.
 
     Attributes:
         entry: the lens, its plastics and its method.

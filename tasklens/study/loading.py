@@ -46,7 +46,7 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
         missing = missing_keys(error)
         if len(files) == 1 and "format" in missing and len(missing) > 1:
             raise StudyError(
-                f"{files[0]}: it has no {', '.join(missing)}; name the study that it changes, such as `extends: small`"
+                f"{files[0]}: has no {', '.join(missing)}; name the study that it changes, such as `extends: small`"
             ) from None
         lines = problems(error, Study)
     except ValueError as error:
@@ -150,8 +150,8 @@ def read(path: str | Path) -> Mapping:
         raise StudyError(f"{path}: expected keys and values, found {kind}")
     if "__use_yte__" in content:
         raise StudyError(
-            f"{path}: __use_yte__: makes the file a template, whose code Snakemake runs before TaskLens sees it; "
-            "expected a study without it"
+            f"{path}: __use_yte__: makes the file a template, whose code Snakemake runs before TaskLens reads it; "
+            "remove this key"
         )
     return content
 

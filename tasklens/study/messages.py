@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-_LONGEST = 60  # characters of a value that is shown
+_LONGEST = 60  # characters of a value in a message
 _KINDS = {  # expected values, by pydantic's types of errors
     "int_type": "a whole number",
     "int_parsing": "a whole number",
@@ -28,7 +28,7 @@ _KINDS = {  # expected values, by pydantic's types of errors
     "dataclass_type": "keys and values",
     "string_pattern_mismatch": "a name of lower-case letters, digits and _",
     "invalid_key": "a key that is text",
-    "path_not_file": "a file, and there is none",
+    "path_not_file": "an existing file",
 }
 
 
@@ -52,7 +52,7 @@ def missing_keys(error: ValidationError) -> list[str]:
 
 
 def _inner(place: tuple, places: Iterable[tuple]) -> bool:
-    """Return whether an entry below `place` is wrong: pydantic does not count such entries."""
+    """Return whether an entry below `place` is wrong; pydantic leaves such entries out of its count."""
     return any(len(other) > len(place) and other[: len(place)] == place for other in places)
 
 
@@ -71,7 +71,7 @@ def _line(item: ErrorDetails, settings: Any) -> str:
         key = context["discriminator"].strip("'")
         where = ".".join([*keys, key])
         if kind == "union_tag_not_found":
-            return f"{where}: missing; one of {', '.join(sorted(place))}"
+            return f"{where}: missing; expected one of {', '.join(sorted(place))}"
         return f"{where} = {context['tag']!r}: unknown{_suggestion(context['tag'], place)}"
     message = _expected(item)
     if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # the message names a key itself

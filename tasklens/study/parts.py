@@ -7,10 +7,10 @@ _SEPARATOR = "/elements="
 
 
 def parts(study: Study) -> list[Study]:
-    """Return the parts of a study, named `{study}/elements={first}+...`, which have its lenses and networks.
+    """Return the parts of a study, named `{study}/elements={first}+...`, which use its lenses and networks.
 
-    Each has one element count more than the one before it, the last one fewer than the study. A sweep, or a study
-    without table 1, has none.
+    Each has one element count more than the one before it, and the last has one fewer than the study. A sweep, or a
+    study without table 1, has none.
     """
     if study.sweep or "table1" not in study.tables:
         return []
@@ -19,7 +19,7 @@ def parts(study: Study) -> list[Study]:
 
 
 def owner(name: str) -> str:
-    """Return the name of the study whose lenses and networks a study has: itself, unless it is a part."""
+    """Return the name of the study whose lenses and networks a study uses: its own, unless it is a part."""
     return name.partition(_SEPARATOR)[0]
 
 

@@ -1,7 +1,7 @@
 """Kinds of numbers and names in study files; no torch here.
 
-Their bounds are far from anything that one designs or trains with. They refuse, before the first job, what would fail
-hours later, fill the memory, or never end.
+Bounds are far from all practical values. They reject, before the first job, values that would fail hours later, fill
+the memory, or never end.
 """
 
 from typing import Annotated, Any
@@ -23,7 +23,7 @@ def _rising(periods: tuple[float, float]) -> tuple[float, float]:
 
 Whole = Annotated[int, BeforeValidator(_no_truth)]  # not `true`, which is 1
 Count = Annotated[Whole, Field(gt=0, le=10**9)]
-Small = Annotated[Whole, Field(gt=0, le=1000)]  # levels, blocks, processes: each is an object
+Small = Annotated[Whole, Field(gt=0, le=1000)]  # levels, blocks, processes: one object each
 Batch = Annotated[Whole, Field(gt=0, le=2**16)]  # images at once: 10 GB with 224 pixels
 Rays = Annotated[Whole, Field(gt=0, le=2**20)]  # per field and colour: 10 GB
 Steps = Annotated[Whole, Field(gt=0, le=10**8)]  # ten days at 10 ms each
@@ -39,7 +39,7 @@ Periods = Annotated[  # of rendered textures [pixels]
     tuple[Annotated[float, Field(ge=3)], Annotated[float, Field(le=10_000)]], AfterValidator(_rising)
 ]
 Angle = Annotated[float, Field(gt=0, lt=90)]  # [degrees]
-# A lens has up to four names in that of its files, and file systems take 255 bytes.
+# The name of a file contains up to four of these names, and file systems allow 255 bytes.
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$", max_length=40)]
 StudyName = Annotated[  # study/key=value at a point of a sweep
     str, Field(pattern=r"^[a-z0-9_]+(/[\w.]+=[\w.=+-]+)?$", max_length=200)

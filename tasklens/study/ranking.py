@@ -1,4 +1,4 @@
-"""Ranking of lenses for a network: what a study says of it, and its table; no torch here."""
+"""Settings of the ranking of lenses for a network; no torch here."""
 
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
@@ -14,13 +14,13 @@ class RankingJob(Frozen):
         classifier: name of the network.
         model: its name in timm, or its function.
         lenses: names of the lenses.
-        titles: how they are called, by lens.
-        left_out: lenses that are not measured, and why.
-        mtf: scores of the sieve, by lens; of lenses that it left out, too.
+        titles: display names of lenses, by lens.
+        left_out: lenses that are not measured, with the reason.
+        mtf: mean MTF by lens, the score of the sieve, including the lenses that it left out.
         sieved: lenses that the sieve left out.
         built: lenses that are built in simulation.
-        grade: how well they are made.
-        epochs: passes over the training images in which the network gets used to each lens.
+        grade: their grade of manufacture.
+        epochs: epochs of fine-tuning of the network on each lens.
         seed: seed of the study.
     """
 
@@ -58,15 +58,15 @@ class RankingJob(Frozen):
 
     @property
     def lens_keys(self) -> list[LensKey]:
-        """Lens and seed of all that are measured."""
+        """(lens, seed) of all measured lenses."""
         return [(lens, self.seed) for lens in self.lenses]
 
     @property
     def measured_keys(self) -> list[MeasuredKey]:
-        """All measurements: of the sharp images first."""
+        """All measurements, those of the sharp images first."""
         return [(lens, self.classifier, self.seed) for lens in (SHARP, *self.lenses)]
 
     @property
     def built_keys(self) -> list[LensKey]:
-        """Lens and seed of those that are built in simulation."""
+        """(lens, seed) of the lenses that are built in simulation."""
         return [(lens, self.seed) for lens in self.built]

@@ -8,7 +8,7 @@ from tasklens.study.settings import Frozen
 class RankingSettings(Frozen):
     """Facts of the lenses of a study that `tasklens rank` adds to their files."""
 
-    titles: dict[str, str] = Field({}, description="How lenses are called, by lens.")
-    left_out: dict[str, str] = Field({}, description="Lenses that are not measured, and why.")
-    mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which a sieve has chosen them.")
-    built: tuple[str, ...] = Field((), description="Lenses that are built in simulation.")
+    titles: dict[str, str] = Field({}, description="Display names of lenses, by lens.")
+    left_out: dict[str, str] = Field({}, description="Lenses that are not measured, with the reason.")
+    mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which the sieve chose them.")
+    built: tuple[str, ...] = Field((), description="Lenses to build in simulation.")

@@ -1,4 +1,4 @@
-"""Errors for keys of older formats of study files, which name the keys of today; no torch here."""
+"""Errors for keys of older formats of study files; they name the present keys; no torch here."""
 
 from typing import Any
 
@@ -10,19 +10,19 @@ def renamed(names: dict[str, str]) -> Any:
     """Return a validator that rejects keys of an older format and names their replacement.
 
     Args:
-        names: new key by old key, or in more than one word what it is now, or why it is gone.
+        names: new key by old key; or, in more than one word, its replacement or the reason why it is gone.
     """
 
-    def refuse(cls: type[BaseModel], given: Any, handler: ModelWrapValidatorHandler) -> Any:
-        found = [old for old in names if isinstance(given, dict) and old in given]
-        if not found:
-            return handler(given)
+    def refuse(cls: type[BaseModel], values: Any, handler: ModelWrapValidatorHandler) -> Any:
+        old_keys = [old for old in names if isinstance(values, dict) and old in values]
+        if not old_keys:
+            return handler(values)
         problems: list[Any] = []
-        for old in found:
+        for old in old_keys:
             words = f"`{old}` is a key of an older format; it is now {names[old]}"
-            problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": given[old]})
+            problems.append({"type": "renamed", "msg": words, "loc": (old,), "input": values[old]})
         try:  # with the new names, to report other errors too
-            handler({names.get(key, key): value for key, value in given.items() if " " not in names.get(key, "")})
+            handler({names.get(key, key): value for key, value in values.items() if " " not in names.get(key, "")})
         except ValidationError as error:
             problems += error.errors()
         details = [

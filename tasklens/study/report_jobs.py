@@ -6,7 +6,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
-from tasklens.study.claims import Claim, Claims
+from tasklens.study.claims import Claim, Claims, PaperClaim
 from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, RestorationSettings, Spec
@@ -169,6 +169,7 @@ class ReportJob(Frozen):
         by_classifier: names of the lenses whose design a network supervises.
         margins: margins of claims by their text.
         questions: texts of the main claims, in order.
+        paper_claims: claims as the paper makes them, and the stronger one about image quality.
         supervised: names of the lenses that have an optimum.
         restored: names of the lenses with a restoration network.
         ablations: names of the ablations.
@@ -185,6 +186,7 @@ class ReportJob(Frozen):
     by_classifier: tuple[str, ...]
     margins: dict[str, float]
     questions: tuple[str, ...]
+    paper_claims: tuple[PaperClaim, ...]
     supervised: tuple[str, ...]
     restored: tuple[str, ...]
     ablations: tuple[str, ...]
@@ -206,6 +208,7 @@ class ReportJob(Frozen):
             by_classifier=tuple(lens for lens, entry in entries.items() if entry.classified),
             margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
             questions=(paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS),
+            paper_claims=paper_claims.PAPER_CLAIMS,
             supervised=contents.supervised,
             restored=tuple(lens for lens, name in contents.measured if names.split(name)[1]),
             ablations=tuple(study.ablations),

@@ -1,4 +1,4 @@
-"""The JSON schema of study files, by which editors complete and check them; no torch here."""
+"""The JSON schema of study files, with which editors complete and check them; no torch here."""
 
 from typing import Any
 
@@ -9,13 +9,13 @@ from tasklens.study.tolerance_settings import GRADES
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of a study as a file spells it: materials also as files, rates and grades also by name."""
-    found = Study.model_json_schema()
-    materials = found["properties"]["materials"]
+    """Return the JSON schema of a study file, in which materials may be files, and rates and grades may be names."""
+    result = Study.model_json_schema()
+    materials = result["properties"]["materials"]
     definitions = {key: materials.pop(key) for key in ("type", "additionalProperties")}
     materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, definitions]
-    for name, known in (("LearningRates", PRESETS), ("Grade", GRADES)):
-        found["$defs"][name] = {"anyOf": [{"enum": list(known)}, found["$defs"][name]]}
-    found["properties"]["extends"] = {"type": "string", "description": EXTENDS}
-    found["anyOf"] = [{"required": ["extends"]}, {"required": found.pop("required")}]
-    return found
+    for name, presets in (("LearningRates", PRESETS), ("Grade", GRADES)):
+        result["$defs"][name] = {"anyOf": [{"enum": list(presets)}, result["$defs"][name]]}
+    result["properties"]["extends"] = {"type": "string", "description": EXTENDS}
+    result["anyOf"] = [{"required": ["extends"]}, {"required": result.pop("required")}]
+    return result

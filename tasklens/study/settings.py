@@ -120,9 +120,9 @@ class Constraints(Frozen):
     min_back_focus: Length = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
     max_track: Length = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
     max_slope: float = Field(0.57, gt=0, le=100, description="Largest slope d sag / d r of a surface.")
-    stop_distance: Length = Field(0.1, description="Distance from stop to first surface [mm].")
+    stop_distance: Length = Field(0.1, description="Distance from the stop to the first surface [mm].")
     flat_track: float = Field(
-        1.3, gt=0, le=100, description="Distance from stop to sensor of a flat start [focal lengths]."
+        1.3, gt=0, le=100, description="Distance from the stop to the sensor of a flat start [focal lengths]."
     )
     efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
     distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
@@ -173,7 +173,7 @@ class TrainingSettings(Frozen):
     epochs: float = Field(
         ge=0,
         le=10_000,
-        description="Passes over the training images, not necessarily whole; 0: no training, as in a zero-shot study.",
+        description="Passes over the training images, also fractions; 0: no training, as in a zero-shot study.",
     )
     learning_rate: LearningRate = Field(description="Largest learning rate, after the warm-up.")
     batch_size: Batch = Field(64, description="Images per step.")
@@ -190,21 +190,21 @@ class ClassifierSettings(Frozen):
     )
     arguments: dict[str, Any] = Field(
         {},
-        description="Keywords for `timm.create_model`, such as a smaller width, or for your function; "
-        "`pretrained_cfg_overlay: {mean: [0.5, 0.5, 0.5], std: [0.5, 0.5, 0.5]}` is another normalisation.",
+        description="Keywords for `timm.create_model`, such as a smaller width, or for your function. "
+        "`pretrained_cfg_overlay: {mean: [0.5, 0.5, 0.5], std: [0.5, 0.5, 0.5]}` sets another normalisation.",
     )
-    seed: Seed = Field(0, description="Seed of its first weights, and of its training on sharp images.")
+    seed: Seed = Field(0, description="Seed of its initial weights, and of its training on sharp images.")
     pretrained: bool = Field(False, description="Start from the weights of timm's hub.")
     weights: Path | None = Field(
         None,
-        description="Start from a local file: .safetensors; .pth, of which only tensors are read; .npz, where timm's "
+        description="Start from a local file: .safetensors; .pth, of which only tensors are read; .npz, if timm's "
         "model reads it.",
     )
     outputs: Literal["classes", "imagenet", "all_imagenet"] = Field(
         "classes",
-        description="One output per class of the images; or ImageNet's 1000, of which those of the folders, named by "
-        "WordNet ids, are used and the others count only in the zero-shot accuracy; or all of these as answers, right "
-        "or wrong.",
+        description="classes: one output per class of the images; imagenet: ImageNet's 1000 outputs, of which only "
+        "those of the folders, named by WordNet ids, are used, while the others count only in the zero-shot accuracy; "
+        "all_imagenet: any of the 1000 may be the answer, right or wrong.",
     )
     training: TrainingSettings | None = Field(None, description="Training on the sharp images; null: none.")
     processes: Small = Field(
@@ -222,7 +222,7 @@ class ClassifierSettings(Frozen):
     @model_validator(mode="after")
     def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:
-            raise ValueError("take either `pretrained` or `weights`, not both")
+            raise ValueError("expected either `pretrained` or `weights`, not both")
         trained = self.pretrained or self.weights or (self.training and self.training.epochs)
         if not trained and not users_code.is_users(self.model):  # a function may return a trained network
             raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network classifies nothing")
@@ -268,7 +268,7 @@ class RestorationSettings(Frozen):
 class SensorSettings(Frozen):
     """Settings of a sensor's noise and levels; the defaults are our choice, typical of a phone in daylight."""
 
-    full_well: float = Field(6000, ge=1, le=1e9, description="Electrons of a pixel at white with gain 1.")
+    full_well: float = Field(6000, ge=1, le=1e9, description="Electrons per pixel at white with gain 1.")
     gain: Magnification = Field(1, description="Gain: white is at full_well / gain electrons; about 16 indoors.")
     read_noise: float = Field(2, ge=0, le=1e6, description="Standard deviation of the read noise [electrons].")
     bits: Annotated[Whole, Field(ge=1, le=16)] = Field(8, description="Bits of the sRGB values.")
@@ -281,17 +281,17 @@ class CaptureSettings(Frozen):
 
     outside_window: Literal["veil", "renormalise"] = Field(
         "veil",
-        description="Light outside the PSF window: a uniform veil that conserves the mean; or removed by renormalising "
-        "the PSF, as in the authors' code.",
+        description="Light outside the PSF window. veil: a uniform veil that conserves the mean; renormalise: removed "
+        "by renormalising the PSF, as in the authors' code.",
     )
     colour: Literal["srgb", "linear"] = Field(
-        "srgb", description="Convolution of sRGB values (our reading of the paper) or of linear light."
+        "srgb", description="srgb: convolution of sRGB values, our reading of the paper; linear: of linear light."
     )
     sensor: SensorSettings | None = Field(
         None,
         description="Shot noise, read noise and rounding, at the lens' relative illumination, which is corrected "
-        "afterwards; in design, training and measurement. Null: none.",
+        "afterwards; in design, training and measurement; null: none.",
     )
     diffraction: bool = Field(
-        False, description="Whether the PSFs of training and measurement have diffraction; designs are geometric."
+        False, description="Include diffraction in the PSFs of training and measurement; designs are geometric."
     )

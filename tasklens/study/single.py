@@ -14,7 +14,7 @@ from tasklens.study.study import Study
 
 ELEMENTS = "lens"  # name of its elements
 _NETWORK = "network"
-_FIRST = "least_squares"  # designed first if a design begins with the best imaging lens
+_FIRST = "least_squares"  # designed first if a design starts from the best imaging lens
 _SIDE = 64  # of rendered images [pixels]
 
 
@@ -37,7 +37,7 @@ def study(
     baselines: Sequence[str] = (),
     network_given: bool = False,
 ) -> Study:
-    """Return a study of the lens and of the lenses that it begins with, in the order in which they are designed.
+    """Return a study of the lens and of the lenses that it starts from, in the order of their design.
 
     Args:
         method: one of `methods`.
@@ -45,7 +45,7 @@ def study(
         spec, settings, constraints: changed keys of `spec`, of the design, and of `constraints`.
         materials: files of further plastics.
         images, classifier: sections of a study file; None: rendered textures, no network.
-        alone: leave out the lenses that it begins with; the start is a lens of the user.
+        alone: leave out the lenses that it starts from, since the start is a lens of the user.
         baselines: criteria without a network; each designs a lens of its name, with the same start and the same effort,
             before the lens of the method.
         network_given: the network is a module of the user.
@@ -90,7 +90,7 @@ def _by(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return a design after the designs that it begins with, and these after theirs."""
+    """Return a design, preceded by the designs that it starts from, and these by theirs."""
     first = [_FIRST] if settings.get("start") == "best_imaging" else settings.get("start", [])
     designs: dict[str, Mapping[str, Any]] = {}
     for name in first if isinstance(first, list) else []:

@@ -66,7 +66,7 @@ class Study(Frozen):
     images: ImageSettings = Field(description="The labelled images.")
     spec: Spec = Field(Spec(), description="Specification of all lenses.")
     specs: dict[Name, dict[str, Any]] = Field(
-        default_factory=dict, description="Keys of `spec` that differ, by name of elements."
+        default_factory=dict, description="Changed keys of `spec`, by name of elements."
     )
     constraints: Constraints = Field(Constraints(), description="Limits of every design.")
     capture: CaptureSettings = Field(CaptureSettings(), description="Settings of captures.")
@@ -80,7 +80,7 @@ class Study(Frozen):
     ablations: dict[Name, Ablation] = Field(default_factory=dict, description="Ablations by name.")
     classifiers: dict[Name, ClassifierSettings] = Field(min_length=1, description="Networks by name.")
     tables: tuple[TableName, ...] = Field(
-        TABLES, min_length=1, description="Tables that the study makes, tests claims on, and verifies."
+        TABLES, min_length=1, description="Tables to make, to test claims on, and to verify."
     )
     supervisor: Name = Field(
         description="The classifier that supervises designs, and measures lenses in tables 1, 3 and 4."
@@ -89,21 +89,23 @@ class Study(Frozen):
     restoration: RestorationSettings = Field(description="The restoration network of table 4.")
     restored: tuple[Name, ...] | None = Field(None, description="Elements in table 4; null: all.")
     tolerances: ToleranceSettings = Field(
-        ToleranceSettings(), description="Lenses that are built in simulation, with errors of manufacture."
+        ToleranceSettings(), description="Lenses built in simulation, with errors of manufacture."
     )
     tasks: TasksSettings = Field(
-        TasksSettings(), description="Tasks beside classification: segmentation and detection of objects."
+        TasksSettings(), description="Tasks other than classification: segmentation and detection of objects."
     )
     ranking: RankingSettings = Field(RankingSettings(), description="The ranking of lenses by `tasklens rank`.")
     sweep: Sweep = Field(
-        {}, description="Values of keys such as `spec.f_number`: a study for each, below results/<name>."
+        {},
+        description="Values of keys such as `spec.f_number`; each combination is a study of its own, below "
+        "results/<name>.",
     )
 
     @field_validator("seeds", "tables")
     @classmethod
     def _distinct(cls, values: tuple) -> tuple:
         if len(set(values)) < len(values):
-            raise ValueError("expected each once")
+            raise ValueError("expected no duplicates")
         return values
 
     @field_validator("elements")
@@ -221,7 +223,9 @@ class Study(Frozen):
         """Return the lens `name`; raises StudyError with the known names."""
         elements, _, design = name.partition("-")
         if elements in self.elements and design in self.designs:
-            return self._designed(elements, design)  # only this one: planning gets lenses tens of thousands of times
+            return self._designed(
+                elements, design
+            )  # builds no other lens: planning calls this tens of thousands of times
         return pick(self.lenses | self.variants, name, "lens")
 
     def classifier(self, name: str) -> ClassifierSettings:

@@ -1,4 +1,4 @@
-"""Sweeps: the grid of values over which a study is run, each point in a folder of its own."""
+"""Sweeps: a study is run at every point of a grid of values, each point in a folder of its own."""
 
 import math
 import re
@@ -15,14 +15,14 @@ _VALUE = re.compile(r"[\w.+-]+")  # as part of a folder's name
 def _checked(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
     for key, values in sweep.items():
         if key.split(".")[0] in _FIXED:
-            raise ValueError(f"sweep.{key}: is the same at all points; expected another key, such as spec.f_number")
+            raise ValueError(f"sweep.{key}: cannot differ between points; expected another key, such as spec.f_number")
         if key.startswith("designs.") and key.endswith(".method"):
-            raise ValueError(f"sweep.{key}: methods have other keys each; expected several designs in `designs`")
+            raise ValueError(f"sweep.{key}: each method has other keys; expected several designs in `designs`")
         for value in values:
             if not isinstance(value, bool | int | float | str) or not _VALUE.fullmatch(str(value)):
                 raise ValueError(f"sweep.{key}: expected numbers, names, true or false, found {value!r}")
         if not values or min(len(set(values)), len(set(map(_word, values)))) < len(values):
-            raise ValueError(f"sweep.{key} = {list(values)}: expected values, each once")
+            raise ValueError(f"sweep.{key} = {list(values)}: expected at least one value, and no duplicates")
     if (count := math.prod(map(len, sweep.values()))) > _MOST:
         raise ValueError(f"sweep: {count} points; expected at most {_MOST}")
     return sweep
@@ -32,12 +32,12 @@ Sweep = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_checked)]  # value
 
 
 def points(sweep: Sweep) -> dict[str, dict[str, Any]]:
-    """Return the values of the keys at every point, by its name; the last key varies fastest.
+    """Return the values of the keys at every point, by the name of the point; the last key varies fastest.
 
     Names are `{key}={value}`, joined by two hyphens, since commas separate the wildcards of a job on a cluster.
     """
-    found = (dict(zip(sweep, values, strict=True)) for values in product(*sweep.values()))
-    return {"--".join(f"{key}={_word(value)}" for key, value in point.items()): point for point in found}
+    grid = (dict(zip(sweep, values, strict=True)) for values in product(*sweep.values()))
+    return {"--".join(f"{key}={_word(value)}" for key, value in point.items()): point for point in grid}
 
 
 def _word(value: Any) -> str:

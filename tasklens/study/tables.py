@@ -21,7 +21,7 @@ class SeededLenses(Frozen):
 
     @property
     def lens_keys(self) -> list[LensKey]:
-        """Lens and seed of all."""
+        """(lens, seed) of all lenses."""
         return [(lens, seed) for lens in self.lenses for seed in self.seeds]
 
 
@@ -33,7 +33,7 @@ class TableContents(SeededLenses):
         name: `table1` .. `table4`.
         lenses, classifiers, seeds: names and seeds of its rows.
         restored: whether captures are restored.
-        gaps: the other lenses of an optimality gap, by supervised lens, in table 1, which has all lenses that compete.
+        gaps: in table 1, the other lenses that the optimality gap of a supervised lens compares, by this lens.
     """
 
     study: str
@@ -103,12 +103,12 @@ def tables(study: Study) -> tuple[TableContents, ...]:
 
 def table_lenses(study: Study) -> tuple[str, ...]:
     """Return the names of all lenses in the tables of the study."""
-    found = {lens for contents in tables(study) for lens in contents.lenses}
-    return tuple(lens for lens in study.lenses if lens in found)
+    in_tables = {lens for contents in tables(study) for lens in contents.lenses}
+    return tuple(lens for lens in study.lenses if lens in in_tables)
 
 
 def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
-    """Return the slice of a study that the design of a lens may read; raises StudyError."""
+    """Return the part of a study that the design of a lens may read; raises StudyError."""
     entry = study.lens(lens)
     return LensDesign(
         entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
@@ -165,7 +165,7 @@ class VerificationContents(SeededLenses):
         efl_tolerance: largest relative deviation from it.
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
-        supervised: names of the constrained lenses that captures or PSFs have designed, so that they have an optimum.
+        supervised: names of the constrained lenses designed by a loss of captures or PSFs, which thus have an optimum.
         seeds: seeds of the study.
     """
 

@@ -1,4 +1,4 @@
-"""Settings of the jobs of tasks beside classification, and contents of their table; no torch here."""
+"""Settings of the jobs of tasks other than classification, and contents of their table; no torch here."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ class TaskTrainingJob(Frozen):
 
     @classmethod
     def of(cls, study: Study, task: str) -> "TaskTrainingJob":
-        """Return the settings of the job; how the network is fine-tuned later is not among them."""
+        """Return the settings of the job, without those of later fine-tuning."""
         network = study.task(task)
         return cls(name=task, network=network.model_copy(update={"fine_tuning": network.training}))
 
@@ -53,7 +53,7 @@ class TaskFineTuningJob(Frozen):
 
 
 class TaskContents(Frozen):
-    """Contents of the table of tasks beside classification.
+    """Contents of the table of tasks other than classification.
 
     Attributes:
         study: name of the study.
@@ -77,7 +77,7 @@ class TaskContents(Frozen):
 
 
 def tasks(study: Study) -> TaskContents:
-    """Return the contents of the table of tasks; raises StudyError where there are no tasks."""
+    """Return the contents of the table of tasks; raises StudyError if there are no tasks."""
     if not study.tasks.networks:
         raise StudyError("tasks.networks: expected a task, such as segmentation: {kind: segmentation, model: ...}")
     chosen = chosen_lenses(study, study.tasks.designs)

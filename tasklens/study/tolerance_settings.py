@@ -1,4 +1,4 @@
-"""Settings of tolerances: grades of manufacture, and the lenses that are built in simulation; no torch here."""
+"""Settings of tolerances: grades of manufacture, and lenses built in simulation; no torch here."""
 
 from typing import Annotated, Any
 
@@ -10,12 +10,12 @@ from tasklens.study.settings import Frozen
 Tolerance = Annotated[float, Field(ge=0, le=1000)]
 Percent = Annotated[float, Field(ge=0, le=50)]
 
-# Moulding: the columns "injection molding" of apollooptical.com/manufacturing-tolerances for radius, thickness (taken
-# for air spaces too), concentricity (decentre of the surfaces of an element) and irregularity; makers of phone lenses
-# publish nothing, and their moulds are turned with diamond, so that `phone_moulding` has that page's column "single
-# point diamond turning, precision". An element lies in its barrel with half of the tolerance of its diameter there.
-# Tilts are our choice: the tolerance of the thickness across 5 mm of flange. Index and dispersion: OpticStudio's
-# default tolerances, 0.001 and 1 %; half of them for precise moulding, our choice.
+# Moulding: the columns "injection molding" of apollooptical.com/manufacturing-tolerances for radius, thickness (used
+# for air spaces too), concentricity (decentre of the surfaces of an element) and irregularity. Makers of phone lenses
+# publish no tolerances, and their moulds are diamond-turned, so `phone_moulding` has that page's column "single point
+# diamond turning, precision". The decentre of an element in its barrel is half of that page's tolerance of the
+# diameter. Tilts are our choice: the tolerance of the thickness across 5 mm of flange. Index and dispersion:
+# OpticStudio's default tolerances, 0.001 and 1 %; half of them for precise moulding, our choice.
 GRADES: dict[str, dict[str, float]] = {
     "commercial_moulding": {
         "radius_percent": 1.0,
@@ -57,7 +57,7 @@ GRADES: dict[str, dict[str, float]] = {
 
 
 class Grade(Frozen):
-    """Largest errors, of both signs, of a grade of manufacture; in a study also the name of one of `GRADES`.
+    """Grade of manufacture: the largest errors, of either sign; a study may also name one of `GRADES`.
 
     Errors are independent, and normal with half of the tolerance as standard deviation, cut at the tolerance.
     """
@@ -65,28 +65,30 @@ class Grade(Frozen):
     name: str = Field("custom", description="Name in tables.")
     radius_percent: Percent = Field(description="Radius of curvature [%].")
     irregularity_fringes: Tolerance = Field(
-        description="Form error from valley to peak, symmetric about the axis [fringes of 0.6328 um over 25 mm of "
-        "diameter; proportionally less over the clear aperture]."
+        description="Form error, peak to valley, symmetric about the axis [fringes of 0.6328 um over a diameter of 25 "
+        "mm; proportionally less over the clear aperture]."
     )
     thickness_um: Tolerance = Field(description="Centre thickness of an element [um].")
     air_space_um: Tolerance = Field(description="Air space in front of an element [um].")
     index: Annotated[float, Field(ge=0, le=0.1)] = Field(description="Refractive index at the reference wavelength.")
     dispersion_percent: Percent = Field(description="Dispersion, the inverse of Abbe's number [%].")
     surface_decentre_um: Tolerance = Field(
-        description="Decentre, along x and along y, of each further surface of an element from its first [um]."
+        description="Decentre of each further surface of an element from its first, along x and along y [um]."
     )
-    surface_tilt_mrad: Tolerance = Field(description="Tilt of the same, about x and about y [mrad].")
+    surface_tilt_mrad: Tolerance = Field(
+        description="Tilt of each further surface of an element from its first, about x and about y [mrad]."
+    )
     element_decentre_um: Tolerance = Field(description="Decentre of an element in its barrel, along x and y [um].")
     element_tilt_mrad: Tolerance = Field(description="Tilt of an element, about x and about y [mrad].")
 
     @model_validator(mode="before")
     @classmethod
-    def _from_name(cls, given: Any) -> Any:
-        if not isinstance(given, str):
-            return given
-        if given not in GRADES:
+    def _from_name(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        if value not in GRADES:
             raise ValueError(f"expected tolerances, or one of {', '.join(GRADES)}")
-        return GRADES[given] | {"name": given}
+        return GRADES[value] | {"name": value}
 
     @model_validator(mode="after")
     def _something_varies(self) -> "Grade":
@@ -96,16 +98,17 @@ class Grade(Frozen):
 
 
 class ToleranceSettings(Frozen):
-    """Settings of the lenses that are built in simulation, with errors of manufacture, focused and measured."""
+    """Settings of lenses that are built in simulation with errors of manufacture, focused, and measured."""
 
     grade: Grade = Field(
         Grade.model_validate("precision_moulding"), description="Grade of manufacture: its name, or its tolerances."
     )
-    lenses: Annotated[Count, Field(ge=10, le=10**6)] = Field(200, description="Number of lenses built of each design.")
+    lenses: Annotated[Count, Field(ge=10, le=10**6)] = Field(200, description="Number of lenses built per design.")
     images: Annotated[Count, Field(ge=10)] = Field(
-        100, description="Number of test images, at all nine fields, by which each is measured."
+        100, description="Number of test images, each at all nine fields, that measure a built lens."
     )
     designs: tuple[str, ...] | None = Field(
         None,
-        description="Designs, imported lenses, or lenses as doublet-tasklens, that are built; null: all of table 1.",
+        description="Designs, imported lenses, or single lenses such as doublet-tasklens, to build; null: all of "
+        "table 1.",
     )

@@ -1,4 +1,4 @@
-"""Functions of a user's own, named `package.module:function`; no torch here."""
+"""Functions written by users, named `package.module:function`; no torch here."""
 
 import hashlib
 import os
@@ -13,12 +13,12 @@ from tasklens.runtime.errors import InputError
 
 
 def is_users(name: str) -> bool:
-    """Return whether a name is that of a user's function."""
+    """Return whether a name refers to a user's function."""
     return ":" in name
 
 
 def load(name: str) -> Callable[..., Any]:
-    """Import a function, whose package is installed or in the present folder; raises InputError."""
+    """Import a function from an installed package or from the current folder; raises InputError."""
     module, _, function = name.partition(":")
     _search_here()
     try:
@@ -28,7 +28,7 @@ def load(name: str) -> Callable[..., Any]:
 
 
 def digest(name: str) -> str | None:
-    """Compute the digest of the file of a function, so that its jobs run again when it changes; None without one."""
+    """Return the digest of the file of a user's function, a change of which reruns its jobs; None for other names."""
     if not is_users(name):
         return None
     _search_here()
@@ -41,6 +41,6 @@ def digest(name: str) -> str | None:
 
 
 def _search_here() -> None:
-    """Let modules of the present folder be imported, as `python -m` does."""
+    """Make modules of the current folder importable, as `python -m` does."""
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)

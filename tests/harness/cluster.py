@@ -40,8 +40,8 @@ def node(state: str, seconds: float) -> None:
 def down(job: str) -> bool:
     """Let the node go down under a job; whether SLURM put it into its queue again, and it had not just ended."""
     node("DOWN", 5)
-    said = subprocess.run(["scontrol", "show", "job", job], check=True, capture_output=True, text=True).stdout
-    return "Restarts=0" not in said
+    output = subprocess.run(["scontrol", "show", "job", job], check=True, capture_output=True, text=True).stdout
+    return "Restarts=0" not in output
 
 
 FAULTS: dict[str, tuple[str, Callable[[str], object]]] = {  # by what is done, the job that must run, and how
@@ -56,8 +56,10 @@ FAILING = ("reference small", "restore")
 
 def running() -> dict[str, str]:
     """Jobs that run, by rule and wildcards."""
-    said = subprocess.run(["squeue", "-h", "-t", "R", "-o", "%i|%k"], check=True, capture_output=True, text=True).stdout
-    return {comment.removeprefix("rule_"): job for job, _, comment in (line.partition("|") for line in said.split())}
+    output = subprocess.run(
+        ["squeue", "-h", "-t", "R", "-o", "%i|%k"], check=True, capture_output=True, text=True
+    ).stdout
+    return {comment.removeprefix("rule_"): job for job, _, comment in (line.partition("|") for line in output.split())}
 
 
 def run(folder: Path, code: Path, faults: list[str], *arguments: str) -> int:
@@ -98,9 +100,13 @@ def main() -> int:
     unhurt = [name for name in FAILING if name not in " ".join(failed)]
     # Without cgroups, a job that SLURM has killed can leave its Snakemake behind.
     subprocess.run(["pkill", "-KILL", "-f", str(code / "Snakefile")], check=False)
-    found = differences(contents(parent / "slurm"), contents(parent / "here"))
-    print(", ".join(found) if found else "equal", *(f"{name}: nothing happened to it" for name in unhurt), sep="\n")
-    if status or faults or found or unhurt:
+    different = differences(contents(parent / "slurm"), contents(parent / "here"))
+    print(
+        ", ".join(different) if different else "equal",
+        *(f"{name}: nothing happened to it" for name in unhurt),
+        sep="\n",
+    )
+    if status or faults or different or unhurt:
         return 1
     shutil.rmtree(parent)
     return 0

@@ -28,24 +28,24 @@ SESSIONS: set[int] = set()  # of all processes that were started here
 
 def processes() -> list[psutil.Process]:
     """All that were started here and live, with their children, also those whose parent was killed."""
-    found = []
+    living = []
     for process in psutil.process_iter():
         with suppress(psutil.NoSuchProcess, OSError):  # it has just ended
             if os.getsid(process.pid) in SESSIONS and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process)
-    return found
+                living.append(process)
+    return living
 
 
 def jobs() -> dict[int, str]:
     """The jobs that run, by process."""
-    found = {}
+    running = {}
     for process in processes():
         with suppress(psutil.NoSuchProcess, OSError):
             words = process.cmdline()
             if len(words) == 2 and words[1].endswith(".job.py"):  # its standard error is its log
                 log = os.readlink(f"/proc/{process.pid}/fd/2")
-                found[process.pid] = log.partition("/logs/")[2].removesuffix(".log") or "a job that starts"
-    return found
+                running[process.pid] = log.partition("/logs/")[2].removesuffix(".log") or "a job that starts"
+    return running
 
 
 def start(folder: Path, *arguments: str) -> psutil.Popen:
@@ -120,9 +120,9 @@ def compare(parent: Path, kills: int, chance: random.Random) -> bool:
         count = run_to_the_end(folder, kinds, length, chance)
         done += count
         psutil.wait_procs(processes(), 120)  # jobs that outlive their Snakemake
-        said = ", ".join(differences(contents(folder), expected))
-        unequal += bool(said)
-        print(f"{folder.name}  complete after {count} kills: {said or 'equal'}", flush=True)
+        different = ", ".join(differences(contents(folder), expected))
+        unequal += bool(different)
+        print(f"{folder.name}  complete after {count} kills: {different or 'equal'}", flush=True)
     minutes = (time.monotonic() - began) / 60
     print(f"{done} kills, {studies} studies, {minutes:.0f} minutes: {f'{unequal} differ' if unequal else 'all equal'}")
     return unequal == 0
@@ -132,11 +132,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=30, help="how many (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the moments and jobs (default: %(default)s)")
-    given, parent = parser.parse_args(), Path(tempfile.mkdtemp(prefix="kills-"))
+    options, parent = parser.parse_args(), Path(tempfile.mkdtemp(prefix="kills-"))
     signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell ignores in the background
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        equal = compare(parent, given.kills, random.Random(given.seed))
+        equal = compare(parent, options.kills, random.Random(options.seed))
     finally:
         for process in processes():
             with suppress(psutil.NoSuchProcess):

@@ -46,11 +46,11 @@ def contents(folder: Path) -> dict[str, bytes]:
     """All results of a study but those with measured times."""
     results = folder / "results/tiny"
     paths = [path for path in results.rglob("*") if path.is_file() and path.suffix != ".lock"]
-    found = {str(path.relative_to(results)): path.read_bytes() for path in paths}
-    return {name: content for name, content in found.items() if name.split("/")[0] not in MEASURED}
+    by_name = {str(path.relative_to(results)): path.read_bytes() for path in paths}
+    return {name: content for name, content in by_name.items() if name.split("/")[0] not in MEASURED}
 
 
-def differences(found: dict[str, bytes], expected: dict[str, bytes]) -> list[str]:
+def differences(actual: dict[str, bytes], expected: dict[str, bytes]) -> list[str]:
     """Return the files that differ, are missing (-), or are left over (+), such as checkpoints and temporary files."""
-    names = [name for name in sorted(expected | found) if found.get(name) != expected.get(name)]
-    return [("-" if name not in found else "+" if name not in expected else "") + name for name in names]
+    names = [name for name in sorted(expected | actual) if actual.get(name) != expected.get(name)]
+    return [("-" if name not in actual else "+" if name not in expected else "") + name for name in names]

@@ -1,4 +1,4 @@
-"""What the rules share: studies, settings, functions and resources of jobs."""
+"""Shared by all rules: studies, settings, functions and resources of jobs."""
 
 from functools import cache
 from inspect import signature
@@ -18,25 +18,25 @@ from tasklens.study.study import StudyError
 
 
 def flag(name, default):
-    """Take a key that is of a run, no part of the study, out of the configuration; `--config` gives texts."""
+    """Remove a key of the run, which is not part of the study, from the configuration; `--config` gives text."""
     value = str(config.pop(name, default)).lower()
     if value not in ("true", "false"):
         raise WorkflowError(f"--config {name}={value}: expected true or false")
     return value == "true"
 
 
-OVERWRITE = flag("overwrite", False)  # consent
-GPUS = flag("gpus", True)  # whether a cluster has some to ask for
+OVERWRITE = flag("overwrite", False)  # consent to overwrite finished results
+GPUS = flag("gpus", True)  # whether jobs request GPUs from a cluster
 if config.pop("study", None) and snakemake_internals.configfiles(workflow):
     raise WorkflowError("--config study=... and --configfile: expected one of them")
 PLAN = config.pop("plan", None)  # file to which a dry run writes its jobs
 
 try:
-    own = [] if snakemake_internals.is_module(workflow) else FILES  # a module has the configuration that it is given
+    own = [] if snakemake_internals.is_module(workflow) else FILES  # a module uses the configuration passed to it
     for path in own:
-        loading.read(path)  # Snakemake takes the last of two equal keys
+        loading.read(path)  # check the file, since Snakemake takes the last of two equal keys
     STUDY = loading.parse(config, own)
-    POINTS = loading.at_points(STUDY)  # more than one of a sweep
+    POINTS = loading.at_points(STUDY)  # several if there is a sweep
 except StudyError as error:
     raise WorkflowError(str(error)) from None
 
@@ -61,7 +61,7 @@ def study_in_folder(name):
     path = loading.file_of(name)
     study = loading.load(path)
     if study.name != name:
-        raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, by which results/{name} asks for it")
+        raise StudyError(f"{path}: name = {study.name}: expected {path.stem}, as in results/{name}")
     return study
 
 
@@ -77,7 +77,7 @@ def durations_in(study):
 
 
 def settings(of):
-    """Return the settings of a job as JSON, a function of its wildcards: `of` takes the study, and wildcards by name."""
+    """Return a function from wildcards to the settings of a job as JSON; `of` takes the study, and wildcards by name."""
     parameters = list(signature(of).parameters)[1:]
 
     def as_json(wildcards):
@@ -88,12 +88,12 @@ def settings(of):
 
 
 def call(function):
-    """Return the parameters that name a function of the library, and its code, which reruns its jobs if it changes."""
+    """Return the parameters with the name of a library function and the digest of its code; a new digest reruns jobs."""
     return {"function": function, "code": code_digest(function)}
 
 
 def needs(rule, gpu=0):
-    """Return memory, time limit and GPUs of the jobs of a rule; twice as much of memory and time after a failure."""
+    """Return memory, time limit and GPUs of the jobs of a rule; memory and time double after a failure."""
     return {
         "mem_mb": lambda w, attempt: attempt * durations_in(w.get("study", STUDY.name)).memory_mb(rule),
         "runtime": lambda w, attempt: attempt * durations_in(w.get("study", STUDY.name)).limit_minutes(rule),
@@ -102,10 +102,10 @@ def needs(rule, gpu=0):
 
 
 def paths(pattern, study, keys=((),), **fixed):
-    """Return paths of a pattern such as `rules.design.output.lens`: one for each of the keys, tuples of wildcards.
+    """Return the paths of a pattern such as `rules.design.output.lens`, one for each key, a tuple of wildcards.
 
-    The wildcards of a key are those of lens, measured_name, task and seed that the pattern has and `fixed` has not.
-    Lenses, and what is measured through them, are not made again for a part of a study.
+    A key has those of lens, measured_name, task and seed that are in the pattern but not in `fixed`. A part of a study
+    uses the lenses and measurements of the whole study.
     """
     order = [name for name in ("lens", "measured_name", "task", "seed") if f"{{{name}}}" in pattern]
     wildcards = [name for name in order if name not in fixed]

@@ -18,7 +18,7 @@ rule design:
         "results/{study}/logs/design/{lens}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/design/{lens}-seed{seed}.tsv"
-    priority: early(0.5)  # most jobs wait for designs, and the longest jobs are among them
+    priority: early(0.5)  # most jobs wait for designs, which include the longest jobs
     retries: 1
     resources:
         **needs("design") | {"gpu": lambda w: int(GPUS and study_of(w).lens(w.lens).supervised)},

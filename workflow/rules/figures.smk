@@ -2,13 +2,13 @@
 
 
 rule certificate:
-    """Write the page of a lens, with limits and manufacturability, its Zemax file, and pictures for the report."""
+    """Write the page of a lens, with limits and manufacturability, its Zemax file, and drawings for the report."""
     input:
         lens=rules.design.output.lens,
         psf=psf,
     output:
         page="results/{study}/lenses/{lens}/seed{seed}/certificate.md",
-        zemax="results/{study}/lenses/{lens}/seed{seed}/{lens}.zmx",  # the catalogue beside it has its name
+        zemax="results/{study}/lenses/{lens}/seed{seed}/{lens}.zmx",  # its catalogue has the same name
         section="results/{study}/lenses/{lens}/seed{seed}/section.svg",
         spots="results/{study}/lenses/{lens}/seed{seed}/spots.webp",
         psfs="results/{study}/lenses/{lens}/seed{seed}/psfs.webp",
@@ -46,7 +46,7 @@ rule drawing:
     benchmark:
         "results/{study}/benchmarks/drawing/{lens}-seed{seed}.tsv"
     wildcard_constraints:
-        lens=r"(?!figure[34]-)[a-z0-9_]+-[a-z0-9_]+",  # figures 3 and 4 lie beside those of lenses
+        lens=r"(?!figure[34]-)[a-z0-9_]+-[a-z0-9_]+",  # not figures 3 and 4, which are in the same folder
     resources:
         **needs("drawing"),
     params:
@@ -85,7 +85,7 @@ rule comparison:
 
 
 rule frames:
-    """Draw a chart and test images as frames through the task-driven lenses and the best imaging lens (figure 4)."""
+    """Draw frames, a chart and test images, through the task-driven lenses and the best imaging lens (figure 4)."""
     input:
         lenses=lambda w: paths(rules.design.output.lens, study_of(w), compared_lenses(w)),
         psfs=lambda w: psf_files(study_of(w), compared_lenses(w)),
@@ -118,7 +118,7 @@ rule frames:
 
 
 rule captures:
-    """Take some test images through every lens, of the first seed, and let each network classify them."""
+    """Simulate captures of some test images through every lens of the first seed; classify them with each network."""
     input:
         test=lambda w: [path.format(study=owner(w.study)) for path in TEST],
         psfs=lambda w: psf_files(

@@ -1,8 +1,8 @@
-"""Images, and classifiers that are trained on them as they are."""
+"""Images, and classifiers trained on the sharp images."""
 
 
 rule images:
-    """Render or read the images, and cut them into train, minival and test."""
+    """Render or read the images, and split them into train, minival and test."""
     output:
         train="results/{study}/images/train.npy",
         train_labels="results/{study}/images/train.json",

@@ -1,4 +1,4 @@
-"""Input files that depend on the study, functions of wildcards; and targets at all points of a sweep."""
+"""Input files that depend on the study, as functions of wildcards; and targets at all points of a sweep."""
 
 
 def design_images(wildcards):
@@ -24,7 +24,7 @@ def imported_files(wildcards):
 
 
 def lens_files_of(lenses):
-    """Return the prescriptions of the lenses that a design may begin with, a function of wildcards."""
+    """Return a function from wildcards to the prescriptions of the lenses that a design may start from."""
 
     def files(wildcards):
         study = study_of(wildcards)
@@ -35,7 +35,7 @@ def lens_files_of(lenses):
 
 
 def start_metrics(wildcards):
-    """Return the measurements of the lenses of which the most accurate is the start of a design."""
+    """Return the measurements of the lenses, the most accurate of which is the start of a design."""
     study = study_of(wildcards)
     keys = [(lens, study.supervisor, wildcards.seed) for lens in paper_tables.starts(study, wildcards.lens)]
     return paths(rules.fine_tune.output.metrics, study, keys)
@@ -43,12 +43,12 @@ def start_metrics(wildcards):
 
 def psf_files(study, keys):
     """Return the PSFs of lenses by (lens, seed), with diffraction if captures have it; none for sharp images."""
-    found = []
+    files = []
     for lens, seed in keys:
         if lens != names.SHARP:
             rule_of_psf = rules.diffraction if study.capture_of(lens).diffraction else rules.design
-            found += paths(rule_of_psf.output.psf, study, [(lens, seed)])
-    return found
+            files += paths(rule_of_psf.output.psf, study, [(lens, seed)])
+    return files
 
 
 def psf(wildcards):
@@ -74,7 +74,7 @@ def supervisor_weights(wildcards):
 
 
 def drawn_lenses(wildcards):
-    """Return (lens, seed) of the lenses whose PSFs are drawn beside the table of tasks."""
+    """Return (lens, seed) of the lenses whose PSFs are drawn for the table of tasks."""
     study = study_of(wildcards)
     return [(lens, study.seeds[0]) for lens in task_jobs.tasks(study).drawn]
 
@@ -90,7 +90,7 @@ def compared_lenses(wildcards):
 
 
 def of_first_seed(pattern, keys):
-    """Return the files of the first seed, a function of wildcards: `keys` takes the study, and returns tuples."""
+    """Return a function from wildcards to the files of the first seed; `keys` takes the study, and returns tuples."""
 
     def files(wildcards):
         study = study_of(wildcards)
@@ -114,13 +114,13 @@ def compared(claims):
 
 
 def design_benchmarks(wildcards):
-    """Return the benchmarks of designs, which are no inputs: Snakemake writes them at the end of a job."""
+    """Return the benchmarks of designs; they are not inputs, since Snakemake writes them at the end of a job."""
     study = study_of(wildcards)
     return {"benchmarks": paths(rules.design.benchmark, study, paper_effort.effort(study).lens_keys)}
 
 
 def optional_files(wildcards):
-    """Return tables and figures that the page shows if they are there, since they need further lenses."""
+    """Return tables and figures that the page shows if they exist; they are not inputs, since they need more lenses."""
     study = study_of(wildcards)
     patterns = [rules.regimes_table.output.csv, rules.merit_function_table.output.csv]
     patterns += [rules.tolerances_table.output.csv, rules.tolerances_table.output.compared_csv]
@@ -135,14 +135,16 @@ def optional_files(wildcards):
 
 
 def of_shown_lenses(pattern):
-    """Return the files of all lenses on the page, a function of wildcards."""
+    """Return a function from wildcards to the files of all lenses on the page."""
     return of_first_seed(pattern, lambda study: [(lens,) for lens in paper_tables.table_lenses(study)])
 
 
 def tables_of(pattern):
-    """Return the files of all tables on the page, a function of wildcards."""
+    """Return a function from wildcards to the files of all tables on the page."""
     return lambda w: [
-        path for each in paper_tables.tables(study_of(w)) for path in paths(pattern, study_of(w), table=each.name)
+        path
+        for contents in paper_tables.tables(study_of(w))
+        for path in paths(pattern, study_of(w), table=contents.name)
     ]
 
 
@@ -160,7 +162,9 @@ def verified(pattern, keys):
 
     def files(wildcards):
         if STUDY.sweep:
-            raise StudyError("verify: of one point, by --configfile results/<study>/<point>/study.yaml")
+            raise StudyError(
+                "verify: a sweep is verified point by point, with --configfile results/<study>/<point>/study.yaml"
+            )
         return paths(pattern, STUDY, keys(paper_tables.verification(STUDY)))
 
     return files

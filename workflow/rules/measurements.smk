@@ -2,7 +2,7 @@
 
 
 rule fine_tune:
-    """Fine-tune a classifier on the captures of a lens, and measure it on every field, its loss also before that."""
+    """Fine-tune a classifier on the captures of a lens, and measure it at every field; also its loss before that."""
     input:
         train=TRAIN,
         minival=MINIVAL,
@@ -33,7 +33,7 @@ rule fine_tune:
 
 
 rule reproduce:
-    """Classify the test images again with the stored weights, through the stored PSFs."""
+    """Classify the test images again with the stored weights and PSFs."""
     input:
         test=TEST,
         psf=psf,

@@ -14,7 +14,7 @@ rule restore:
         "results/{study}/logs/restore/{lens}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/restore/{lens}-seed{seed}.tsv"
-    priority: 0.5  # fine-tuning on restored captures, as long a job, waits for it
+    priority: 0.5  # fine-tuning on restored captures, an equally long job, waits for it
     retries: 1
     resources:
         **needs("restore", gpu=1),

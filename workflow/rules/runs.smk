@@ -22,7 +22,7 @@ def planned_by_study():
 
 
 def words_of_dry_run():
-    """Return why the run would be refused; with `--config plan=FILE` its jobs are written to that file."""
+    """Return why the run would be refused; with `--config plan=FILE` write its jobs to that file."""
     if PLAN is not None:
         files.write_text(Path(PLAN), planning.dump(snakemake_internals.planned_jobs(workflow)))
     return refusals(overwritten(planned_by_study()))
@@ -34,15 +34,15 @@ def overwritten(planned):
 
 
 def refusals(overwritten):
-    """Return why this run must not start: changed values would overwrite finished results; else an empty text."""
+    """Return why this run must not start (changed values would overwrite finished results), or an empty text."""
     cores = snakemake_internals.cores(workflow)
-    texts = [changes.refusal(found, name, durations_in(name), cores) for name, found in overwritten.items()]
+    texts = [changes.refusal(results, name, durations_in(name), cores) for name, results in overwritten.items()]
     return "" if OVERWRITE else "\n\n".join(filter(None, texts))
 
 
 def check_studies(planned):
-    """Check what the planned jobs read, and compile the tracer before jobs do; ends the run if something is wrong."""
-    needed = {}  # rules by study, of which the points of a sweep are one
+    """Check the inputs of the planned jobs, and compile the tracer before any job starts; an error ends the run."""
+    needed = {}  # rules by study; all points of a sweep count as one study
     for name, jobs in planned.items():
         study = STUDY if name in (point.name for point in POINTS) else study_named(name.partition("/")[0])
         needed.setdefault(study.name, set()).update(job.rule for job in jobs.values())
@@ -58,7 +58,7 @@ def check_studies(planned):
 
 
 def check_in_own_process(study, options):
-    """Check a study where torch is imported; ends the run with the status of the check, which has said why."""
+    """Check a study in a process that imports torch and prints the reason; a failed check ends the run."""
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
         file.write(loading.dump(study))
         file.flush()
@@ -78,18 +78,18 @@ onstart:
     snakemake_internals.terminate_safely()
     snakemake_internals.limit_no_rate(workflow)
     planned, cores = planned_by_study(), snakemake_internals.cores(workflow)
-    found = overwritten(planned)
-    if reason := refusals(found):
+    results = overwritten(planned)
+    if reason := refusals(results):
         sys.exit(reason)
     check_studies(planned)
     for name, jobs in planned.items():
-        if found[name].otherwise:
-            amount = changes.amount(found[name].otherwise, durations_in(name), cores)
+        if results[name].otherwise:
+            amount = changes.amount(results[name].otherwise, durations_in(name), cores)
             print(f"Changed code or input files: {amount}")
         if name != owner(name):
-            continue  # the pages of its parts take seconds
+            continue  # pages of parts take only seconds
         print(durations_in(name).forecast([job.rule for job in jobs.values()], cores))
-        files.write_if_changed(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for people
+        files.write_if_changed(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for readers
     terminal.begin(planned, cores)
 
 

@@ -61,7 +61,7 @@ rule verdicts_table:
 
 
 rule regimes_table:
-    """Make the table of the gain of task-driven design by element counts and specifications."""
+    """Make the table of the gain of task-driven design, by element count and specification."""
     input:
         **compared(lambda w: paper_claims.regime_claims(study_of(w))),
     output:
@@ -167,7 +167,7 @@ rule effort_table:
 
 
 rule ranking_table:
-    """Rank lenses by what the supervisor recognises through them: a table, and a page."""
+    """Rank lenses by the accuracy of the supervisor: a table, and a page."""
     input:
         lenses=lambda w: paths(rules.design.output.lens, study_of(w), RankingJob.of(study_of(w)).lens_keys),
         metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), RankingJob.of(study_of(w)).measured_keys),
@@ -198,7 +198,7 @@ rule ranking_table:
 
 
 rule merit_function_table:
-    """Make the table and figure of what each classifier wants of a lens: its loss as a function of the MTF."""
+    """Make the table and figure of the loss of each classifier as a function of the MTF."""
     input:
         psfs=lambda w: psf_files(study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).contents.lens_keys),
         frozen=lambda w: paths(
@@ -277,7 +277,7 @@ rule report_page:
 
 
 rule sweep_table:
-    """Make the table of a sweep: the numbers of all points beside each other."""
+    """Make the table of a sweep: the numbers of all points side by side."""
     input:
         tables=tables_of_points,
     output:

@@ -86,42 +86,42 @@ rule effort:
 
 
 rule report:
-    """The page."""
+    """The report page."""
     input:
         at_points(rules.report_page.output.report),
     localrule: True
 
 
 rule regimes:
-    """What task-driven design gains over the best imaging lens, by element count and specification."""
+    """Gain of task-driven design compared with the best imaging lens, by element count and specification."""
     input:
         at_points(rules.regimes_table.output.csv),
     localrule: True
 
 
 rule ranking:
-    """All lenses in the order of what the supervisor recognises through them."""
+    """All lenses, ranked by the accuracy of the supervisor."""
     input:
         at_points(rules.ranking_table.output.csv),
     localrule: True
 
 
 rule merit_function:
-    """What each classifier wants of a PSF."""
+    """Loss of each classifier as a function of the MTF."""
     input:
         at_points(rules.merit_function_table.output.csv),
     localrule: True
 
 
 rule tolerances:
-    """What each design loses in manufacture."""
+    """Loss of accuracy of each design in manufacture."""
     input:
         at_points(rules.tolerances_table.output.csv),
     localrule: True
 
 
 rule tasks:
-    """Segmentation and detection of objects through each lens."""
+    """Segmentation and detection of objects with each lens."""
     input:
         at_points(rules.tasks_table.output.csv),
     localrule: True
@@ -142,14 +142,14 @@ rule certificates:
 
 
 rule figure3:
-    """The task-driven lenses of each element count beside the best imaging lens."""
+    """Task-driven lenses and the best imaging lens of each element count (figure 3)."""
     input:
         compared_figures(rules.comparison.output.figure),
     localrule: True
 
 
 rule figure4:
-    """Whole frames through these lenses."""
+    """Whole frames through these lenses (figure 4)."""
     input:
         compared_figures(rules.frames.output.figure),
     localrule: True

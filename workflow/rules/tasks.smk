@@ -1,4 +1,4 @@
-"""Tasks beside classification: segmentation and detection of objects through lenses."""
+"""Tasks other than classification: segmentation and detection of objects with each lens."""
 
 
 rule scenes:
@@ -46,7 +46,7 @@ rule task_reference:
 
 
 rule task_fine_tune:
-    """Fine-tune the network of a task on the captures of a lens, and score it at every field, also before that."""
+    """Fine-tune the network of a task on the captures of a lens, and score it at every field, also before fine-tuning."""
     input:
         training_scenes=TRAINING_SCENES,
         test_scenes=TEST_SCENES,
@@ -70,7 +70,7 @@ rule task_fine_tune:
 
 
 rule tasks_table:
-    """Make the table of tasks beside classification, scores of their networks through each lens, and draw its PSFs."""
+    """Make the table of tasks other than classification, with the scores for each lens, and draw PSFs of the lenses."""
     input:
         metrics=lambda w: paths(
             rules.task_fine_tune.output.metrics, study_of(w), task_jobs.tasks(study_of(w)).score_keys

@@ -33,8 +33,8 @@ def vertex_tangents(lens: Lens, view: View) -> Tensor:
     tangents = tangents * from_pupil
     if not 0 < abs(float(from_pupil.detach())) < torch.inf:
         raise InputError(
-            f"object at {view.object_distance:g} mm: no field has an angle there, since the entrance pupil lies in the "
-            "object, or at infinity; expected another distance"
+            f"object at {view.object_distance:g} mm: fields have no angle there, since the entrance pupil lies in the "
+            "object or at infinity; choose another distance"
         )
     return tangents
 

@@ -20,4 +20,4 @@ def digest(content: Mapping[str, Any]) -> str:
 def check(content: Mapping[str, Any], path: Path) -> None:
     """Raise FileError if the prescription was changed after its figures were computed."""
     if KEY in content and content[KEY] != digest(content):
-        raise damaged(path, "its prescription was changed after its figures")
+        raise damaged(path, "its prescription was changed after its figures were computed")

@@ -121,7 +121,7 @@ def _specified(
     remarks = []
     near = source.object_distance_mm
     if math.isfinite(near) and vergence != 1 / near:
-        remarks.append(f"object at {near:g} mm in the file: taken to {_distance(vergence)}, without new focus")
+        remarks.append(f"object at {near:g} mm in the file: moved to {_distance(vergence)}, without refocusing")
     return LensFile(source, lens, view, content, tuple(remarks))
 
 
@@ -184,7 +184,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         wavelengths = _with_reference(source.wavelengths_um, source.primary or 0)
     elif not wavelengths:
         wavelengths = Spec.model_fields["wavelengths_um"].default
-        remarks.append(f"no wavelengths in the file: taken as {', '.join(map(str, wavelengths))} um (--wavelengths)")
+        remarks.append(f"no wavelengths in the file: using {', '.join(map(str, wavelengths))} um (--wavelengths)")
     reference = wavelengths[len(wavelengths) // 2]
     first_order = paraxial(source.lens, reference)
     efl = float(first_order.efl)
@@ -199,10 +199,10 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     lens, view = _changed(source.lens, efl, own, changes, wavelengths)
     if not tangent:
         view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
-        remarks.append("no field but the axis in the file (--field-of-view)")
+        remarks.append("the file has no field except the axis (--field-of-view)")
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
-        pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} of them"
-        remarks.append(f"no pixels in the file: taken as {pixels} (--pixel-pitch, --kernel-size)")
+        pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} pixels"
+        remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
     view = replace(view, object_vergence=vergence)
     near = source.object_distance_mm
     if math.isfinite(near) and vergence != 1 / near:

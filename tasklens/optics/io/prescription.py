@@ -62,7 +62,7 @@ def to_dict(prescription: Prescription) -> dict:
     surfaces = []
     for i, medium in enumerate(lens.media):
         if materials.setdefault(medium.name, medium) != medium:
-            raise FileError(f"surface {i}: another material is called {medium.name} as well; rename one")
+            raise FileError(f"surface {i}: two materials are called {medium.name}; rename one")
         alpha = {f"alpha_{2 * j}": a for j, a in enumerate(lens.alpha[i].double().tolist(), 1)}
         semi = float(lens.semi_diameter[i])
         surface = {
@@ -106,7 +106,7 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
             surface.
     """
     if not isinstance(content, Mapping) or not {"units", "surfaces"} & set(content):
-        raise FileError(f"{name}: no lens: expected a lens file with format, units, surfaces, stop, materials")
+        raise FileError(f"{name}: not a lens: expected a lens file with format, units, surfaces, stop, materials")
     if content.get("format") != FORMAT:
         raise FileError(f"{name}: format {content.get('format')!r}, expected {FORMAT}")
     if content.get("units") != "mm":
@@ -163,7 +163,9 @@ def check_order(media: Sequence[Material], thickness: Sequence[float], where: st
     """
     if media[-1] != AIR:
         last = first + len(media) - 1
-        raise FileError(f"{where}: surface {last}: {media[-1].name} behind the last surface; expected air, or one more")
+        raise FileError(
+            f"{where}: surface {last}: {media[-1].name} behind the last surface; expected air, or another surface"
+        )
     for i, (medium, distance) in enumerate(zip(media, thickness, strict=True)):
         between = (
             0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR

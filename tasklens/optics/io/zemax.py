@@ -71,7 +71,9 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
     lines = read_lines(path)
     for line in lines:
         if line.keyword == "MODE" and line.words[:1] != ["SEQ"]:
-            raise line.error(f"expected a sequential file (SEQ), got {line.text!r}: non-sequential ones are not read")
+            raise line.error(
+                f"expected a sequential file (SEQ), got {line.text!r}: non-sequential files are not supported"
+            )
     system, blocks, trailer = _split(lines, path)
     current = in_configuration(blocks, system, trailer, configuration)
     unit = read_unit(system)
@@ -105,7 +107,7 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
     ):  # a floating aperture follows the light
         radius, aperture = clear, None
     if not 0 < radius < math.inf:
-        raise line.error(f"the radius of the stop comes out as {radius} mm, expected a positive number")
+        raise line.error(f"the computed radius of the stop is {radius} mm, expected a positive number")
     semi_diameter[lens.stop] = radius
     comments = tuple(block.lines["COMM"].text if "COMM" in block.lines else "" for block in inner)
     return Prescription(
@@ -175,13 +177,13 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block],
                 several = line.keyword in ("WAVM", "FEFD")
                 _add(system, f"{line.keyword} {line.integer(0)}" if several else line.keyword, line)
     if len(blocks) < 3:
-        raise FileError(f"{path}: expected SURF of an object, a surface and an image at least, found {len(blocks)}")
+        raise FileError(f"{path}: expected SURF at least for an object, a surface and an image, found {len(blocks)}")
     return system, blocks, trailer
 
 
 def _add(lines: dict[Any, Line], key: object, line: Line) -> None:
     if key in lines:
-        raise line.error(f"stands in {lines[key].where} already; delete one of the lines")
+        raise line.error(f"is already in {lines[key].where}; delete one of the lines")
     lines[key] = line
 
 
@@ -190,14 +192,14 @@ def _check_ends(blocks: list[Block]) -> None:
     first, last = blocks[0], blocks[-1]
     if "STOP" in last.lines or "GLAS" in last.lines or last.line("DISZ").number(0):
         raise last.head.error(
-            f"surface {last.head.text} is the last one, and no image surface (DISZ 0, without glass and stop); is the "
-            "file cut off?"
+            f"surface {last.head.text}, the last one, is not an image surface (DISZ 0, no glass, no stop); is the file "
+            "cut off?"
         )
     if "GLAS" in first.lines:
         raise first.lines["GLAS"].error("the object is not in air")
     for block, name in ((first, "object"), (last, "image surface")):
         if block.number("CURV", 0.0) or any(line.number(1) for line in block.numbered.values()):
-            raise block.head.error(f"the {name} is curved; only a plane is read")
+            raise block.head.error(f"the {name} is curved; only planes are supported")
 
 
 def write(path: Path, prescription: Prescription) -> None:
@@ -213,7 +215,7 @@ def write(path: Path, prescription: Prescription) -> None:
     """
     glasses = NamedGlasses.of(prescription.lens.media, path.stem)
     if glasses.own and " " in path.stem:
-        raise FileError(f"{path}: the name of a Zemax catalogue has no spaces; rename the file")
+        raise FileError(f"{path}: the name of a Zemax catalogue cannot contain spaces; rename the file")
     text = "\r\n".join(_lines(prescription, str(path), glasses)) + "\r\n"
     if glasses.own:
         write_agf(path.with_suffix(".agf"), glasses.own)
@@ -235,7 +237,7 @@ def _lines(prescription: Prescription, name: str, glasses: NamedGlasses) -> list
         kind, value = prescription.aperture
         radius = stop_radius(lens, prescription.aperture, wavelengths[primary])
         if not math.isclose(radii[lens.stop], radius, rel_tol=1e-9):
-            raise FileError(f"{name}: {kind} {value} asks for a stop of {radius} mm, the lens has {radii[lens.stop]}")
+            raise FileError(f"{name}: {kind} {value} needs a stop of {radius} mm, the lens has {radii[lens.stop]}")
         aperture = f"ENPD {decimal(value)}" if kind == "entrance_pupil_diameter_mm" else f"FNUM {decimal(value)} 0"
         radii[lens.stop] = math.inf  # Zemax computes it from the aperture
     elif not math.isfinite(radii[lens.stop]):

@@ -51,7 +51,9 @@ def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequ
         block = blocks[key[1]] if key[1] < len(blocks) else None
         if block is None or key[0] not in _WORDS:
             if row.words[2:3] != operands[saved].get(key, row).words[2:3]:
-                raise row.error(f"differs from configuration {saved}, in which the file was saved, and is not read")
+                raise row.error(
+                    f"differs from configuration {saved}, in which the file was saved; this is not supported"
+                )
         elif current != saved:
             _set(block, row)
         else:

@@ -27,12 +27,12 @@ _HARMLESS_SURFACE = keywords(
 )
 _APERTURES = keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither round nor clear
 
-_CLIMATE = "only indices at 20 deg C and 1 atm are read"
-_IGNORED = "an ignored surface is not read; delete it in Zemax, or do not ignore it"
-_DECENTRED = "a decentred aperture is not read; centre it, or delete it and its CLAP or FLAP"
-_TELECENTRIC = "an object space that is telecentric is not read; switch it off in Zemax"
-_AFOCAL = "an afocal image space is not read; switch it off in Zemax"
-_HIDDEN = "only the first four flags are known to concern drawings alone; set the others to 0"
+_CLIMATE = "only indices at 20 deg C and 1 atm are supported"
+_IGNORED = "ignored surfaces are not supported; delete this one in Zemax, or do not ignore it"
+_DECENTRED = "decentred apertures are not supported; centre it, or delete it and its CLAP or FLAP"
+_TELECENTRIC = "a telecentric object space is not supported; switch it off in Zemax"
+_AFOCAL = "an afocal image space is not supported; switch it off in Zemax"
+_HIDDEN = "only the first four flags are known to affect only drawings; set the others to 0"
 
 # Words by position, with the only supported value; a missing word is neutral.
 _NEUTRAL: dict[str, dict[int, tuple[float, str]]] = {
@@ -61,7 +61,7 @@ def check_system(line: Line) -> None:
         raise _unknown(line)
     _check_neutral(line)
     if line.keyword == "GFAC" and not _uniform(line):
-        raise line.error(f"an apodised pupil is not read; switch the apodisation off in Zemax; found {line.text!r}")
+        raise line.error(f"apodised pupils are not supported; switch the apodisation off in Zemax; found {line.text!r}")
 
 
 def _uniform(line: Line) -> bool:
@@ -72,7 +72,7 @@ def _uniform(line: Line) -> bool:
 def check_surface(line: Line) -> None:
     """Check a line of a surface; raises FileError unless it is supported, neutral or harmless."""
     if line.keyword == "SCBD":
-        raise line.error("a surface that is tilted or decentred is not read; only lenses symmetric about the axis are")
+        raise line.error("tilted and decentred surfaces are not supported; expected a lens symmetric about its axis")
     if line.keyword not in SURFACE | _HARMLESS_SURFACE | _APERTURES | {"OBDC", "IGNR", "HIDE"}:
         raise _unknown(line)
     if line.keyword in ("IGNR", "HIDE"):
@@ -90,13 +90,13 @@ def check_configuration(line: Line) -> None:
 def check_behind(line: Line) -> None:
     """Check that a line behind the surfaces does not belong to one; raises FileError."""
     if line.keyword in SURFACE | _APERTURES | {"OBDC", "SCBD", "HIDE"}:
-        raise line.error("belongs to a surface: expected spaces in front of it, behind the line SURF")
+        raise line.error("belongs to a surface: indent it below its line SURF")
 
 
 def check_aperture(line: Line) -> None:
     """Check that an aperture of a surface that rays pass is a centred circle; raises FileError."""
     if line.keyword in _APERTURES:
-        raise line.error("only round clear apertures (CLAP, FLAP) are read")
+        raise line.error("only round clear apertures (CLAP, FLAP) are supported")
     if line.keyword == "OBDC":
         _check_neutral(line)
 

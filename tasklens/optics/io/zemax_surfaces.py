@@ -92,15 +92,17 @@ def _asphere(block: Block, unit: float) -> list[float]:
         terms, rho = _normalisation(block)
         keys = [("XDAT", _HEAD + j) for j in range(1, terms + 1)]
     elif kind != "STANDARD":
-        raise block.lines["TYPE"].error(f"{kind} is not read; {', '.join(_KINDS)} are")
+        raise block.lines["TYPE"].error(f"{kind} is not supported; expected one of {', '.join(_KINDS)}")
     head = [("XDAT", j) for j in range(1, _HEAD + 1)] if kind in ("XASPHERE", "XOSPHERE") else []
     for key, line in block.numbered.items():
         if key not in keys and key not in head and line.number(1):
-            raise line.error(f"{kind} with {len(keys)} terms has no number {key[1]}; delete the line, or mend the type")
+            raise line.error(
+                f"{kind} with {len(keys)} terms has no term number {key[1]}; delete the line, or correct the type"
+            )
     if kind in ("ODDASPHE", "XOSPHERE"):
         for key in keys[::2]:
             if key in block.numbered and block.numbered[key].number(1):
-                raise block.numbered[key].error("an odd term of an asphere is not read; only even ones are")
+                raise block.numbered[key].error("odd terms of aspheres are not supported, only even ones")
         keys = keys[1::2]
     coefficients = [
         _coefficient(block.numbered[key], j, rho, unit) if key in block.numbered else 0.0
@@ -153,7 +155,7 @@ def _clear_radius(block: Block, refracts: bool, unit: float) -> float:
         if keyword in block.lines:
             aperture = block.lines[keyword]
             if aperture.number(0):
-                raise aperture.error("the aperture has a hole; only full circles are read")
+                raise aperture.error("the aperture has a hole; only full circles are supported")
             return _radius(aperture, 1, unit)
     diameter = block.lines.get("DIAM")
     if refracts and diameter is not None and len(diameter.words) > 1 and diameter.integer(1) in (1, 2):
@@ -181,9 +183,9 @@ def _medium(block: Block, before: list[Material], library: Library, remarks: lis
     line = block.lines["GLAS"]
     name, solve = (line.words or [""])[0], line.integer(1) if len(line.words) > 1 else 0
     if name == "MIRROR":
-        raise line.error("mirrors are not read")
+        raise line.error("mirrors are not supported")
     if not 0 <= solve <= 3:
-        raise line.error("a glass with an index offset is not read")
+        raise line.error("index offsets of glasses are not supported")
     if solve == 2:
         source = line.integer(2)
         if not 1 <= source <= len(before):
@@ -203,8 +205,8 @@ def _medium(block: Block, before: list[Material], library: Library, remarks: lis
             raise line.error(str(error)) from None
         closest = nearest(nd, vd)
         remarks.append(
-            f"glass {name} is in no catalogue: taken as one of nd = {nd:g} and Vd = {vd:g}, as its line says, whose "
-            f"index is right to 1e-4 in the visible (--catalogue); the nearest one is {closest.zemax}"
+            f"glass {name} is in no catalogue: using a model glass with nd = {nd:g} and Vd = {vd:g}, as its line says; "
+            f"its index is right to 1e-4 in the visible. The nearest glass is {closest.zemax} (--catalogue)"
         )
         return model_glass(nd, vd, 0.0, name)
 

@@ -42,10 +42,10 @@ def read_aperture(
         FileError: no aperture, several, or an unsupported one.
     """
     if "OBNA" in system:
-        raise system["OBNA"].error("an aperture in object space is not read; the apertures ENPD, FNUM and FLOA are")
+        raise system["OBNA"].error("apertures in object space are not supported; expected ENPD, FNUM or FLOA")
     apertures = [system[keyword] for keyword in _APERTURES if keyword in system]
     if not apertures:
-        raise FileError(f"{path}: none of the apertures that are read (ENPD, FNUM, FLOA)")
+        raise FileError(f"{path}: no aperture; expected ENPD, FNUM or FLOA")
     if len(apertures) > 1:
         raise apertures[1].error(f"the file has the aperture {apertures[0].keyword} as well; delete one of them")
     line = apertures[0]
@@ -61,8 +61,8 @@ def read_aperture(
         raise line.error(f"expected the type 0 (image space) or 1 (paraxial working), found {line.text!r}")
     if kind == 1 and near:
         raise line.error(
-            "the paraxial working F-number (type 1) of a near object is not read; give the diameter of the entrance "
-            "pupil (ENPD) or the F-number in image space (type 0)"
+            "the paraxial working F-number (type 1) is not supported for a near object; give the diameter of the "
+            "entrance pupil (ENPD) or the F-number in image space (type 0)"
         )
     return line, ("f_number", value)
 
@@ -103,7 +103,7 @@ def _coordinates(system: Mapping[str, Line], axis: str, path: Path) -> Line:
 def read_wavelengths(system: Mapping[str, Line], path: Path) -> tuple[tuple[float, ...], int]:
     """Read the wavelengths [um] and the index of the primary one; FTYP has their number, since files list 24."""
     if "FTYP" not in system:
-        raise FileError(f"{path}: no numbers of fields and wavelengths: FTYP is missing")
+        raise FileError(f"{path}: the numbers of fields and wavelengths are unknown: FTYP is missing")
     count = system["FTYP"].integer(3)
     table = next((system[keyword] for keyword in ("WAVL", "WAVN") if keyword in system), None)
     words: Iterable[tuple[Line, int]]

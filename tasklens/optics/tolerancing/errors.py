@@ -100,7 +100,7 @@ def _radius(lens: Lens, surface: int) -> float:
     """Return the radius of the clear aperture [mm]; raises ValueError if there is none."""
     radius = float(lens.semi_diameter[surface])
     if not math.isfinite(radius):
-        raise ValueError(f"surface {surface} has no clear aperture: its form error has no size")
+        raise ValueError(f"surface {surface} has no clear aperture, which its form error needs")
     return radius
 
 

@@ -25,8 +25,8 @@ _CAPTIONS = {
     "table3": "Table 3: task-driven against end-to-end design",
     "table4": "Table 4: after image restoration",
     "verdicts": "Verdicts on the paper's claims",
-    "psf_tail": "Tails of the PSFs about the chief ray: core of 50 % of the light, and what is outside it",
-    "effort": "Effort of each design: lenses tried, and minutes of one core",
+    "psf_tail": "Tails of the PSFs: core (50 % of the light about the chief ray) and light outside it",
+    "effort": "Effort of each design: lens evaluations, and minutes on one core",
     "regimes": "Where it pays: task-driven lens minus the best imaging lens",
     "tolerances": "Built lenses: what each design loses in manufacture",
     "tolerances_compared": "What a task-driven lens loses in manufacture minus what an imaging lens loses [points]",
@@ -118,9 +118,9 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "study": settings.study,
         "seeds": settings.seeds,
         "supervisor": settings.supervisor,
-        "summary": words.summary(frames["verdicts"], settings.by_task, settings.margins, len(settings.seeds)),
+        "summary": words.summary(frames["verdicts"], settings),
         "warnings": words.chance(by_seed),
-        "tallies": words.tallies(frames["verdicts"], settings.margins),
+        "tallies": words.tallies(frames["verdicts"], settings.paper_claims, settings.margins),
         "answer": pictures.link(answer) if answer.exists() else None,
         "names": settings.descriptions,
         "answers": words.answers(frames["verdicts"], elements, settings.questions, settings.margins),
@@ -233,22 +233,22 @@ def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
     for elements in dict.fromkeys(settings.elements.values()):
         lenses = [lens for lens, lens_elements in settings.elements.items() if lens_elements == elements]
         runs = {lens: _last_part(_read(files.histories[lens])) for lens in lenses}
-        description = f"RMS spot radius in the last part of the design of each {elements}. {_ends(runs, 'rms_um')}"
+        description = f"RMS spot radius during the last stage of the design of each {elements}. {_ends(runs, 'rms_um')}"
         title = f"Design of each {elements}: RMS spot"
         history_charts.append(
             charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True)
         )
         runs = {lens: run for lens, run in runs.items() if lens in settings.by_classifier}
         description = (
-            f"Loss of the classifier on the fixed images of the design of each {elements}, which ends with the lens of "
-            f"the least one. {_ends(runs, 'validation_loss')}"
+            f"Loss of the classifier on fixed images during the design of each {elements}. The lens with the smallest "
+            f"loss is kept. {_ends(runs, 'validation_loss')}"
         )
         title = f"Design of each {elements}: loss of the classifier"
         history_charts.append(
             charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False)
         )
     runs = {lens: _read(path) for lens, path in files.restorations.items()}
-    description = f"PSNR on minival while the restoration networks are trained. {_ends(runs, 'psnr_db')}"
+    description = f"PSNR on minival images during the training of the restoration networks. {_ends(runs, 'psnr_db')}"
     history_charts.append(
         charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, description, False)
     )

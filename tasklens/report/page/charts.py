@@ -81,9 +81,9 @@ def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
         figure.add_hline(y=float(sharp.iloc[0]), line={"dash": "dash", "width": 1, "color": "#888888"})
     best = lenses.iloc[int(lenses["accuracy"].argmax())]
     words = (
-        f"Accuracy [%] over the RMS spot radius [um] of {len(lenses)} lenses. Most accurate: {best['elements']} "
+        f"Accuracy [%] against RMS spot radius [um] for {len(lenses)} lenses. Most accurate: {best['elements']} "
         f"{best['design']}, {best['accuracy']:.1f} % at {best['rms_spot_um']:.1f} um. Colour: elements; symbol: "
-        "design; dashed line: sharp images. Touch a design in the legend to hide its lenses."
+        "design; dashed line: sharp images. Click a design in the legend to hide its lenses."
     )
     axes = {
         "xaxis": {"type": "log", "title": {"text": "RMS spot radius [um]"}, "tickvals": _TICKS},

@@ -91,7 +91,7 @@ def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | Non
     return [
         *facts,
         ("RMS spot", f"{values['rms_spot_um']:.1f} um"),
-        ("light in window", f"{values['energy_in_window']:.1%}"),
+        ("light in window", f"{100 * values['energy_in_window']:.1f} %"),
         ("focal length", f"{figures['efl_mm']:.3f} mm"),
         ("F-number", f"{figures['f_number']:.2f}"),
         ("track", f"{figures['track_mm']:.2f} mm"),

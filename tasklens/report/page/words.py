@@ -1,7 +1,7 @@
 """The answer of a study in sentences, derived by rules from its verdicts."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,8 @@ import pandas
 
 from tasklens.report.optimality import Optimum
 from tasklens.report.verdicts import FAILS, HOLDS, LEAST_SEEDS, SUGGESTS
-from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_LEAST_SQUARES, PAPER_CLAIMS, STRONGER_CLAIM
+from tasklens.study.claims import PaperClaim
+from tasklens.study.report_jobs import ReportJob
 
 _LEARNT = 0.1  # share of the way from chance to 100 % that a network has to reach
 SHOWN, SUGGESTED, UNDECIDED = "shown", "suggested", "undecided"
@@ -40,20 +41,15 @@ def judged(row: Mapping[Any, Any], margin: float) -> tuple[str, str]:
     return UNDECIDED, UNDECIDED
 
 
-def summary(
-    verdicts: pandas.DataFrame, task_driven: Sequence[str], margins: Mapping[str, float], seeds: int
-) -> list[Sentence]:
-    """Answer the study in three sentences: the gain by elements, the paper's claims, and how certain this is.
-
-    Args:
-        task_driven: names of the task-driven lenses; the first one of each elements is compared.
-    """
+def summary(verdicts: pandas.DataFrame, settings: ReportJob) -> list[Sentence]:
+    """Answer the study in three sentences: the gain by elements, the paper's claims, and how certain this is."""
     if verdicts.empty:
         return [Sentence("The paper's claims are about no lenses of this study.")]
-    sentences = [_gains(verdicts, task_driven, margins), _claims(tallies(verdicts, margins))]
+    counted = tallies(verdicts, settings.paper_claims, settings.margins)
+    sentences, seeds = [_gains(verdicts, settings), _claims(counted)], len(settings.seeds)
     if seeds < LEAST_SEEDS:
-        number, over = ("one seed", "") if seeds == 1 else (f"{seeds} seeds", " and seeds")
-        text = f"With {number}, differences are suggested, not shown: it takes {LEAST_SEEDS} seeds to show one."
+        number, over = ("One seed", "") if seeds == 1 else (f"{seeds} seeds", " and seeds")
+        text = f"{number} can only suggest a difference; at least {LEAST_SEEDS} are needed to show one."
         sentences.append(Sentence(f"{text} Intervals are 95 % over test images{over}."))
     else:
         text = f"Intervals are 95 % over test images and {seeds} seeds; p-values are corrected by Holm's method."
@@ -62,8 +58,12 @@ def summary(
 
 
 def _claims(counted: Iterable["Tally"]) -> Sentence | None:
-    """Say how many of the paper's claims are true; None if none of them is tested."""
-    words = {FOR: "true in every comparison", UNDECIDED: "mixed or undecided", AGAINST: "true in none"}
+    """Say how many of the paper's claims the comparisons support; None if none of them is tested."""
+    words = {
+        FOR: "supported by every comparison",
+        UNDECIDED: "mixed or undecided",
+        AGAINST: "contradicted by every comparison",
+    }
     outcomes = Counter(tally.outcome for tally in counted if tally.of_the_paper)
     if outcomes.total() == 1:
         return Sentence(f"The one claim of the paper that is tested here is {words[next(iter(outcomes))]}.")
@@ -71,29 +71,34 @@ def _claims(counted: Iterable["Tally"]) -> Sentence | None:
     return Sentence(f"Of the paper's {outcomes.total()} claims tested here, {_listed(parts)}.") if parts else None
 
 
-def _gains(verdicts: pandas.DataFrame, task_driven: Sequence[str], margins: Mapping[str, float]) -> Sentence | None:
-    """Give the gain of the first task-driven lens of each elements over the strongest kind of baseline."""
+def _gains(verdicts: pandas.DataFrame, settings: ReportJob) -> Sentence | None:
+    """Give the gain of the first task-driven lens of each elements, by the first question that the study answers."""
     table1 = verdicts[verdicts["table"] == "table1"]
-    for text, words in ((OVER_IMAGE_QUALITY, "for image quality"), (OVER_LEAST_SQUARES, "by least squares")):
+    for text in settings.questions:
         claims = table1[table1["claim"] == text].drop_duplicates("lens").set_index("lens")
-        first = {lens.partition("-")[0]: lens for lens in reversed(task_driven) if lens in claims.index}
-        lenses = [lens for lens in task_driven if first.get(lens.partition("-")[0]) == lens]
-        if not lenses:
-            continue
+        first: dict[str, str] = {}
+        for lens in settings.by_task:
+            if lens in claims.index:
+                first.setdefault(settings.elements[lens], lens)
         parts = []
-        for lens in lenses:
-            elements, _, design = lens.partition("-")
+        for elements, lens in first.items():
             row = claims.loc[lens].to_dict()
-            certainty = judged(row | {"claim": text}, margins.get(text, 0.0))[1]
-            parts.append(f"{elements} {design} {_points(row)}, {certainty}")
-        return Sentence(f"Accuracy compared with the best lens {words}: {'; '.join(parts)}.")
+            certainty = judged(row | {"claim": text}, settings.margins.get(text, 0.0))[1]
+            design, baseline = (str(name).replace(f"{elements}-", "") for name in (lens, row["baseline"]))
+            parts.append(f"{elements} {design} {_points(row)} compared with {baseline}, {certainty}")
+        if parts:
+            kind = text.removeprefix("more accurate than ")
+            return Sentence(f"Accuracy compared with {kind} (chosen on minival images): {'; '.join(parts)}.")
     return None
 
 
 def _points(row: Mapping[Any, Any]) -> str:
     """Format a difference with its interval."""
     unit = "point" if f"{abs(row['difference']):.1f}" == "1.0" else "points"
-    text = f"{row['difference']:+z.1f} {unit} ({row['low']:+z.1f} to {row['high']:+z.1f})"
+    low, high = (f"{row[end]:+z.1f}" for end in ("low", "high"))
+    if "+0.0" in (low, high):  # the sign of a small bound decides
+        low, high = (f"{row[end]:+z.2f}" for end in ("low", "high"))
+    text = f"{row['difference']:+z.1f} {unit} ({low} to {high})"
     return text.replace("-", "−")
 
 
@@ -114,14 +119,14 @@ class Tally:
         return UNDECIDED
 
 
-def tallies(verdicts: pandas.DataFrame, margins: Mapping[str, float]) -> list[Tally]:
-    """Count the comparisons of each claim of the paper, and of the stronger claim about image quality."""
+def tallies(verdicts: pandas.DataFrame, claims: Iterable[PaperClaim], margins: Mapping[str, float]) -> list[Tally]:
+    """Count the comparisons for and against each claim."""
     counted = []
-    for claim in (*PAPER_CLAIMS, STRONGER_CLAIM):
+    for claim in claims:
         rows = verdicts[(verdicts["table"] == claim.table) & verdicts["claim"].isin(claim.texts)].to_dict("records")
         directions = Counter(judged(row, margins.get(row["claim"], 0.0))[0] for row in rows)
         if rows:
-            counted.append(Tally(claim.sentence, claim in PAPER_CLAIMS, directions))
+            counted.append(Tally(claim.sentence, claim.of_the_paper, directions))
     return counted
 
 
@@ -174,10 +179,10 @@ def best_lenses(table1: pandas.DataFrame, task_driven: Iterable[str]) -> dict[st
     for name in dict.fromkeys(lenses["elements"]):
         in_elements = lenses["elements"] == name
         parts = []
-        for words, kind in (("designed by the task", in_elements & by_task), ("of the others", in_elements & ~by_task)):
+        for words, kind in (("task-driven", in_elements & by_task), ("other", in_elements & ~by_task)):
             if kind.any():
                 best = lenses.loc[lenses[kind]["accuracy"].idxmax()]
-                parts.append(f"{best['accuracy']:.1f} % through {best['design']}, the best {words}")
+                parts.append(f"{best['design']}, the most accurate {words} design: {best['accuracy']:.1f} %")
         sentences[name] = Sentence(f"{'; '.join(parts)}.")
     return sentences
 
@@ -187,10 +192,8 @@ def convergence(optima: Mapping[str, Optimum]) -> list[Sentence]:
     optimal = [lens for lens, optimum in optima.items() if optimum.reached]
     sentences = []
     if optimal:
-        text = (
-            f"Converged: {_listed(optimal)}. No small step within the limits lowers the loss by more than two standard"
-        )
-        sentences.append(Sentence(f"{text} errors and 0.002.", FOR))
+        text = "No small step within the limits lowers the loss by more than two standard errors plus 0.002"
+        sentences.append(Sentence(f"Converged: {_listed(optimal)}. {text}.", FOR))
     for lens, optimum in optima.items():
         if not optimum.reached:
             text = f"Not converged: a step of {optimum.step_um:g} um within the limits lowers the loss of {lens} by"

@@ -1,0 +1,37 @@
+"""Result files of a study in which a chosen fraction of the captures through each lens is correct."""
+
+import numpy
+import pandas
+import yaml
+from examples import lens_file, measurement, write
+
+from tasklens.study.names import SHARP, restored
+
+IMAGES, FIELDS = 200, 9
+
+
+def write_results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
+    """Write files of a study in which a fraction accuracy(lens, classifier, seed) of all captures is correct.
+
+    One random number per image and field, shared by all lenses, decides: a capture that is correct through a lens is
+    also correct through a better one.
+    """
+    luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
+    index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
+    for seed in study.seeds:
+        for lens in lenses or (SHARP, *study.lenses):
+            for name in [*study.classifiers, *map(restored, study.classifiers)]:
+                fields = 1 if lens == SHARP else FIELDS
+                right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
+                minival_share = (minival or accuracy)(lens, name, seed)
+                columns = {f"field{k}": right[:, k] for k in range(fields)}
+                for kind in ("-predictions", "-frozen"):
+                    path = measurement(study.name, lens, name, seed, kind)
+                    write(path, pandas.DataFrame(index | columns).to_csv(index=False))
+                rows = [("minival_accuracy", k, 100 * minival_share) for k in range(fields)] + [("chance", "", 10.0)]
+                rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
+                frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
+                write(measurement(study.name, lens, name, seed), frame.to_csv(index=False))
+            figures = {"rms_centroid_um": [9.0], "core_radius_um": [3.0], "energy_in_window": [inside]}
+            text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
+            write(lens_file(study.name, lens, seed), text)
