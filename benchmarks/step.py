@@ -31,7 +31,8 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.design_settings import DescentSettings, LeastSquaresSettings
+from tasklens.study.design_settings import DescentSettings
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, Constraints, Spec
 

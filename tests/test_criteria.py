@@ -8,7 +8,7 @@ import torch
 from designs import LIMITS, VIEW, problem
 from examples import by_descents, difference, f64, materials, random_images
 
-from tasklens.design.criteria import Contrast, Correlation
+from tasklens.design.criteria import Contrast, Correlation, ImageError, SpotRadius
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -73,6 +73,19 @@ def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
     (gradient,) = torch.autograd.grad(result.value, curved)
     expected = difference(lambda c: loss(c).fields.mean(), curved.detach(), 1e-6)
     torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("criterion", [Contrast(VIEW.directions), SpotRadius(), ImageError(True)])
+def test_fields_are_weighted_up_to_the_corner(start, criterion):
+    """The corner weighs four times as much as the axis, in steps and on fixed images; weights have mean 1."""
+    equal, weighted = (Supervisor(criterion, problem(), None, False, 36, corner_weight=w) for w in (1.0, 4.0))
+    weights = weighted.weights
+    assert float(weights[-1] / weights[0]) == pytest.approx(4) and float(weights.mean()) == pytest.approx(1)
+    assert torch.equal(equal.weights, torch.ones_like(weights))
+    losses = [s.loss(start, sobol_disc(64, 0), 1.0, torch.arange(4), seed=0).fields for s in (equal, weighted)]
+    torch.testing.assert_close(losses[1], weights * losses[0], rtol=1e-5, atol=0)
+    fixed = [s.fixed_losses(start, 1.0, slice(4)).mean() for s in (equal, weighted)]
+    assert float(fixed[0]) != float(fixed[1])
 
 
 def test_contrast_alone_makes_a_lens():

@@ -73,6 +73,19 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
 
 
+def test_weights_of_fields_are_those_of_the_gradient(start):
+    """In micro-batches that split fields: the gradient is that of the weighted mean loss."""
+    dataset, network = random_images(5, 16, 3, seed=0), tiny_network().eval().requires_grad_(False)
+    images, labels = dataset.batch(torch.arange(5))
+    grid, weights = coarse_psfs(start).detach().float(), torch.linspace(0.5, 1.5, 9)
+    losses, gradient = loss_at_psf(TaskLoss(network), images, labels, grid, CaptureSettings(), 7, weights=weights)
+    leaf = grid.clone().requires_grad_()
+    direct = whole_losses(TaskLoss(network), PsfCamera(leaf).grid(images), images, labels).mean(1) * weights
+    direct.mean().backward()
+    torch.testing.assert_close(losses, direct.detach(), rtol=1e-5, atol=0)
+    torch.testing.assert_close(gradient, leaf.grad, rtol=1e-4, atol=1e-5 * float(leaf.grad.abs().max()))
+
+
 class Contrast(nn.Module):
     """A network whose first logit is the image contrast: it sees only blur."""
 

@@ -18,7 +18,8 @@ from tasklens.recognition import evaluation, training
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.study.design_settings import DescentSettings
-from tasklens.study.settings import CaptureSettings, RestorationSettings, SensorSettings, TrainingSettings
+from tasklens.study.restoration_settings import RestorationSettings
+from tasklens.study.settings import CaptureSettings, SensorSettings, TrainingSettings
 
 pytestmark = [
     pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),

@@ -7,7 +7,7 @@ from examples import random_images
 from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet, build
 from tasklens.imaging import PsfCamera, psnr
-from tasklens.study.settings import RestorationSettings
+from tasklens.study.restoration_settings import RestorationSettings
 
 
 def small(seed: int = 0) -> NAFNet:

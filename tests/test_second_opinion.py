@@ -24,7 +24,7 @@ from tasklens.optics.analysis.zernike import zernike_coefficients
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
-from tasklens.study.design_settings import LeastSquaresSettings
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.settings import Constraints, Spec
 
 OPTILAND = pytest.importorskip("optiland_lenses", reason="Optiland is not installed")

@@ -8,7 +8,7 @@ from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 
 from tasklens.imaging import PsfCamera, expose, noise
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.study.settings import SensorSettings
+from tasklens.study.settings import CaptureSettings, SensorSettings
 
 FINE = {"bits": 16}  # levels far below the noise
 
@@ -31,6 +31,14 @@ def test_moments_are_those_of_electrons(gain, light, share):
     error = math.sqrt((white * light + 9) / 120_000)
     assert float(electrons.mean()) == pytest.approx(white * light, abs=4 * error)
     assert float(electrons.var()) == pytest.approx(white * light + 9, rel=4 * math.sqrt(2 / 120_000))
+
+
+def test_a_sensor_captures_linear_light_unless_a_study_says_otherwise():
+    assert CaptureSettings().colour == "srgb" and CaptureSettings(sensor=None).colour == "srgb"
+    linear = CaptureSettings(sensor=SensorSettings())
+    assert linear.colour == CaptureSettings.model_validate({"sensor": {}}).colour == "linear"
+    assert CaptureSettings(sensor=SensorSettings(), colour="srgb").colour == "srgb"
+    assert CaptureSettings.model_validate(linear.model_dump()) == linear
 
 
 def test_much_light_leaves_the_capture_and_its_levels():

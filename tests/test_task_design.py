@@ -14,9 +14,10 @@ from torch.nn.functional import interpolate
 from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
+from tasklens.design.descent import Descent
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor, loss_at_psf
+from tasklens.design.supervision import SELECTION, VALIDATION, Supervisor, loss_at_psf
 from tasklens.imaging import PsfCamera, psnr
 from tasklens.jobs import design as design_job
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -25,7 +26,7 @@ from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import DescentSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.loading import parse
 from tasklens.study.settings import CaptureSettings, SensorSettings, Spec, TrainingSettings
 from tasklens.study.tables import lens_design
@@ -186,7 +187,7 @@ def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
 
 
 def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
-    """Validation uses 48 of 300 images, selection 192 others, the same ones each time."""
+    """Validation uses 48 of 300 images, selection 192 others, the same ones each time; of 1000 steps use the rest."""
     batches = []
     supervisor = Supervisor(ImageError(True), replace(problem(), dataset=random_images(300, 16, 3, 0)), None, False, 36)
     images = Supervisor.images
@@ -198,6 +199,14 @@ def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
     assert [len(indices) for indices in batches] == [48, 192, 48, 192]
     assert torch.equal(batches[0], batches[2]) and torch.equal(batches[1], batches[3])
     assert not set(batches[0].tolist()) & set(batches[1].tolist())
+    assert supervisor.batch_images().tolist() == list(range(300))  # too few to leave some out
+    many = replace(supervisor, problem=replace(problem(), dataset=random_images(1000, 8, 3, 0)))
+    fixed = [{*many.fixed_images(part).tolist()} for part in (VALIDATION, SELECTION)]
+    assert {*many.batch_images().tolist()} == {*range(1000)} - fixed[0] - fixed[1]
+    part = DescentSettings(steps=6)
+    descent = Descent(start, many, GradientDesignSettings(descents=[part], batch_size=30), part, seed=0)
+    seen = torch.cat([descent.images[descent.order.next()] for _ in range(40)])
+    assert not {*seen.tolist()} & (fixed[0] | fixed[1])
 
 
 def test_the_noise_of_fixed_images_is_the_same_in_any_micro_batches(start):

@@ -64,10 +64,11 @@ class Descent:
         self.best = self.optimizer.vector().detach()
         self.least = True, math.inf
         self.failures = 0  # validations since the best lens
-        images, batch = supervisor.problem.dataset, settings.batch_size or design.batch_size
-        self.order = None
-        if images is not None:
-            self.order = Shuffled(len(images), batch, torch.Generator().manual_seed(seed))
+        batch = settings.batch_size or design.batch_size
+        self.images = self.order = None
+        if supervisor.problem.dataset is not None:
+            self.images = supervisor.batch_images()
+            self.order = Shuffled(len(self.images), batch, torch.Generator().manual_seed(seed))
 
     def step(self, step: int) -> tuple[dict[str, float], Tensor]:
         """Take step number `step`, from 1, with its pixel pitch and stop.
@@ -79,7 +80,7 @@ class Descent:
             Diverged: the loss or the change is not finite.
         """
         settings, supervisor, optimizer = self.settings, self.supervisor, self.optimizer
-        indices = None if self.order is None else self.order.next()
+        indices = None if self.images is None or self.order is None else self.images[self.order.next()]
         fraction = (step - 1) / settings.steps
         first, last = settings.pixels
         pixels = last * geometric(first / last, fraction / settings.duration)

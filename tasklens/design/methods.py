@@ -27,7 +27,8 @@ from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Classification, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings, LeastSquaresSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens, LensDesign
 
 _APERTURE = 1.02  # clear semi-diameter / radius that light uses, of an imported lens without apertures

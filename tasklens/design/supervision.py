@@ -33,6 +33,7 @@ from tasklens.study.tolerance_settings import Grade
 
 VALIDATION = slice(48)  # images in fixed order; a batch of 8 photographs has losses from 0.1 to 2 for the same lens
 SELECTION = slice(-192, None)  # other images, if there are enough: a descent of 1000 steps fits the 48
+_ENOUGH = 1000  # images of which batches leave out those of validation and selection
 _VALIDATION_RAYS = 1024  # rays per field and colour
 _VALIDATION_BUILT = 8  # number of built lenses, if the design has a grade of manufacture
 _VALIDATION_SEED = 9001  # added to the seed: other lenses than reported, other images than in the first steps
@@ -47,6 +48,7 @@ def loss_at_psf(
     micro_batch: int,
     illumination: Tensor | None = None,
     seed: int = 0,
+    weights: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Compute the mean loss over all captures, and its gradient at the PSFs.
 
@@ -59,19 +61,23 @@ def loss_at_psf(
         micro_batch: maximum number of the F B captures that the criterion takes at once.
         illumination: (F,) relative illumination, if there is a sensor.
         seed: seed of the noise.
+        weights: (F,) weights of the fields, with mean 1; None: equal weights.
 
     Returns:
-        Loss of each field (F,), whose mean is L; and dL/dPSF, of the shape of `grid`. Both have its device and dtype.
+        Weighted loss of each field (F,), whose mean is L; and dL/dPSF, of the shape of `grid`. Both have its device and
+        dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
     camera = PsfCamera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
     captures = camera.grid(images, torch.Generator().manual_seed(seed))
     inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
     count = math.ceil(len(inputs) / micro_batch)
+    weight = (torch.ones(len(grid)) if weights is None else weights).to(images).repeat_interleave(len(images))
     losses, gradients = [], []
-    for batch, rows in zip(inputs.chunk(count), source.chunk(count), strict=True):
+    parts = (values.chunk(count) for values in (inputs, source, weight))
+    for batch, rows, factors in zip(*parts, strict=True):
         batch.requires_grad_()
-        loss = criterion.losses(batch, images[rows], labels[rows])
+        loss = factors * criterion.losses(batch, images[rows], labels[rows])
         (loss.sum() / len(inputs)).backward()
         losses.append(loss.detach())
         gradients.append(_gradient(batch))
@@ -91,7 +97,7 @@ class Loss:
 
     Attributes:
         rays: rays of the lens.
-        fields: (F,) losses of the fields.
+        fields: (F,) weighted losses of the fields.
         value: scalar, differentiable in the lens; its gradient is that of the mean loss.
         energy: mean energy of the PSFs inside their window; None for a loss of rays.
     """
@@ -114,6 +120,7 @@ class Supervisor:
         micro_batch: maximum number of captures that the criterion takes at once.
         centre: centre of PSFs; at the pinhole points, errors of focal length and distortion increase the loss.
         grade: grade of manufacture of the built lenses that are evaluated; None: the design itself is evaluated.
+        corner_weight: weight of the corner field in the mean, geometric from 1 on the axis.
     """
 
     criterion: Criterion
@@ -123,6 +130,14 @@ class Supervisor:
     micro_batch: int
     centre: Literal["pinhole", "chief_ray"] = "pinhole"
     grade: Grade | None = None
+    corner_weight: float = 1.0
+
+    @property
+    def weights(self) -> Tensor:
+        """Weights (F,) of the fields, with mean 1."""
+        radii = self.problem.view.radii
+        weights = self.corner_weight ** (radii / radii.max())
+        return weights / weights.mean()
 
     @property
     def dataset(self) -> ImageDataset:
@@ -184,17 +199,17 @@ class Supervisor:
         criterion = self.criterion
         if isinstance(criterion, SpotRadius):
             rays = trace_fields(lens, self.problem.view, pupil)
-            spots = criterion.losses(rays)
+            spots = self.weights * criterion.losses(rays)
             return Loss(rays, spots.detach(), spots.mean(), None)
         rays, grid = self.trace(lens, pupil, pixels)
         energy = float(grid.detach().sum((-2, -1)).mean())
         if isinstance(criterion, Contrast):
-            contrasts = criterion.losses(grid)
+            contrasts = self.weights * criterion.losses(grid)
             return Loss(rays, contrasts.detach(), contrasts.mean(), energy)
         assert isinstance(criterion, CaptureCriterion) and indices is not None
         images, labels = self.images(indices, self.augment)
-        light = self.illumination(design or lens)
-        losses, gradient = loss_at_psf(criterion, images, labels, grid, self.capture, self.micro_batch, light, seed)
+        settings = self.capture, self.micro_batch, self.illumination(design or lens), seed, self.weights
+        losses, gradient = loss_at_psf(criterion, images, labels, grid, *settings)
         return Loss(rays, losses, (grid * gradient).sum(), energy)
 
     def validation_loss(self, lens: Lens, pixels: float) -> float:
@@ -209,6 +224,12 @@ class Supervisor:
         """Return the indices of a part of the training images in fixed order."""
         generator = torch.Generator().manual_seed(self.problem.seed + _VALIDATION_SEED)
         return torch.randperm(len(self.dataset), generator=generator)[part]
+
+    def batch_images(self) -> Tensor:
+        """Return the indices (N,) of the images of the steps; if there are many, not those of validation and selection."""
+        if len(self.dataset) < _ENOUGH:
+            return torch.arange(len(self.dataset))
+        return self.fixed_images(slice(VALIDATION.stop, SELECTION.start))
 
     @torch.no_grad()
     def fixed_losses(self, lens: Lens, pixels: float, part: slice) -> Tensor:
@@ -229,10 +250,10 @@ class Supervisor:
         """Compute the losses (N,) of one lens at a relative illumination (F,), without augmentation."""
         criterion, pupil = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0)
         if isinstance(criterion, SpotRadius):
-            return criterion.losses(trace_fields(lens, self.problem.view, pupil))
+            return self.weights * criterion.losses(trace_fields(lens, self.problem.view, pupil))
         _, grid = self.trace(lens, pupil, pixels)
         if isinstance(criterion, Contrast):
-            return criterion.losses(grid)
+            return self.weights * criterion.losses(grid)
         assert isinstance(criterion, CaptureCriterion)
         images, labels = self.images(self.fixed_images(part), augment=False)
         capture = self.capture
@@ -246,5 +267,5 @@ class Supervisor:
                 captures = camera.grid(batch, noise)
                 sharp, targets = batch.repeat(len(grid), 1, 1, 1), batch_labels.repeat(len(grid))
                 loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
-                losses.append(loss.reshape(len(grid), -1).mean(0))
+                losses.append((self.weights.to(loss)[:, None] * loss.reshape(len(grid), -1)).mean(0))
         return torch.cat(losses)

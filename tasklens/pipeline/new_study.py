@@ -16,8 +16,8 @@ from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
-from tasklens.study.design_settings import LeastSquaresSettings
 from tasklens.study.layers import laid_over
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.loading import parse
 from tasklens.study.study import Study
 

@@ -6,7 +6,7 @@ A claim belongs to one table, which sets its classifier and whether captures are
 from itertools import pairwise
 
 from tasklens.study import names
-from tasklens.study.design_settings import LeastSquaresSettings
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from tasklens.study.learning_rates import LearningRates
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.quantities import (
     Angle,
     Batch,
@@ -74,6 +75,9 @@ class DescentSettings(Frozen):
         None, description="Images per step, each at all nine fields; null: `batch_size` of the design."
     )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
+    corner_weight: Positive = Field(
+        1.0, description="Weight of the corner field in the mean loss; geometric series from 1 on axis."
+    )
     pixels: tuple[Magnification, Magnification] = Field(
         (1.0, 1.0), description="First and last pixel pitch [sensor pixels]."
     )
@@ -227,41 +231,6 @@ class GradientDesignSettings(Frozen):
         """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
         first = self.by_network[:1]
         return bool(first) and first[0].trains_network and not self.starting_designs
-
-
-class LeastSquaresSettings(Frozen):
-    """Settings of damped least squares on ray residuals, from many random paraxial starts."""
-
-    method: Literal["least_squares"]
-    starts: Annotated[Count, Field(le=10**6)] = Field(150, description="Number of random paraxial starts.")
-    evaluations: Steps = Field(8000, description="Budget of evaluations of all residuals, with or without derivatives.")
-    reference: Literal["centroid", "chief_ray"] = Field("centroid", description="Reference point of spots.")
-    highest_order: Literal[4, 6, 8, 10] = Field(10, description="Highest order of the variable asphere coefficients.")
-    corner_weight: Positive = Field(1.0, description="Weight of the corner field; geometric series from 1 on axis.")
-    max_chief_ray_angle_deg: Angle | None = Field(
-        None, description="Largest chief ray angle on the sensor [degrees]; null: no limit."
-    )
-    linear_beyond_um: Positive | None = Field(
-        None,
-        description="Error above which the cost of a ray grows linearly in a last stage [um], for a sharper core with "
-        "more haze than the smallest RMS spot has; null: no such stage.",
-    )
-    vignetting: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        None,
-        description="Largest fraction of the light of a field that the clear aperture of one surface may stop to make "
-        "the spot smaller; on the axis it stops none. Null: no light is stopped.",
-    )
-    spot_um: Positive | dict[Name, Positive] | None = Field(
-        None,
-        description="RMS spot radius at which the search ends [um], one value or one by name of elements, for a lens "
-        "as sharp as another, such as one of the paper's; null: the whole budget.",
-    )
-
-    def of_elements(self, elements: str) -> "LeastSquaresSettings":
-        """Return the settings for some elements, with one `spot_um`."""
-        if not isinstance(self.spot_um, dict):
-            return self
-        return self.model_copy(update={"spot_um": self.spot_um.get(elements)})
 
 
 _FORMAT_2 = {  # replacements of the methods of format 2

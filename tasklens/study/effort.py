@@ -1,6 +1,7 @@
 """Effort of the designs of a study: lenses tried, with and without those of the lenses that they were chosen from."""
 
-from tasklens.study.design_settings import DesignSettings, LeastSquaresSettings
+from tasklens.study.design_settings import DesignSettings
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study

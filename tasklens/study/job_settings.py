@@ -12,12 +12,12 @@ from typing import Any
 
 from tasklens.study import names
 from tasklens.study.names import SHARP
+from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import (
     CaptureSettings,
     ClassifierSettings,
     Frozen,
     ImageSettings,
-    RestorationSettings,
     Spec,
     TrainingSettings,
 )

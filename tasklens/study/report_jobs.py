@@ -9,7 +9,8 @@ from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claim, Claims, PaperClaim
 from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
-from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, RestorationSettings, Spec
+from tasklens.study.restoration_settings import RestorationSettings
+from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
 from tasklens.study.study import Study, StudyError, pick
 from tasklens.study.sweep import points
 from tasklens.study.tables import MeasuredKey, SeededLenses, TableContents

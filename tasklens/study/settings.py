@@ -28,7 +28,6 @@ from tasklens.study.quantities import (
     Periods,
     Seed,
     Small,
-    Steps,
     Whole,
 )
 from tasklens.study.renamed import renamed
@@ -229,42 +228,6 @@ class ClassifierSettings(Frozen):
         return self
 
 
-class RestorationSettings(Frozen):
-    """Settings of NAFNet and its training; the default size is that of Yang et al. 2024, section 5.3."""
-
-    _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
-
-    width: Annotated[Whole, Field(gt=0, le=4096)] = Field(
-        32, description="Channels at full resolution; each encoder level doubles them."
-    )
-    encoder: tuple[Small, ...] = Field((1, 1, 1, 8), max_length=8, description="Blocks of each encoder level.")
-    middle: Small = Field(1, description="Blocks between encoder and decoder.")
-    decoder: tuple[Small, ...] = Field((1, 1, 1, 1), max_length=8, description="Blocks of each decoder level.")
-    steps: Steps = Field(description="Number of steps.")
-    check: Steps = Field(500, description="Steps between validations on the minival.")
-    batch_size: Batch = Field(32, description="Captures per step.")
-    crop: Annotated[Whole, Field(gt=0, le=8192)] | None = Field(
-        None, description="Side of the crops of captures in training [pixels]; null: whole captures."
-    )
-    learning_rate: LearningRate = Field(
-        1e-3, description="Largest learning rate of AdamW, after a warm-up; it falls along a cosine to zero."
-    )
-
-    @model_validator(mode="after")
-    def _symmetric(self) -> "RestorationSettings":
-        if len(self.encoder) != len(self.decoder):
-            raise ValueError("`encoder` and `decoder` need the same number of levels")
-        if self.crop is not None and self.crop % self.multiple:
-            levels = len(self.encoder)
-            raise ValueError(f"crop = {self.crop}: expected a multiple of {self.multiple} for {levels} levels")
-        return self
-
-    @property
-    def multiple(self) -> int:
-        """Number that image sides must be multiples of: each encoder level halves them."""
-        return 2 ** len(self.encoder)
-
-
 class SensorSettings(Frozen):
     """Settings of a sensor's noise and levels; the defaults are our choice, typical of a phone in daylight."""
 
@@ -285,7 +248,9 @@ class CaptureSettings(Frozen):
         "by renormalising the PSF, as in the authors' code.",
     )
     colour: Literal["srgb", "linear"] = Field(
-        "srgb", description="srgb: convolution of sRGB values, our reading of the paper; linear: of linear light."
+        "srgb",
+        description="srgb: convolution of sRGB values, our reading of the paper; linear: of linear light, as in a "
+        "camera, the default with a `sensor`.",
     )
     sensor: SensorSettings | None = Field(
         None,
@@ -295,3 +260,11 @@ class CaptureSettings(Frozen):
     diffraction: bool = Field(
         False, description="Include diffraction in the PSFs of training and measurement; designs are geometric."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _light_of_a_sensor(cls, values: Any) -> Any:
+        """Take linear light by default with a sensor: its noise is that of light."""
+        if isinstance(values, dict) and values.get("sensor") is not None and "colour" not in values:
+            return values | {"colour": "linear"}
+        return values

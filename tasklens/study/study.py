@@ -21,13 +21,13 @@ from tasklens.study.messages import in_words
 from tasklens.study.quantities import Name, Rays, Seed, StudyName
 from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.renamed import renamed
+from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import (
     CaptureSettings,
     ClassifierSettings,
     Constraints,
     Frozen,
     ImageSettings,
-    RestorationSettings,
     Spec,
     TrainingSettings,
 )
