@@ -43,8 +43,8 @@ class Expected:
     def add_starts(self, lenses) -> None:
         for lens in lenses:
             start, named = getattr(lens.design, "start", None), ()
-            if start == "best_imaging":
-                named = self.study.imaging_starts
+            if start in ("best_imaging", "best_spot"):
+                named = self.study.best_of[start]
             elif isinstance(start, tuple) and lens.design.descents[-1].network_learning_rate:
                 named = start
             if named:

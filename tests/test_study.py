@@ -10,11 +10,13 @@ import yaml
 from examples import changed, studies_we_ship, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import PLASTICS, builtin
+from tasklens.study.claims import OVER_END_TO_END, claims
 from tasklens.study.design_settings import LearningRates
 from tasklens.study.loading import dump, extended, load, parse, read, without_null
 from tasklens.study.schema import schema
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
+from tasklens.study.tables import starts
 
 STUDIES = studies_we_ship()
 
@@ -97,11 +99,31 @@ def test_a_study_of_an_older_format_hears_of_all_its_keys_at_once():
     assert len(message.splitlines()) == 1 + keys + 2 and "unknown key" not in message
 
 
-def test_best_imaging_needs_an_imaging_design():
+@pytest.mark.parametrize(
+    "start, others, words",
+    [
+        ("best_imaging", (), "needs a design by spot or least squares or image quality"),
+        ("best_spot", ("image_error",), "needs a design by spot or least squares"),
+    ],
+)
+def test_the_best_imaging_lens_needs_an_imaging_design(start, others, words):
     study = tiny_study()
-    study["designs"] = {"e2e": study["designs"]["end_to_end_from_imaging"]}
-    with pytest.raises(StudyError, match=r"designs\.e2e\.start"):
+    together = study["designs"]["end_to_end_from_imaging"] | {"start": start}
+    study["designs"] = {name: study["designs"][name] | {"start": "flat"} for name in others} | {"e2e": together}
+    with pytest.raises(StudyError, match=rf"designs\.e2e\.start: .*{words}$"):
         parse(study)
+
+
+def test_best_spot_is_the_best_of_lenses_by_spots():
+    """Not of those for image quality, which best_imaging includes; the claim about end-to-end designs is of both."""
+    study = tiny_study()
+    study["designs"]["end_to_end_from_spot"] = study["designs"]["end_to_end_from_imaging"] | {"start": "best_spot"}
+    study = parse(study)
+    spots = {"singlet-imaging1", "singlet-imaging2"} & {*study.lenses}
+    assert {*starts(study, "singlet-end_to_end_from_spot")} == spots
+    assert {*starts(study, "singlet-end_to_end_from_imaging")} == spots | {"singlet-image_error"}
+    compared = {claim.baselines for claim in claims(study).claims if claim.text == OVER_END_TO_END}
+    assert compared == {("singlet-end_to_end_from_spot",), ("singlet-end_to_end_from_imaging",)}
 
 
 def test_yaml_reads_1e_4_as_text_and_the_study_as_a_number(tmp_path):

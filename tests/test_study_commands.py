@@ -229,6 +229,18 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
     assert not (place / "results").exists()
 
 
+def test_a_plan_of_a_study_with_parts_counts_their_jobs(capsys):
+    """The first page, of the singlets, is a part of a study of two element counts: its tables are two more jobs."""
+    designs = {"imaging1": tiny_study()["designs"]["imaging1"]}
+    elements = tiny_study()["elements"] | {"doublet": ["COC", "OKP4"]}
+    changes = {"designs": designs, "elements": elements, "tables": ["table1"]}
+    write("study.yaml", dump(parse(tiny_study() | changes)))
+    assert study("plan", "study.yaml", "--json") == 0
+    plan = json.loads(capsys.readouterr().out)
+    counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
+    assert plan["study"] == "tiny" and counts["table"] == counts["report_page"] == 2 and counts["design"] == 2
+
+
 def test_a_target_without_jobs_has_nothing_to_be_done(capsys):
     write("study.yaml", dump(parse(tiny_study())))
     assert study("plan", "study.yaml", "--target", "ablations") == 0

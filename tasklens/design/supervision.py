@@ -226,7 +226,7 @@ class Supervisor:
         return torch.randperm(len(self.dataset), generator=generator)[part]
 
     def batch_images(self) -> Tensor:
-        """Return the indices (N,) of the images of the steps; if there are many, not those of validation and selection."""
+        """Return the indices (N,) of the images of the steps; if many, not those of validation and selection."""
         if len(self.dataset) < _ENOUGH:
             return torch.arange(len(self.dataset))
         return self.fixed_images(slice(VALIDATION.stop, SELECTION.start))

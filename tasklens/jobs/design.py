@@ -59,7 +59,7 @@ def run(
         from tasklens.recognition.metrics import least_metrics, mean_metrics
 
         # A joint descent does not recover a field that is lost at the start: docs/results/regimes.
-        measure = least_metrics if settings.entry.start != "best_imaging" else mean_metrics
+        measure = least_metrics if isinstance(settings.entry.start, tuple) else mean_metrics
         accuracies = [measure(path)["minival_accuracy"] for path in metrics]
     start_lenses = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
     candidate_lenses = dict(zip(settings.candidates, _lenses(candidates), strict=True))

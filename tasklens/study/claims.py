@@ -209,7 +209,7 @@ def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             comparisons += [
                 (OVER_END_TO_END, lens.name, (other.name,))
                 for other in same
-                if other.end_to_end and other.start == "best_imaging"
+                if other.end_to_end and other.start in study.best_of
             ]
         elif lens.end_to_end and lens.start == "flat" and lens.descents[0].optimizer == "adamw":
             comparisons.append((FLAT_FAILS, lens.name, ()))

@@ -142,8 +142,9 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     for k, descent in enumerate(design.descents):
         if descent.batch_size is not None:
             feasibility.check_step(f"{where}.descents.{k}.batch_size", descent.batch_size, study.images.size)
-    if design.start == "best_imaging" and not study.imaging_starts:
-        raise ValueError(f"{where}.start: 'best_imaging' needs a design by spot, least squares or image quality")
+    if study.best_of.get(str(design.start)) == ():
+        quality = " or image quality" * (design.start == "best_imaging")
+        raise ValueError(f"{where}.start: {design.start!r} needs a design by spot or least squares{quality}")
     choices = [name for name, other in study.imported.items() if other.elements == lens.elements]
     choices += study.designs if design.by_network else study.imaging_starts
     choices = [name for name in choices if name not in (lens.design_name, *study.vignetted_designs)]

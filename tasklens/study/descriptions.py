@@ -41,4 +41,6 @@ def _start(start: str | tuple[str, ...]) -> str:
         return "from flat plates"
     if start == "best_imaging":
         return "from the imaging lens with the best minival accuracy"
+    if start == "best_spot":
+        return "from the lens by spots or least squares with the best minival accuracy"
     return f"from {start[0]}" if len(start) == 1 else f"from the best of {', '.join(start)}"

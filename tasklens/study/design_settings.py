@@ -27,6 +27,8 @@ from tasklens.study.tolerance_settings import Grade
 VariableName = Literal["curvature", "thickness", "alpha_4", "alpha_6", "alpha_8", "alpha_10"]
 SurfaceNumber = Annotated[int, Field(ge=0, le=1000)]
 
+STARTS = ("flat", "best_imaging", "best_spot")  # starts with a keyword
+
 OPTIMIZER_KEYS = {  # keys of a descent that only one optimizer reads
     "ray_space": ("step_size", "momentum", "damping"),
     "adamw": ("learning_rates", "betas", "penalty", "max_incidence_deg"),
@@ -138,8 +140,8 @@ def _start(value: Any) -> Any:
                 f"a lens file must be imported first: `imported: {{mine: {{elements: ..., file: {name}}}}}` and "
                 "`start: [mine]`"
             )
-    if value not in ("flat", "best_imaging") and not (names and all(isinstance(name, str) for name in names)):
-        raise ValueError("expected flat, best_imaging, or a list of designs or imported lenses")
+    if value not in STARTS and not (names and all(isinstance(name, str) for name in names)):
+        raise ValueError(f"expected {', '.join(STARTS)}, or a list of designs or imported lenses")
     return value
 
 
@@ -159,11 +161,12 @@ class GradientDesignSettings(Frozen):
     )
 
     method: Literal["descents"] = Field("descents", description="Design by descents.")
-    start: Annotated[Literal["flat", "best_imaging"] | tuple[str, ...], BeforeValidator(_start)] = Field(
+    start: Annotated[Literal["flat", "best_imaging", "best_spot"] | tuple[str, ...], BeforeValidator(_start)] = Field(
         "flat",
-        description="flat: flat plates; best_imaging: the imaging lens with the best minival accuracy; or a list of "
-        "designs or imported lenses: the best of them with the same elements and seed, by the criterion of the last "
-        "descent or, if that trains a network, by the minival accuracy of the worst field after fine-tuning.",
+        description="flat: flat plates; best_imaging: the imaging lens with the best minival accuracy; best_spot: that "
+        "of the lenses by spots or least squares, as in the paper; or a list of designs or imported lenses: the best "
+        "of them with the same elements and seed, by the criterion of the last descent or, if that trains a network, "
+        "by the minival accuracy of the worst field after fine-tuning.",
     )
     descents: tuple[DescentSettings, ...] = Field(min_length=1, description="Descents, one after another.")
     batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")

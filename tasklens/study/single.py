@@ -91,7 +91,7 @@ def _by(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return a design, preceded by the designs that it starts from, and these by theirs."""
-    first = [_FIRST] if settings.get("start") == "best_imaging" else settings.get("start", [])
+    first = [_FIRST] if settings.get("start") in ("best_imaging", "best_spot") else settings.get("start", [])
     designs: dict[str, Mapping[str, Any]] = {}
     for name in first if isinstance(first, list) else []:
         if name not in methods() or name == method:

@@ -215,6 +215,16 @@ class Study(Frozen):
         return tuple(name for name in self.imaging_designs if name not in self.vignetted_designs)
 
     @property
+    def best_of(self) -> dict[str, tuple[str, ...]]:
+        """Names of the designs of which the most accurate is the start, by the keyword of `start`."""
+        spots = (
+            name
+            for name in self.imaging_starts
+            if all(descent.criterion == "spot" for descent in getattr(self.designs[name], "descents", ()))
+        )
+        return {"best_imaging": self.imaging_starts, "best_spot": tuple(spots)}
+
+    @property
     def vignetted_designs(self) -> tuple[str, ...]:
         """Names of the designs whose apertures stop light."""
         return tuple(name for name, design in self.designs.items() if getattr(design, "vignetting", None) is not None)

@@ -134,9 +134,9 @@ def starts(study: Study, lens: str) -> tuple[str, ...]:
     entry = study.lens(lens)
     named: tuple[str, ...] = ()
     if isinstance(entry.design, GradientDesignSettings):
-        named = study.imaging_starts if entry.design.start == "best_imaging" else entry.design.starting_designs
-        if entry.design.start != "best_imaging" and not entry.design.descents[-1].trains_network:
-            named = ()
+        if entry.design.descents[-1].trains_network:
+            named = entry.design.starting_designs
+        named = study.best_of.get(str(entry.design.start), named)
     return tuple(f"{entry.elements}-{name}" for name in named)
 
 
