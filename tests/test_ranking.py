@@ -143,7 +143,7 @@ def test_the_command_ranks_a_folder_of_lenses(here, capfd):
     assert table.loc["sharp", "accuracy"] == pytest.approx(table.loc["sharp_too", "accuracy"], abs=1e-9)
     assert table["group"].min() == 1
     assert "narrow: covers 0." in output.out and "mm of the sensor's diagonal of 1 mm" in output.out
-    assert "notes: no lens" in output.out and "hidden" not in output.out
+    assert "notes: not a lens" in output.out and "hidden" not in output.out
     page = (here / "results/ranking/ranking.html").read_text()
     assert page.count("<article") == 3 and "Not measured" in page and "covers 0." in page
     assert "://" not in page and "data:image/svg+xml" in page
