@@ -1,11 +1,12 @@
 """Recompute every published interval from the published answers: `python docs/results/recompute.py`.
 
 A file of answers (`*.npz`) lies beside the table of the same name (`*.csv`). `comparisons.csv` lists the differences
-that pages quote and no table has, `accuracies.csv` the accuracies that they quote. The program ends with 1 if a number
+that pages quote and no table has, `numbers.csv` the other numbers of their tables. The program ends with 1 if a number
 differs.
 """
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pandas
@@ -47,16 +48,32 @@ def comparison_differences(path: Path) -> list[str]:
     return wrong
 
 
-def accuracy_differences(path: Path) -> list[str]:
-    """Return the rows of a list of accuracies [%] that are not the mean over images, fields and seeds."""
+def number_differences(path: Path) -> list[str]:
+    """Return the rows of a list of quoted numbers that are not those of their source.
+
+    The source is a file of answers, for an accuracy [%], or a table with the column of the number.
+    """
     wrong = []
-    for row in pandas.read_csv(path).to_dict("records"):
-        claims, packed = answers_file.read(path.parent / row["answers"])
-        by_seed = [packed.correct(row["lens"], row["classifier"], seed).to_numpy().mean() for seed in claims.seeds]
-        accuracy = 100 * sum(by_seed) / len(by_seed)
-        if abs(accuracy - row["accuracy"]) > _ROUNDED:
-            wrong.append(f"{path}: {row} is {accuracy:.2f}")
+    for row in pandas.read_csv(path, keep_default_na=False).to_dict("records"):
+        value = _of_answers(row, path.parent) if row["source"].endswith(".npz") else _of_table(row, path.parent)
+        if abs(value - float(row["value"])) > _ROUNDED:
+            wrong.append(f"{path}: {row} is {value:.2f}")
     return wrong
+
+
+def _of_answers(row: Mapping[str, str], folder: Path) -> float:
+    claims, packed = answers_file.read(folder / row["source"])
+    by_seed = [packed.correct(row["lens"], row["classifier"], seed).to_numpy().mean() for seed in claims.seeds]
+    return 100 * sum(by_seed) / len(by_seed)
+
+
+def _of_table(row: Mapping[str, str], folder: Path) -> float:
+    table = pandas.read_csv(folder / row["source"], keep_default_na=False)
+    elements, _, design = row["lens"].rpartition("-")
+    rows = table[(table["elements"] == elements) & (table["design"] == design)]
+    if "classifier" in table:
+        rows = rows[rows["classifier"] == row["classifier"]]
+    return float(rows[row["column"]].item())
 
 
 def main() -> int:
@@ -64,7 +81,7 @@ def main() -> int:
     packed = sorted(FOLDER.rglob("*.npz"))
     wrong = [line for path in packed for line in table_differences(path)]
     wrong += comparison_differences(FOLDER / "comparisons.csv")
-    wrong += accuracy_differences(FOLDER / "accuracies.csv")
+    wrong += number_differences(FOLDER / "numbers.csv")
     print("\n".join([*wrong, f"{len(packed)} tables and two lists recomputed: {len(wrong)} differences."]))
     return bool(wrong)
 
