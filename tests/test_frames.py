@@ -15,8 +15,10 @@ from rules import finish, outputs
 from tasklens.jobs import frames as frames_job
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
+from tasklens.optics.view import view_of_spec
 from tasklens.report import frames
 from tasklens.study.loading import parse
+from tasklens.study.settings import Spec
 
 LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192
@@ -101,3 +103,9 @@ def test_networks_that_agree_leave_the_frames_alone(study, monkeypatch):
     shutil.copy(*predictions)
     finish("frames", study, elements="doublet", seed=0)
     assert answers == [[]]
+
+
+@pytest.mark.parametrize("pitch, shape", [(1.8, (1080, 1920)), (0.9, (1080, 1920)), (3.6, (544, 968))])
+def test_a_frame_has_no_more_pixels_than_the_sensor(pitch, shape):
+    """4 mm on the diagonal: 1089 x 1937 pixels of 1.8 um, a quarter as many of 3.6 um."""
+    assert frames_job._frame_shape(view_of_spec(Spec(pixel_pitch_um=pitch))) == shape

@@ -1,5 +1,6 @@
 """Figure of whole frames captured with task-driven lenses and the best imaging lens (the paper's figure 4)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from tasklens.imaging import PsfCamera
 from tasklens.jobs.comparison import compared
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.view import View
 from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import frames, predictions
@@ -19,7 +21,7 @@ from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.study.report_jobs import FramesJob
 from tasklens.study.settings import CaptureSettings
 
-_SHAPE = 1080, 1920  # of the frames [pixels]
+_SHAPE = 1080, 1920  # largest frame [pixels]
 _FIELD = 4  # middle of the nine fields
 _RULE = (
     "Last rows: the first test image in file order that the network of {one} recognises at the middle field\nbut that "
@@ -48,30 +50,38 @@ def run(
     lens_of = dict(zip(settings.captures, lenses, strict=True))
     names = compared(settings.comparison, metrics)
     images = dataset.read(*test)
-    sources = {"chart": resolution_chart(*_SHAPE), "test images": _tiled(images)}
+    read = {lens: prescription.read(lens_of[lens]) for lens in names}
+    views = {lens: view_of(read[lens][0].lens, content, str(lens_of[lens])) for lens, (_, content) in read.items()}
+    shape = _frame_shape(views[names[0]])
+    sources = {"chart": resolution_chart(*shape), "test images": _tiled(images, shape)}
     rows = {name: {"sharp": image} for name, image in sources.items()}
-    for lens in names:
-        lens_prescription, content = prescription.read(lens_of[lens])
-        view = view_of(lens_prescription.lens, content, str(lens_of[lens]))
-        pitch = pitch_on_sensor(view, _SHAPE)
-        sensor_psfs = trace_sensor_psfs(lens_prescription.lens, view, _SHAPE, pitch)
+    for lens, view in views.items():
+        pitch = pitch_on_sensor(view, shape)
+        sensor_psfs = trace_sensor_psfs(read[lens][0].lens, view, shape, pitch)
         for name, image in sources.items():
             rows[name][lens] = capture(image, sensor_psfs, settings.captures[lens].colour)
     network = settings.comparison.claims[0].classifier
-    title = f"{_SHAPE[0]} x {_SHAPE[1]} pixels of {pitch:.2f} um fill the sensor; networks: {network}"
+    title = f"{shape[0]} x {shape[1]} pixels of {pitch:.2f} um fill the sensor; networks: {network}"
     psf_of, correct_of = (dict(zip(settings.captures, paths, strict=True)) for paths in (psfs, correct))
     by_lens = {lens: (psf_of[lens], correct_of[lens]) for lens in names}
     disagreements = _disagreements(settings, by_lens, images)
     frames.draw(figure, title, rows, disagreements, _RULE.format(one=names[0], other=names[-1]))
 
 
-def _tiled(test: ImageDataset) -> Tensor:
+def _frame_shape(view: View) -> tuple[int, int]:
+    """Return height and width of a frame: at most 1080 x 1920, and not more pixels than the sensor has."""
+    diagonal = 2e3 * float(view.radii.max()) / view.pixel_pitch
+    scale = min(1.0, diagonal / math.hypot(*_SHAPE))
+    return int(scale * _SHAPE[0]), int(scale * _SHAPE[1])
+
+
+def _tiled(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
     """Tile the first test images row by row into one frame (3, H, W); repeat them if there are too few."""
     side = test.images.shape[-1]
-    rows, columns = (-(-n // side) for n in _SHAPE)
+    rows, columns = (-(-n // side) for n in shape)
     images, _ = test.batch(torch.arange(rows * columns) % len(test))
     frame = images.unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4).flatten(1, 2).flatten(2, 3)
-    return frame[:, : _SHAPE[0], : _SHAPE[1]]
+    return frame[:, : shape[0], : shape[1]]
 
 
 def _disagreements(
