@@ -200,6 +200,7 @@ def test_all_of_imagenets_classes_may_be_answers():
     assert classifier.outputs.sort().values.tolist() == list(range(1000))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SHARED.exists(), reason="needs photographs and weights that we do not distribute")
 def test_published_weights_reproduce_their_accuracy():
     """MobileNetV2 on sharp photographs of Imagenette at 224 pixels: 99.0 % of ten classes, 75.6 % of a thousand."""

@@ -73,6 +73,7 @@ def test_a_lens_by_least_squares(folder, capsys):
     assert exported.view.radii.max() / exported.view.efl == pytest.approx(numpy.tan(numpy.radians(20)), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_lens_for_ones_own_network(photographs, capsys):
     """By its loss on the user's images, from flat plates."""
     network = ("--classifier", "test_resnet", "--weights", "mine.safetensors", "--images", "photographs")

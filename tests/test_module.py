@@ -54,6 +54,7 @@ def other(tmp_path):
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prefix", ["", "lens_"])
 def test_another_workflow_uses_ours_as_a_module(tmp_path, other, reference_results, prefix):
     """It runs to the table, in Snakemake's own words: all jobs with a prefix, those of the lens without one."""

@@ -88,6 +88,7 @@ def test_a_point_has_all_jobs_of_a_study(tmp_path):
     assert counts == {rule: 2 * count for rule, count in once.items()}
 
 
+@pytest.mark.slow
 def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
     """One point has a lens made with another limit; the other point has no lens yet."""
     lens = "results/tiny/spec.f_number=2.0/lenses/singlet-imaging1/seed0/lens.yaml"

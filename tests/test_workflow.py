@@ -21,7 +21,12 @@ def beside_config(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", STUDIES)
+LARGE = ("headline.yaml", "imagenet.yaml")  # hundreds to thousands of jobs
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name for name in STUDIES]
+)
 def test_every_study_plans_its_jobs(beside_config, name):
     """A dry run counts what the study implies: for its tables, and for all that can be asked for of a file alone."""
     paths = [STUDIES[name]]

@@ -124,6 +124,7 @@ def test_a_changed_value_reruns_what_reads_it(finished, key, value, rerun):
     assert counts == rerun
 
 
+@pytest.mark.slow
 def test_a_job_computes_what_its_run_was_started_with(tmp_path):
     """Later changes of the study's file and other runs of the study do not matter."""
     study = tiny_study()
