@@ -3,7 +3,7 @@
 The benchmark times three steps: the default study's, and the paper's with MobileNetV2 and ResNet50 (random weights, 64
 images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies times proportional to the
 captures by 32. The parts are those of `design.supervision`; a second run with a trivial network gives the share of the
-network. The floor is the time of the network's operations at the speed of a large matrix product.
+network. The floor is the time of the network's operations at the speed of a large convolution.
 """
 
 import statistics
@@ -113,18 +113,20 @@ def noise(count: int, size: int) -> ImageDataset:
 
 
 def floor(network: nn.Module, pixels: int, rounds: int) -> float:
-    """Least time [s] of a capture in the frozen network, forward and backward, at the speed of a matrix product."""
+    """Least time [s] of a capture in the frozen network, forward and backward, at the speed of a large convolution."""
     network = frozen(network, noise(1, pixels).images)
     image = torch.rand(1, 3, pixels, pixels, requires_grad=True)
     with FlopCounterMode(display=False) as counter:
         network(image).sum().backward()
-    left, right = torch.rand(2, 1024, 1024)
+    features, weights = torch.rand(8, 256, 28, 28), torch.rand(256, 256, 3, 3)
     seconds = []
+    with torch.no_grad(), FlopCounterMode(display=False) as large:
+        torch.nn.functional.conv2d(features, weights, padding=1)
     for _ in range(rounds + 1):
         begin = time.process_time()
-        left @ right
+        torch.nn.functional.conv2d(features, weights, padding=1)
         seconds.append(time.process_time() - begin)
-    return counter.get_total_flops() * min(seconds) / (2 * 1024**3)
+    return counter.get_total_flops() * min(seconds) / large.get_total_flops()
 
 
 def rows_of(times: dict[str, float], captures: int, least: float) -> list[tuple]:
