@@ -18,7 +18,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 study.app.command()(schema)
-app.add_typer(lens.app, name="lens", help="Inspect lenses: a lens.yaml, or a .zmx of Zemax.")
+app.add_typer(lens.app, name="lens", help="Inspect lenses: .yaml or Zemax .zmx files.")
 app.command()(design.design)
 app.command()(rank.rank)
 app.add_typer(study.app, name="study", help="Compare lenses, networks and seeds in a study, which `snakemake` runs.")

@@ -102,7 +102,7 @@ def design(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Design one lens. A doublet takes a minute by least squares; a network's design starts from image-quality lenses.
+    """Design one lens. A doublet takes a minute by least squares; `task` starts from image-quality lenses.
 
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 
