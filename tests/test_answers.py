@@ -4,6 +4,7 @@ import importlib.util
 import re
 import shutil
 from pathlib import Path
+from types import ModuleType
 
 import numpy
 import pandas
@@ -16,9 +17,17 @@ from tasklens.study.claims import FLAT_FAILS, OVER_IMAGING1, Claim, Claims
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs/results"
-_spec = importlib.util.spec_from_file_location("recompute", RESULTS / "recompute.py")
-recompute = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(recompute)
+
+
+def script(name: str) -> ModuleType:
+    """A program of docs/results as a module."""
+    spec = importlib.util.spec_from_file_location(name, RESULTS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+recompute, decomposition = script("recompute"), script("decomposition")
 
 
 class RandomAnswers(Measurements):
@@ -151,3 +160,21 @@ def test_every_number_in_a_table_of_a_page_has_a_source(page):
     rows = [line for line in (ROOT / page).read_text().splitlines() if line.startswith("|")]
     numbers = {number for row in rows for number in re.findall(r"(?<![\d./-])\d+\.\d(?![\d.])", INTERVAL.sub("", row))}
     assert numbers and numbers <= listed, numbers - listed
+
+
+def test_the_decomposition_adds_up(tmp_path, monkeypatch):
+    """Each difference is that of the accuracies of two steps, with and without the corner, whose share is a ninth."""
+    shutil.copytree(RESULTS / "first_look", tmp_path / "first_look")
+    monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
+    assert decomposition.main(["first_look"]) == 0
+    table = pandas.read_csv(tmp_path / "decomposition.csv")
+    steps = table[table["fields"] == "all fields"].set_index("step")
+    assert list(steps.index) == [step for step in decomposition.STEPS if "heavy" not in step]
+    assert steps["difference"].tolist()[1:] == pytest.approx(steps["accuracy"].diff().tolist()[1:], abs=1e-9)
+    inner = table[table["fields"] == "without the corner"].set_index("step")
+    _, packed = answers_file.read(tmp_path / "first_look/verdicts.npz")
+    corner = [100 * packed.correct("doublet-tasklens", "resnet", seed).iloc[:, -1].mean() for seed in (0, 1)]
+    task = "task, from flat plates"
+    assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
+    labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
+    assert {*list(decomposition.STEPS)[4:]} <= {*labels} and decomposition.main([]) == 2
