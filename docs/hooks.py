@@ -49,8 +49,8 @@ def _models(path: str, model: type[BaseModel]) -> Iterator[tuple[str, type[BaseM
     yield path, model
     for name, field in model.model_fields.items():
         inner = f"{path}.{name}".lstrip(".")
-        for found, by_name in _nested(field.annotation):
-            yield from _models(f"{inner}.NAME" if by_name else inner, found)
+        for group, by_name in _nested(field.annotation):
+            yield from _models(f"{inner}.NAME" if by_name else inner, group)
 
 
 def _nested(annotation: Any, by_name: bool = False) -> Iterator[tuple[type[BaseModel], bool]]:

@@ -80,7 +80,7 @@ def _bytes(images: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _answers(
-    classifier: Classifier, captures: Tensor, classes: tuple[str, ...], known: Mapping[str, str]
+    classifier: Classifier, captures: Tensor, classes: tuple[str, ...], descriptions: Mapping[str, str]
 ) -> list[list[tuple[str, float]]]:
     """Return the prediction and its probability [%] by image and field, for captures (image, field, 3, H, W)."""
     shares, best = classifier(captures.flatten(0, 1)).softmax(-1).max(-1)
@@ -88,7 +88,7 @@ def _answers(
 
     def name(answer: int) -> str:
         if answer < len(classes):
-            return known.get(classes[answer], classes[answer])
+            return descriptions.get(classes[answer], classes[answer])
         assert classifier.outputs is not None  # only an ImageNet network has more outputs than classes
         return str(info.index_to_description(int(classifier.outputs[answer])).split(",")[0])
 
