@@ -52,7 +52,7 @@ def draw(
 
 
 def _differences(axes: Axes, rows: pandas.DataFrame, elements: str) -> None:
-    """Draw differences with their intervals, best supported claims first, beside a line at zero."""
+    """Draw differences with their intervals, in the order of the rows, and a line at zero."""
     for k, row in enumerate(rows.to_dict("records")):
         colour = _TASK if row["low"] > 0 else _OTHER if row["high"] < 0 else _NEUTRAL
         axes.plot([row["low"], row["high"]], [k, k], color=colour, linewidth=2)

@@ -155,8 +155,8 @@ def make(
     publish(csv, md, title, table, note)
     by_field = [name for name in rows if str(name).startswith(FIELD)]
     keys = ("elements", "design", "classifier", "seed")
-    names = (*keys, *_columns(contents, rows), "reference_accuracy", "chance", *by_field)
-    write_text(seeds_csv, rows[[name for name in dict.fromkeys(names) if name in rows]].to_csv(index=False))
+    columns = (*keys, *_columns(contents, rows), "reference_accuracy", "chance", *by_field)
+    write_text(seeds_csv, rows[[name for name in dict.fromkeys(columns) if name in rows]].to_csv(index=False))
     caption = _caption(contents, table)
     write_text(tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
     write_text(json, dumps(provenance(contents), indent=1) + "\n")
