@@ -18,7 +18,7 @@ def tensors(lens: Lens) -> tuple[torch.Tensor, ...]:
 
 
 def same_bits(a: Lens, b: Lens) -> bool:
-    """Whether two lenses have the same numbers to the last bit, negative zeros included, and the same media."""
+    """Return whether two lenses have the same numbers to the last bit, negative zeros included, and the same media."""
     pairs = zip(tensors(a), tensors(b), strict=True)
     same_numbers = all(torch.equal(x.view(torch.int64), y.view(torch.int64)) for x, y in pairs)
     return same_numbers and (a.media, a.stop) == (b.media, b.stop)

@@ -287,6 +287,17 @@ def test_tables_with_the_papers_columns_fit_a_laptop(opened, table):
     assert needed <= available
 
 
+@pytest.mark.parametrize("name", ["table3", "table4"])
+def test_a_study_without_table_1_has_its_answer(page, name):
+    """The figure is of the first table that the study has."""
+    before, figure = page.read_text(), (page.parent / "answer.svg").read_text()
+    one = STUDY.model_copy(update={"tables": (name,)})
+    paths = finish("report_page", one)
+    assert "singlet" in paths.answer.read_text() and '<table id="claims">' in paths.report.read_text()
+    page.write_text(before)
+    (page.parent / "answer.svg").write_text(figure)
+
+
 def test_half_a_table_of_tails_is_named(page):
     """Missing rows are found, too."""
     path = outputs("psf_tail_table", STUDY).csv

@@ -78,7 +78,7 @@ def assert_first(surface: Surface, before: Rays, after: Rays, reach: float) -> t
 
 
 def grazes(surface: Surface, point, direction, last: float, first: float) -> bool:
-    """Whether the ray crosses the surface between the samples at an angle that no tracer can tell from zero."""
+    """Return whether the ray crosses the surface between the samples at an angle that no tracer can tell from zero."""
     t = f64(numpy.linspace(last, first, 1000))
     x, y = point[0] + t * direction[0], point[1] + t * direction[1]
     slope = aspheres.sag(x * x + y * y, surface.curvature, surface.conic, surface.alpha)[1]

@@ -71,7 +71,7 @@ def test_a_comparison_in_words(verdict_row, sentence):
 
 
 def settings(seeds: int = 5) -> SimpleNamespace:
-    """What the sentences read of the settings of the page."""
+    """Settings of the page that the sentences read."""
     by_task = ("doublet-tasklens", "doublet-tasklens_joint", "triplet-tasklens")
     return SimpleNamespace(
         by_task=by_task,

@@ -169,7 +169,7 @@ TEST_CODE = sorted((ROOT / "tests").rglob("*.py"))
 
 
 def test_no_test_module_is_imported_by_another():
-    """What tests share is in modules without the prefix `test_`."""
+    """Shared code of tests is in modules without the prefix `test_`."""
     imports = []
     for path in TEST_CODE:
         for node in ast.walk(ast.parse(path.read_text())):

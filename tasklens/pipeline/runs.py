@@ -79,7 +79,7 @@ class Run:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the run is still going, as far as this machine can tell."""
+        """Return whether the run is still going, as far as this machine can tell."""
         return self.ended is None and (self.host != socket.gethostname() or psutil.pid_exists(self.pid))
 
     def seconds_left(self, durations: Durations) -> float | None:

@@ -107,7 +107,7 @@ def make(
 
 
 def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
-    """Return the page as HTML; `answer` is the figure of its answer, which may be missing."""
+    """Return the page as HTML; `answer` is the figure of its answer."""
     frames = {name: read_table(path) for name, path in {**files.tables, **files.others, **files.optional}.items()}
     _check_tails(settings, files, frames)
     table1 = frames.get("table1")
@@ -121,7 +121,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "summary": words.summary(frames["verdicts"], settings),
         "warnings": words.chance(by_seed),
         "tallies": words.tallies(frames["verdicts"], settings.paper_claims, settings.margins),
-        "answer": pictures.link(answer) if answer.exists() else None,
+        "answer": pictures.link(answer),
         "names": settings.descriptions,
         "answers": words.answers(frames["verdicts"], elements, settings.questions, settings.margins),
         "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
@@ -154,15 +154,13 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
 
 
 def _draw_answer(path: Path, settings: ReportJob, files: PageFiles) -> None:
-    """Draw the main comparisons and the accuracies of table 1, if the study has this table with a lens."""
-    if "table1" not in files.by_seed:
-        return
-    rows = read_table(files.by_seed["table1"], keep_default_na=False, na_values={"accuracy": ""})
-    verdicts = read_table(files.others["verdicts"])
-    main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == "table1")]
-    lenses = rows[rows["elements"] != ""]
-    sharp = float(rows.loc[rows["design"] == "reference", "accuracy"].mean())
-    answer_figure.draw(path, main, lenses, settings.by_task, sharp)
+    """Draw the main comparisons and the accuracies of the study's first table, by its supervisor."""
+    table, by_seed = next(iter(files.by_seed.items()))
+    rows, verdicts = read_table(by_seed), read_table(files.others["verdicts"])
+    lenses = rows[rows["elements"].notna() & (rows["classifier"] == settings.supervisor)]
+    main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == table)]
+    main = main[main["classifier"].str.split("-").str[0] == settings.supervisor]  # also restored
+    answer_figure.draw(path, main, lenses, settings.by_task, float(lenses["reference_accuracy"].mean()))
 
 
 def _check_tails(settings: ReportJob, files: PageFiles, frames: Mapping[str, pandas.DataFrame]) -> None:
