@@ -22,7 +22,10 @@ from tasklens.study.loading import parse
 from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"
-_OF_LARGE_IMAGES = [ROOT / "config" / name for name in ("photographs.yaml", "photographs_fine_tuned.yaml")]
+_OF_LARGE_IMAGES = {
+    "photographs.yaml": ("designs", "fine_tuning", "restoration"),
+    "photographs_fine_tuned.yaml": ("fine_tuning",),
+}
 _CORE = ("tasklens", "image_psnr", "image_correlation", "imaging2", "imaging3")
 _LEAST = ("tasklens", "image_psnr", "imaging2")
 _WIDTH = 120  # of a line
@@ -127,9 +130,9 @@ def content(request: StudyRequest, cut: Cut) -> dict[str, Any]:
 def _base(size: int) -> dict[str, Any]:
     """Return the default study; for large images, with the steps of the studies of photographs."""
     base = dict(default_study())
-    for path in _OF_LARGE_IMAGES if size >= LARGE else ():
-        layer = yaml.safe_load(path.read_text(encoding="utf-8"))
-        base |= {key: laid_over(base[key], layer.get(key, {})) for key in ("designs", "fine_tuning", "restoration")}
+    for name, keys in _OF_LARGE_IMAGES.items() if size >= LARGE else ():
+        layer = yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8"))
+        base |= {key: laid_over(base[key], layer[key]) for key in keys}
     return base
 
 
