@@ -27,7 +27,7 @@ def script(name: str) -> ModuleType:
     return module
 
 
-recompute, decomposition = script("recompute"), script("decomposition")
+recompute, decomposition, publish = (script(name) for name in ("recompute", "decomposition", "publish"))
 
 
 class RandomAnswers(Measurements):
@@ -178,3 +178,27 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
     labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
     assert {*list(decomposition.STEPS)[4:]} <= {*labels} and decomposition.main([]) == 2
+
+
+def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
+    """Tables, answers and the lenses of the first seed, also of the points of a sweep; a page by hand remains."""
+    contents = {"tables/table1.csv": "new", "tables/answers.csv": "", "effort.md": "", "answer.svg": ""}
+    contents |= {f"lenses/doublet-a/seed{seed}/{name}": str(seed) for seed in (0, 1) for name in ("lens.yaml", "a.zmx")}
+    contents |= {"gain=2/tables/table1.csv": "point", "elements=doublet/run.json": "", "report.html": ""}
+    before = {"published/known/README.md": "page", "published/known/old.csv": ""}
+    for name, content in ({f"results/known/{name}": content for name, content in contents.items()} | before).items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(publish, "FOLDER", tmp_path / "published")
+    monkeypatch.setattr("sys.argv", ["publish.py", "known", "--lenses"])
+    publish.main()
+    files = [path for path in (tmp_path / "published/known").rglob("*") if path.is_file()]
+    names = {str(path.relative_to(tmp_path / "published/known")) for path in files}
+    tables = {"table1.csv", "effort.md", "answer.svg", "gain=2/table1.csv"}
+    assert names == {"README.md", "lenses/doublet-a.yaml", "lenses/a.zmx"} | tables
+    assert (tmp_path / "published/known/lenses/doublet-a.yaml").read_text() == "0"
+    monkeypatch.setattr("sys.argv", ["publish.py", "unknown"])
+    with pytest.raises(SystemExit):
+        publish.main()

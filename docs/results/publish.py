@@ -1,0 +1,55 @@
+"""Copy the tables of finished studies into this folder: `python docs/results/publish.py STUDY [STUDY ...] [--lenses]`.
+
+The program reads results/STUDY in the current folder and replaces the tables, answers and figure of docs/results/STUDY.
+Each point of a sweep has a folder of its own. With `--lenses`, the lenses of the first seed come too.
+"""
+
+import argparse
+import shutil
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+TABLES = ("*.csv", "*.md", "*.npz")
+OMITTED = ("answers.csv", "encircled_energy.csv", "psf_tail.fields.csv")  # of the page; verdicts.npz has all answers
+
+
+def publish(results: Path, destination: Path) -> None:
+    """Copy the tables, answers and figure of a study, or of a point of a sweep."""
+    destination.mkdir(parents=True, exist_ok=True)
+    for old in (path for pattern in (*TABLES, "answer.svg") for path in destination.glob(pattern)):
+        if old.name != "README.md":
+            old.unlink()
+    sources = [path for pattern in TABLES for path in (results / "tables").glob(pattern)]
+    for path in (*sources, *results.glob("effort.*"), *results.glob("sweep.*"), *results.glob("answer.svg")):
+        if path.name not in OMITTED:
+            shutil.copyfile(path, destination / path.name)
+
+
+def publish_lenses(results: Path, destination: Path) -> None:
+    """Copy the lenses of the first seed as YAML and Zemax files."""
+    shutil.rmtree(destination, ignore_errors=True)
+    destination.mkdir()
+    for folder in results.glob("lenses/*/seed0"):
+        shutil.copyfile(folder / "lens.yaml", destination / f"{folder.parent.name}.yaml")
+        for path in (*folder.glob("*.zmx"), *folder.glob("*.agf")):
+            shutil.copyfile(path, destination / path.name)
+
+
+def main() -> None:
+    """Publish the studies of the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("studies", nargs="+", metavar="STUDY")
+    parser.add_argument("--lenses", action="store_true")
+    options = parser.parse_args()
+    for study in options.studies:
+        results = Path("results") / study
+        if not results.is_dir():
+            parser.error(f"{results}: no such folder; run the study first")
+        for folder in (results, *(path.parent for path in results.glob("*=*/tables"))):
+            publish(folder, FOLDER / folder.relative_to("results"))
+        if options.lenses:
+            publish_lenses(results, FOLDER / study / "lenses")
+
+
+if __name__ == "__main__":
+    main()
