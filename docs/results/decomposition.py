@@ -6,6 +6,7 @@ The program reads the published answers of studies (folders of docs/results), an
 networks, and decomposition.svg, of the network that supervised the designs.
 """
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -76,25 +77,34 @@ def _difference(
 def draw(table: pandas.DataFrame, path: Path) -> None:
     """Draw the difference of each step as a point with its interval: filled for all fields, open without the corner."""
     panels = list(table.groupby(["study", "elements", "classifier"], sort=False))
-    with matplotlib.rc_context(vector_files.STYLE):
-        figure = Figure(figsize=(10, 0.6 + 2.1 * len(panels)), layout="constrained")
-        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for axis, ((study, elements, classifier), part) in zip(axes, panels, strict=True):
-            steps = list(dict.fromkeys(part.dropna(subset="difference")["step"]))
+    columns = min(3, len(panels))
+    count = math.ceil(len(panels) / columns)
+    steps = list(STEPS)[1:]
+    with matplotlib.rc_context({**vector_files.STYLE, "font.size": 9}):
+        figure = Figure(figsize=(2.4 + 2.8 * columns, 0.6 + 2.2 * count), layout="constrained")
+        axes = figure.subplots(count, columns, sharex=True, sharey=True, squeeze=False)
+        for axis in axes.flat[len(panels) :]:
+            axis.remove()
+        for axis, ((study, elements, _), part) in zip(axes.flat, panels, strict=False):
             for row in part.dropna(subset="difference").to_dict("records"):
                 inner = row["fields"] == _WITHOUT
                 y = steps.index(row["step"]) + 0.25 * inner
                 axis.plot([row["low"], row["high"]], [y, y], color="#0072B2", linewidth=1 if inner else 2)
                 face = "white" if inner else "#0072B2"
-                axis.plot(row["difference"], y, "o", color="#0072B2", markerfacecolor=face, markersize=6)
+                axis.plot(row["difference"], y, "o", color="#0072B2", markerfacecolor=face, markersize=5)
+                if not inner:
+                    axis.text(1.01, y, f"{row['accuracy']:.1f}", transform=axis.get_yaxis_transform(), va="center")
             axis.axvline(0, color="black", linewidth=1)
-            axis.set_yticks(range(len(steps)), steps, fontsize="small")
-            axis.set_ylim(len(steps) - 0.4, -0.6)
-            axis.set_title(f"{study}: {elements}, {classifier}", fontsize="medium", loc="left")
+            first = part.iloc[0]
+            title = f"{study}: {elements} ({first['step']} {first['accuracy']:.1f})"
+            axis.set_title(title, fontsize="medium", loc="left")
             axis.spines[["top", "right"]].set_visible(False)
-        axes[-1].set_xscale("symlog", linthresh=2)  # least squares is far behind, the last steps are small
-        axes[-1].xaxis.set(major_formatter="{x:g}")
-        axes[-1].set_xlabel("accuracy minus that of the step above [points]; open: without the corner field")
+        axes[0, 0].set_yticks(range(len(steps)), steps)
+        axes[0, 0].set_ylim(len(steps) - 0.4, -0.6)
+        axes[0, 0].set_xscale("symlog", linthresh=2)  # least squares is far behind, the last steps are small
+        axes[0, 0].xaxis.set(major_formatter="{x:g}")
+        label = "accuracy minus that of the step above [points]; open: without the corner; numbers: accuracy [%]"
+        figure.supxlabel(label, fontsize="medium")
         figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
 
 
