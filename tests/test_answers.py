@@ -169,8 +169,13 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     assert decomposition.main(["first_look"]) == 0
     table = pandas.read_csv(tmp_path / "decomposition.csv")
     steps = table[table["fields"] == "all fields"].set_index("step")
+    quality = ["least squares", "squared error or PSNR", "correlation"]
     assert list(steps.index) == [step for step in decomposition.STEPS if "heavy" not in step]
-    assert steps["difference"].tolist()[1:] == pytest.approx(steps["accuracy"].diff().tolist()[1:], abs=1e-9)
+    assert steps.loc[quality[1:], "difference"].tolist() == pytest.approx(steps["accuracy"].diff().tolist()[1:3])
+    gains = steps.drop(quality)
+    best = steps.loc["correlation", "accuracy"]  # the best lens for image quality in both seeds
+    assert gains["difference"].tolist() == pytest.approx((gains["accuracy"] - best).tolist())
+    assert (gains["lowest"] < gains["difference"]).all() and (gains["difference"] < gains["highest"]).all()
     inner = table[table["fields"] == "without the corner"].set_index("step")
     _, packed = answers_file.read(tmp_path / "first_look/verdicts.npz")
     corner = [100 * packed.correct("doublet-tasklens", "resnet", seed).iloc[:, -1].mean() for seed in (0, 1)]
@@ -178,6 +183,25 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
     labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
     assert {*list(decomposition.STEPS)[4:]} <= {*labels} and decomposition.main([]) == 2
+
+
+def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeypatch):
+    """The mean over the points of a sweep, with Student's interval, from files of a point each."""
+    claims, packed = answers_file.read(RESULTS / "first_look/verdicts.npz")
+    for seed in claims.seeds:
+        (tmp_path / f"fresh/images.seed={seed}").mkdir(parents=True)
+        path = tmp_path / f"fresh/images.seed={seed}/verdicts.npz"
+        answers_file.write(path, claims.model_copy(update={"seeds": (seed,)}), packed)
+    shutil.copytree(RESULTS / "first_look", tmp_path / "both")
+    monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
+    fresh, both = (decomposition.rows(study).set_index(["fields", "step"]) for study in ("fresh", "both"))
+    pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
+    step = ("all fields", "task, from quality")
+    first, second = (
+        decomposition._rows("", path).set_index(["fields", "step"]).loc[step, "difference"]
+        for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))
+    )
+    assert fresh.loc[step, "high"] - fresh.loc[step, "low"] == pytest.approx(12.706 * abs(first - second), rel=1e-4)
 
 
 def test_published_files_replace_those_of_before(tmp_path, monkeypatch):

@@ -1,20 +1,25 @@
 """Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...]`.
 
-From least squares to PSNR, to correlation, to correlation with a heavier corner, to the task: accuracy of each step and
-its difference from the step before with a 95 % interval over seeds and images, with and without the corner field.
+From least squares to squared error or PSNR, to correlation, to correlation with a heavier corner: accuracy of each step
+and its difference from the step before. Then three kinds of task-driven design, each compared with the best lens for
+image quality. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as one study, with
+Student's interval over its points. There are also the differences without the corner field, and the lowest and highest
+difference without one of the fields.
+
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
 networks, and decomposition.svg, of the network that supervised the designs.
 """
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
 import pandas
 from matplotlib.figure import Figure
+from scipy.stats import t
 
 from tasklens.report import answers_file, vector_files, verdicts
 from tasklens.report.answers_file import PackedMeasurements
@@ -22,56 +27,102 @@ from tasklens.study.claims import Claim, Claims
 
 FOLDER = Path(__file__).parent
 STEPS = {  # designs of each step; of several, the one with the best minival accuracy in each seed
-    "least squares": ("imaging2", "imaging3"),
-    "PSNR": ("image_psnr",),
+    "least squares": ("imaging2", "imaging3", "imaging_vignetted"),
+    "squared error or PSNR": ("image_psnr", "image_error"),
     "correlation": ("image_correlation",),
     "correlation, heavy corner": ("image_corner",),
     "task, from flat plates": ("tasklens",),
     "task, from quality": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
 }
+QUALITY = ("image_psnr", "image_error", "image_contrast", "image_correlation", "image_corner")
+_BEST = "best lens for image quality"
 _ALL, _WITHOUT = "all fields", "without the corner"
+_KEYS = ["study", "elements", "classifier", "step", "compared_with", "fields"]
 
 
-def rows(study: str) -> list[dict]:
-    """Return a row for each elements, network, step and set of fields of a study."""
-    claims, packed = answers_file.read(FOLDER / study / "verdicts.npz")
-    inner = {key: frame.iloc[:, :-1] if frame.shape[1] > 1 else frame for key, frame in packed.answers.items()}
-    by_fields = {_ALL: packed, _WITHOUT: replace(packed, answers=inner)}
+def rows(study: str) -> pandas.DataFrame:
+    """Return a row for each number of elements, network, step and set of fields of a study."""
+    points = sorted((FOLDER / study).glob("images.seed=*/verdicts.npz"))
+    if not points:
+        return _rows(study, FOLDER / study / "verdicts.npz")
+    groups = pandas.concat([_rows(study, path) for path in points]).groupby(_KEYS, sort=False)
+    table = groups[["accuracy", "difference", "lowest", "highest"]].mean()
+    half = t.ppf(0.975, len(points) - 1) * groups["difference"].sem()
+    table = table.assign(low=table["difference"] - half, high=table["difference"] + half)
+    table = table.assign(median=groups["difference"].median(), above=groups["above"].sum(), seeds=len(points))
+    return table.reset_index()
+
+
+def _rows(study: str, path: Path) -> pandas.DataFrame:
+    claims, packed = answers_file.read(path)
     measured = dict.fromkeys((lens, name) for lens, name, _ in packed.answers if "-" in lens and "-" not in name)
     table = []
     for elements, classifier in dict.fromkeys((lens.partition("-")[0], name) for lens, name in measured):
-        before: tuple[str, ...] = ()
-        for step, designs in STEPS.items():
-            lenses = tuple(lens for name in designs if (lens := f"{elements}-{name}", classifier) in measured)
-            if not lenses:
-                continue
-            for fields, measurements in by_fields.items():
-                row = {"study": study, "elements": elements, "classifier": classifier, "step": step, "fields": fields}
-                row["accuracy"] = _accuracy(lenses, classifier, measurements, claims.seeds)
-                if before:
-                    row |= _difference(lenses[0], before, classifier, measurements, claims.seeds)
-                table.append(row | {"seeds": len(claims.seeds)})
-            before = lenses
-    return table
+        before, chosen = "", packed
+        for step, designs in {**STEPS, _BEST: QUALITY}.items():
+            lenses = [lens for name in designs if (lens := f"{elements}-{name}", classifier) in measured]
+            chosen = _choose(step, lenses, classifier, chosen, claims.seeds) if lenses else chosen
+        steps = [step for step in STEPS if (step, classifier, claims.seeds[0]) in chosen.answers]
+        for step in steps:
+            other = _BEST if step.startswith("task") else before
+            keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
+            for fields, measurements in ((_ALL, chosen), (_WITHOUT, _without(chosen, -1))):
+                row = keys | {"fields": fields, "seeds": len(claims.seeds)}
+                row["accuracy"] = _accuracy(step, classifier, measurements, claims.seeds)
+                if other:
+                    row |= _difference(step, other, classifier, measurements, claims.seeds)
+                if other and fields == _ALL:
+                    row |= _range(step, other, classifier, chosen, claims.seeds)
+                table.append(row)
+            before = step
+    return pandas.DataFrame(table)
 
 
-def _accuracy(lenses: Sequence[str], classifier: str, packed: PackedMeasurements, seeds: Sequence[int]) -> float:
-    """Return the accuracy [%], mean over seeds, of the best lens of each seed by minival accuracy."""
-    values = []
+def _choose(
+    name: str, lenses: Sequence[str], classifier: str, packed: PackedMeasurements, seeds: Sequence[int]
+) -> PackedMeasurements:
+    """Return the measurements with a further lens: in each seed the one of these with the best minival accuracy."""
+    answers, accuracies = dict(packed.answers), dict(packed.accuracies)
     for seed in seeds:
-        minival = {lens: packed.values(lens, classifier, seed)["minival_accuracy"] for lens in lenses}
-        values.append(100 * packed.correct(max(lenses, key=minival.__getitem__), classifier, seed).to_numpy().mean())
-    return sum(values) / len(values)
+        best = max(lenses, key=lambda lens: packed.accuracies[lens, classifier, seed]["minival_accuracy"])
+        answers[name, classifier, seed] = packed.answers[best, classifier, seed]
+        accuracies[name, classifier, seed] = packed.accuracies[best, classifier, seed]
+    return replace(packed, answers=answers, accuracies=accuracies)
+
+
+def _without(packed: PackedMeasurements, field: int) -> PackedMeasurements:
+    """Return the measurements without a field; those of sharp images have one field, and keep it."""
+    frames = {
+        key: frame.drop(columns=frame.columns[field]) if frame.shape[1] > 1 else frame
+        for key, frame in packed.answers.items()
+    }
+    return replace(packed, answers=frames)
+
+
+def _accuracy(lens: str, classifier: str, packed: PackedMeasurements, seeds: Sequence[int]) -> float:
+    """Return the accuracy [%], mean over seeds."""
+    return 100 * sum(packed.correct(lens, classifier, seed).to_numpy().mean() for seed in seeds) / len(seeds)
 
 
 def _difference(
-    lens: str, baselines: tuple[str, ...], classifier: str, packed: PackedMeasurements, seeds: tuple[int, ...]
-) -> dict[str, float]:
-    """Return the difference from the step before [points] with its interval."""
-    claim = Claim(table="", text="", lens=lens, baselines=baselines, classifier=classifier, reference=classifier)
+    lens: str, baseline: str, classifier: str, packed: PackedMeasurements, seeds: tuple[int, ...]
+) -> Mapping[str, float]:
+    """Return the difference of two lenses [points] with its interval."""
+    claim = Claim(table="", text="", lens=lens, baselines=(baseline,), classifier=classifier, reference=classifier)
     frame = verdicts.collect(Claims(study="", claims=(claim,), seeds=seeds), packed)
     return {str(name): float(frame[name].iloc[0]) for name in ("difference", "low", "high", "median", "above")}
+
+
+def _range(
+    lens: str, baseline: str, classifier: str, packed: PackedMeasurements, seeds: Sequence[int]
+) -> Mapping[str, float]:
+    """Return the lowest and highest difference [points] without one of the fields."""
+    differences = []
+    for field in range(packed.correct(lens, classifier, seeds[0]).shape[1]):
+        inner = _without(packed, field)
+        differences.append(_accuracy(lens, classifier, inner, seeds) - _accuracy(baseline, classifier, inner, seeds))
+    return {"lowest": min(differences), "highest": max(differences)}
 
 
 def draw(table: pandas.DataFrame, path: Path) -> None:
@@ -103,7 +154,10 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
         axes[0, 0].set_ylim(len(steps) - 0.4, -0.6)
         axes[0, 0].set_xscale("symlog", linthresh=2)  # least squares is far behind, the last steps are small
         axes[0, 0].xaxis.set(major_formatter="{x:g}")
-        label = "accuracy minus that of the step above [points]; open: without the corner; numbers: accuracy [%]"
+        label = (
+            "accuracy minus that of the step above, for the task minus that of the best image-quality lens [points]; "
+            "numbers: accuracy [%]; open: without the corner"
+        )
         figure.supxlabel(label, fontsize="medium")
         figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
 
@@ -113,7 +167,7 @@ def main(studies: Sequence[str]) -> int:
     if not studies:
         print((__doc__ or "").splitlines()[0])
         return 2
-    table = pandas.DataFrame([row for study in studies for row in rows(study)])
+    table = pandas.concat([rows(study) for study in studies])
     table.to_csv(FOLDER / "decomposition.csv", index=False)
     supervisors = table.groupby("study")["classifier"].transform("first")  # table 1 comes first
     draw(table[table["classifier"] == supervisors], FOLDER / "decomposition.svg")
