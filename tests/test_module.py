@@ -95,7 +95,7 @@ def test_studies_by_their_names_in_one_run(tmp_path):
     assert status != 0 and "unknown lens 'singlet-nobody'; expected one of singlet-imaging1" in output
 
 
-@pytest.mark.parametrize("name", ["headline", "photographs"])
+@pytest.mark.parametrize("name", ["headline", "photographs_triplets"])
 def test_a_study_that_we_ship_is_planned_elsewhere(tmp_path, name):
     """Its imported lenses are those beside our Snakefile."""
     weights = tmp_path / "data/mobilenetv2_100_same_in1k.safetensors"
