@@ -104,6 +104,21 @@ def test_a_changed_interval_is_noticed(tmp_path, column):
     assert len(recompute.comparison_differences(tmp_path / "comparisons.csv")) == len(quoted)
 
 
+def test_of_several_baselines_the_best_in_minival_is_compared(tmp_path):
+    """A list of comparisons has the difference of the published verdict on the best lens by least squares."""
+    table = pandas.read_csv(RESULTS / "first_look/verdicts.csv")
+    row = table[table["claim"].str.contains("least squares") & (table["lens"] == "doublet-tasklens")].iloc[0]
+    claims, _ = answers_file.read(RESULTS / "first_look/verdicts.npz")
+    baselines = next(c.baselines for c in claims.claims if (c.text, c.lens) == (row["claim"], row["lens"]))
+    shutil.copy(RESULTS / "first_look/verdicts.npz", tmp_path)
+    columns = ("lens", "classifier", "difference", "low", "high")
+    quoted = pandas.DataFrame([row[[*columns]]]).assign(answers="verdicts.npz", baseline=" ".join(baselines))
+    for change, wrong in ((0, 0), (0.2, 1)):
+        quoted.assign(low=quoted["low"] + change).to_csv(tmp_path / "comparisons.csv", index=False)
+        assert len(recompute.comparison_differences(tmp_path / "comparisons.csv")) == wrong
+    assert len(baselines) > 1
+
+
 def test_the_figure_of_the_answer_has_every_comparison_and_design(tmp_path):
     """Names of designs and comparisons are text; the same data give the same file."""
     rows = [("doublet-task", "doublet-psnr", 1.0, 0.5, 1.5), ("doublet-task", "triplet-psnr", -1.0, -1.5, -0.5)]
@@ -198,7 +213,7 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
     pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
     step = ("all fields", "task, from quality")
     first, second = (
-        decomposition._rows("", path).set_index(["fields", "step"]).loc[step, "difference"]
+        decomposition.rows_of_file("", path).set_index(["fields", "step"]).loc[step, "difference"]
         for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))
     )
     assert fresh.loc[step, "high"] - fresh.loc[step, "low"] == pytest.approx(12.706 * abs(first - second), rel=1e-4)

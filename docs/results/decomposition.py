@@ -45,8 +45,8 @@ def rows(study: str) -> pandas.DataFrame:
     """Return a row for each number of elements, network, step and set of fields of a study."""
     points = sorted((FOLDER / study).glob("images.seed=*/verdicts.npz"))
     if not points:
-        return _rows(study, FOLDER / study / "verdicts.npz")
-    groups = pandas.concat([_rows(study, path) for path in points]).groupby(_KEYS, sort=False)
+        return rows_of_file(study, FOLDER / study / "verdicts.npz")
+    groups = pandas.concat([rows_of_file(study, path) for path in points]).groupby(_KEYS, sort=False)
     table = groups[["accuracy", "difference", "lowest", "highest"]].mean()
     half = t.ppf(0.975, len(points) - 1) * groups["difference"].sem()
     table = table.assign(low=table["difference"] - half, high=table["difference"] + half)
@@ -54,7 +54,8 @@ def rows(study: str) -> pandas.DataFrame:
     return table.reset_index()
 
 
-def _rows(study: str, path: Path) -> pandas.DataFrame:
+def rows_of_file(study: str, path: Path) -> pandas.DataFrame:
+    """Return these rows from a file; without lenses for image quality, the task is compared with least squares."""
     claims, packed = answers_file.read(path)
     measured = dict.fromkeys((lens, name) for lens, name, _ in packed.answers if "-" in lens and "-" not in name)
     table = []
@@ -63,9 +64,10 @@ def _rows(study: str, path: Path) -> pandas.DataFrame:
         for step, designs in {**STEPS, _BEST: QUALITY}.items():
             lenses = [lens for name in designs if (lens := f"{elements}-{name}", classifier) in measured]
             chosen = _choose(step, lenses, classifier, chosen, claims.seeds) if lenses else chosen
-        steps = [step for step in STEPS if (step, classifier, claims.seeds[0]) in chosen.answers]
-        for step in steps:
-            other = _BEST if step.startswith("task") else before
+        steps = [step for step in (*STEPS, _BEST) if (step, classifier, claims.seeds[0]) in chosen.answers]
+        for step in (step for step in steps if step != _BEST):
+            by_task = step.startswith("task")
+            other = _BEST if by_task and _BEST in steps else before
             keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
             for fields, measurements in ((_ALL, chosen), (_WITHOUT, _without(chosen, -1))):
                 row = keys | {"fields": fields, "seeds": len(claims.seeds)}
@@ -75,7 +77,7 @@ def _rows(study: str, path: Path) -> pandas.DataFrame:
                 if other and fields == _ALL:
                     row |= _range(step, other, classifier, chosen, claims.seeds)
                 table.append(row)
-            before = step
+            before = before if by_task else step
     return pandas.DataFrame(table)
 
 
