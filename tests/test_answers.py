@@ -200,6 +200,14 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     assert {*list(decomposition.STEPS)[4:]} <= {*labels} and decomposition.main([]) == 2
 
 
+def test_without_lenses_for_image_quality_the_task_is_compared_with_least_squares(monkeypatch):
+    monkeypatch.setattr(decomposition, "QUALITY", ())
+    steps = {name: lenses for name, lenses in decomposition.STEPS.items() if not lenses[0].startswith("image_")}
+    monkeypatch.setattr(decomposition, "STEPS", steps)
+    table = decomposition.rows("first_look").set_index("step")
+    assert {*table.loc[[name for name in steps if name.startswith("task")], "compared_with"]} == {"least squares"}
+
+
 def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeypatch):
     """The mean over the points of a sweep, with Student's interval, from files of a point each."""
     claims, packed = answers_file.read(RESULTS / "first_look/verdicts.npz")
