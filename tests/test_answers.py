@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import shutil
+import textwrap
 from pathlib import Path
 from types import ModuleType
 
@@ -27,7 +28,7 @@ def script(name: str) -> ModuleType:
     return module
 
 
-recompute, decomposition, publish = (script(name) for name in ("recompute", "decomposition", "publish"))
+recompute, decomposition, pages, publish = map(script, ("recompute", "decomposition", "pages", "publish"))
 
 
 class RandomAnswers(Measurements):
@@ -249,3 +250,83 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["publish.py", "unknown"])
     with pytest.raises(SystemExit):
         publish.main()
+
+
+PUBLISHED = {
+    "s/table1.seeds.csv": """
+        elements,design,classifier,seed,accuracy
+        ,reference,,0,100.0
+        ,reference,,1,99.0
+        doublet,psnr,resnet,0,96.0
+        doublet,psnr,resnet,1,97.0
+        doublet,task,resnet,0,98.0
+        doublet,task,resnet,1,98.0
+        triplet,task,resnet,0,99.0
+        triplet,task,resnet,1,99.0""",
+    "s/verdicts.csv": """
+        claim,lens,classifier,difference,low,high,verdict
+        more accurate than imaging1,doublet-task,resnet,9,8,10,holds
+        more accurate than the best,doublet-task,resnet,1.5,0.5,2.5,holds
+        more accurate than the best,triplet-task,resnet,0.04,-1,1,undecided
+        fails,doublet-flat,resnet,,,,undecided""",
+    "s/ablation_step.csv": """
+        lens,accuracy,difference,low,high
+        doublet-task,98.0,,,
+        doublet-task_step_long,98.5,0.5,0.25,0.75""",
+    "decomposition.csv": """
+        study,elements,classifier,step,fields,accuracy,difference,low,high
+        s,doublet,resnet,psnr,all fields,96.5,,,
+        s,doublet,resnet,task,all fields,98,1.5,0.5,2.5
+        s,doublet,resnet,task,without the corner,99,1.25,0.5,2
+        s,doublet,vit,task,all fields,50,5,4,6
+        other,doublet,resnet,task,all fields,60,6,5,7""",
+}
+
+
+@pytest.mark.parametrize(
+    "marker, table",
+    [
+        ("accuracies: table1 | s", """
+            | accuracy [%] | doublet | triplet |
+            | --- | --- | --- |
+            | sharp images | 99.5 ± 0.7 | 99.5 ± 0.7 |
+            | `task` | 98.0 ± 0.0 | 99.0 ± 0.0 |
+            | `psnr` | 96.5 ± 0.7 |  |"""),
+        ("gains: the best | s (textures)", """
+            | gain [points] compared with | doublet | triplet |
+            | --- | --- | --- |
+            | `task`, the best | 1.5 (0.5 to 2.5) | 0.0 (-1.0 to 1.0), undecided |"""),
+        ("ablation: step | s", """
+            | lens | accuracy [%] | difference [points] |
+            | --- | --- | --- |
+            | `doublet-task` | 98.0 |  |
+            | `doublet-task_step_long` | 98.5 | 0.5 (0.2 to 0.8) |"""),
+        ("steps: wrong | s (textures), other", """
+            | designed by | textures | other |
+            | --- | --- | --- |
+            | psnr | 3.5 |  |
+            | task | 2.0 | 40.0 |"""),
+        ("steps: difference | s", """
+            | designed by | doublet |
+            | --- | --- |
+            | task | 1.5 (0.5 to 2.5) |"""),
+        ("steps: inside | s", """
+            | designed by | doublet |
+            | --- | --- |
+            | task | 1.2 (0.5 to 2.0) |"""),
+    ],
+)  # fmt: skip
+def test_a_table_of_a_page(tmp_path, monkeypatch, marker, table):
+    """It replaces what stands between the comments, and nothing else."""
+    for name, text in PUBLISHED.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(textwrap.dedent(text).lstrip())
+    monkeypatch.setattr(pages, "FOLDER", tmp_path)
+    page = "before\n\n<!-- {} -->\n{}<!-- end -->\n\nafter\n"
+    expected = page.format(marker, f"{textwrap.dedent(table)}\n\n")
+    assert pages.filled(page.format(marker, "")) == pages.filled(expected) == expected
+
+
+def test_the_tables_of_pages_are_those_of_their_files(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["pages.py", "--check"])
+    assert pages.main() == 0
