@@ -24,7 +24,7 @@ from tasklens.cli.outputs import AsJson, Force, new_file, print_json, say
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
-_SPEC = "Specification"
+_SPEC = "Specification; with --start, the file has the defaults"
 _METHOD = (
     "Design method: least_squares, spot, image_quality, image_error, correlation; with a network: task, joint, "
     "end_to_end."
@@ -69,9 +69,7 @@ def design(
     ] = None,
     object_distance: Annotated[
         float | None,
-        typer.Option(
-            "--object", help="Object distance; only inf: moves the file's object to infinity.", rich_help_panel=_START
-        ),
+        typer.Option("--object", help="Only inf: move the file's object to infinity.", rich_help_panel=_START),
     ] = None,
     f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.", rich_help_panel=_SPEC)] = None,
     field_of_view: Annotated[

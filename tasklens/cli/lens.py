@@ -127,7 +127,7 @@ def psf(
     ] = False,
     force: Force = False,
 ) -> None:
-    """Compute the point spread functions at nine fields in three colours."""
+    """Compute the point spread functions at nine fields and each wavelength."""
     from tasklens import notebook
     from tasklens.report import image_files
 

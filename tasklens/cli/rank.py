@@ -45,7 +45,7 @@ def rank(
         typer.Option("--object", help="Distance of the object (mm); by default infinity.", rich_help_panel=_SENSOR),
     ] = None,
     noise: Annotated[
-        float | None, typer.Option(help="Add shot noise: electrons per pixel at white.", rich_help_panel=_SENSOR)
+        float | None, typer.Option(help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR)
     ] = None,
     scale: Annotated[
         bool,
