@@ -24,7 +24,7 @@ from pathlib import Path
 import pandas
 
 FOLDER = Path(__file__).parent
-_BLOCK = re.compile(r"(<!-- (\w+): (.*?) \| (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- (\w+): (.*?) \| (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FOLDER = re.compile(r"(\S+?)(?: \((.*)\))?$")
 _PARTS = ["heading", "elements", "classifier"]  # of a column of a table
 Folders = Mapping[str, str]  # from folder to heading
@@ -122,7 +122,7 @@ def filled(page: str) -> str:
         table = KINDS[kind](argument, {folder: heading or folder for folder, heading in named})
         return f"{begin}\n{markdown(table)}\n\n{end}"
 
-    return _BLOCK.sub(fill, page)
+    return BLOCK.sub(fill, page)
 
 
 def markdown(table: pandas.DataFrame) -> str:

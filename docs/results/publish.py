@@ -26,10 +26,10 @@ def publish(results: Path, destination: Path) -> None:
 
 
 def publish_lenses(results: Path, destination: Path) -> None:
-    """Copy the lenses of the first seed as YAML and Zemax files."""
+    """Copy the tables' lenses of the first seed as YAML and Zemax files; variants of ablations have no Zemax file."""
     shutil.rmtree(destination, ignore_errors=True)
     destination.mkdir()
-    for folder in results.glob("lenses/*/seed0"):
+    for folder in (path.parent for path in results.glob("lenses/*/seed0/*.zmx")):
         shutil.copyfile(folder / "lens.yaml", destination / f"{folder.parent.name}.yaml")
         for path in (*folder.glob("*.zmx"), *folder.glob("*.agf")):
             shutil.copyfile(path, destination / path.name)
@@ -45,7 +45,8 @@ def main() -> None:
         results = Path("results") / study
         if not results.is_dir():
             parser.error(f"{results}: no such folder; run the study first")
-        for folder in (results, *(path.parent for path in results.glob("*=*/tables"))):
+        points = [path.parent for path in results.glob("*=*/tables") if not path.parent.name.startswith("elements=")]
+        for folder in (results, *points):
             publish(folder, FOLDER / folder.relative_to("results"))
         if options.lenses:
             publish_lenses(results, FOLDER / study / "lenses")
