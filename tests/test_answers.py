@@ -123,15 +123,21 @@ def test_of_several_baselines_the_best_in_minival_is_compared(tmp_path):
 
 def test_the_figure_of_the_answer_has_every_comparison_and_design(tmp_path):
     """Names of designs and comparisons are text; the same data give the same file."""
-    rows = [("doublet-task", "doublet-psnr", 1.0, 0.5, 1.5), ("doublet-task", "triplet-psnr", -1.0, -1.5, -0.5)]
-    comparisons = pandas.DataFrame(rows, columns=["lens", "baseline", "difference", "low", "high"])
+    text = "more accurate than the best one"
+    rows = [
+        ("doublet-task", "doublet-psnr", text, 1.0, 0.5, 1.5),
+        ("doublet-task", "triplet-psnr", text, -1.0, -1.5, -0.5),
+        ("doublet-task", "doublet-psnr (2), doublet-error (1)", text, 1.0, 0.5, 1.5),
+    ]
+    comparisons = pandas.DataFrame(rows, columns=["lens", "baseline", "claim", "difference", "low", "high"])
     columns = {"elements": ["doublet"] * 3 + ["triplet"], "design": ["task", "psnr", "task", "psnr"]}
     accuracies = pandas.DataFrame(columns | {"accuracy": [98.0, 97.0, 100.0, 99.0]})
     for name in ("a.svg", "b.svg"):
         answer.draw(tmp_path / name, comparisons, accuracies, ["doublet-task"], 99.9)
     text = (tmp_path / "a.svg").read_text()
     labels = re.findall(r">([^<>]+)</text>", text)
-    assert {"task − psnr", "task − triplet-psnr", "doublet", "triplet", "task", "psnr"} <= {*labels}
+    assert {"task − psnr", "task − triplet-psnr", "task − the best one"} <= {*labels}
+    assert {"doublet", "triplet", "task", "psnr"} <= {*labels}
     assert text == (tmp_path / "b.svg").read_text()
 
 

@@ -1,6 +1,6 @@
 """The figure that answers a study: differences of accuracy with their intervals, and the errors of every design."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -39,9 +39,9 @@ def draw(
         for (left, right), (name, rows) in zip(panels, parts, strict=True):
             _differences(left, rows, name)
             _errors(right, designs[name], {lens.removeprefix(f"{name}-") for lens in task_driven}, sharp)
-        panels[0][0].set_title("Accuracy of the task-driven lens minus that of another", fontsize="medium")
-        panels[0][1].set_title("Wrong answers by design; each dot is one seed", fontsize="medium")
-        panels[-1][0].set_xlabel("difference [points]")
+        panels[0][0].set_title("Gain of the task-driven lens", fontsize="medium")
+        panels[0][1].set_title("Wrong answers; each dot is one seed", fontsize="medium")
+        panels[-1][0].set_xlabel("difference of accuracy [points]")
         panels[-1][1].set(xlabel="wrong answers [%], fewer to the right; dotted: no lens", xscale="log")
         panels[-1][1].invert_xaxis()
         panels[-1][1].xaxis.set(major_locator=LogLocator(subs=(1, 3)), major_formatter="{x:g}")
@@ -58,12 +58,14 @@ def _differences(axes: Axes, rows: pandas.DataFrame, elements: str) -> None:
         axes.plot([row["low"], row["high"]], [k, k], color=colour, linewidth=2)
         axes.plot(row["difference"], k, "D", color=colour, markersize=6)
     axes.axvline(0, color="black", linewidth=1)
-    same = f"{elements}-"
-    labels = [
-        f"{row['lens'].removeprefix(same)} − {row['baseline'].removeprefix(same).replace(', ' + same, ', ')}"
-        for row in rows.to_dict("records")
-    ]
-    _rows(axes, labels, elements)
+    _rows(axes, [_label(row, f"{elements}-") for row in rows.to_dict("records")], elements)
+
+
+def _label(row: Mapping[Hashable, str], same: str) -> str:
+    """Return the designs of a comparison without their elements, or the kind of baseline if seeds have several."""
+    several = ", " in row["baseline"]
+    baseline = row["claim"].removeprefix("more accurate than ") if several else row["baseline"].removeprefix(same)
+    return f"{row['lens'].removeprefix(same)} − {baseline}"
 
 
 def _errors(axes: Axes, rows: pandas.DataFrame, task_driven: set[str], sharp: float) -> None:
