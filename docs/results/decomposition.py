@@ -23,7 +23,6 @@ from scipy.stats import t
 
 from tasklens.report import answers_file, vector_files, verdicts
 from tasklens.report.answers_file import PackedMeasurements
-from tasklens.study.claims import Claim, Claims
 
 FOLDER = Path(__file__).parent
 STEPS = {  # designs of each step; of several, the one with the best minival accuracy in each seed
@@ -111,9 +110,8 @@ def _difference(
     lens: str, baseline: str, classifier: str, packed: PackedMeasurements, seeds: tuple[int, ...]
 ) -> Mapping[str, float]:
     """Return the difference of two lenses [points] with its interval."""
-    claim = Claim(table="", text="", lens=lens, baselines=(baseline,), classifier=classifier, reference=classifier)
-    frame = verdicts.collect(Claims(study="", claims=(claim,), seeds=seeds), packed)
-    return {str(name): float(frame[name].iloc[0]) for name in ("difference", "low", "high", "median", "above")}
+    row = verdicts.compare(lens, [baseline], classifier, seeds, packed)
+    return {name: float(row[name]) for name in ("difference", "low", "high", "median", "above")}
 
 
 def _range(

@@ -9,8 +9,8 @@ their headings:
 - `accuracies: TABLE`: accuracy [%] of each design, mean and standard deviation over seeds
 - `gains: TEXT, TEXT`: differences [points] with intervals, of the claims that contain one of these texts
 - `ablation: NAME`: accuracy [%] of a design and its variants, and their differences from it [points]
-- `steps: COLUMN`: a column of decomposition.csv for the network that supervised the designs: `accuracy` [%], `wrong`
-  answers [%], `difference` [points], or the difference `inside` the corner [points]
+- `steps: COLUMN`: a column of decomposition.csv for the network that supervised the designs: `accuracy` and, in brackets,
+  wrong answers [%]; `difference` [points]; or the difference `inside` the corner [points]
 
 With `--check` the program writes nothing, and ends with 1 if a page differs.
 """
@@ -22,6 +22,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pandas
+
+from tasklens.report.publish import markdown
 
 FOLDER = Path(__file__).parent
 BLOCK = re.compile(r"(<!-- (\w+): (.*?) \| (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -78,9 +80,9 @@ def steps(column: str, folders: Folders) -> pandas.DataFrame:
     rows = rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
     rows = rows[rows["study"].isin([*folders]) & ((rows["fields"] == "all fields") != (column == "inside"))]
     rows = rows.assign(heading=rows["study"].map(folders), row=rows["step"])
-    if column in {"accuracy", "wrong"}:
-        values = rows["accuracy"] if column == "accuracy" else 100 - rows["accuracy"]
-        return _table(rows.assign(cell=values.map("{:.1f}".format))).rename_axis("designed by")
+    if column == "accuracy":
+        cells = [f"{value:.1f} ({100 - value:.1f})" for value in rows["accuracy"]]
+        return _table(rows.assign(cell=cells)).rename_axis("designed by")
     return _table(rows.assign(cell=_intervals(rows)).dropna(subset="difference")).rename_axis("designed by")
 
 
@@ -120,16 +122,9 @@ def filled(page: str) -> str:
         begin, kind, argument, folders, end = match.groups()
         named = [_FOLDER.match(text).groups() for text in folders.split(", ")]
         table = KINDS[kind](argument, {folder: heading or folder for folder, heading in named})
-        return f"{begin}\n{markdown(table)}\n\n{end}"
+        return f"{begin}\n{markdown(table.reset_index())}\n\n{end}"
 
     return BLOCK.sub(fill, page)
-
-
-def markdown(table: pandas.DataFrame) -> str:
-    """Return a table as Markdown, without padding."""
-    lines = [[table.index.name, *table.columns], ["---"] * (1 + table.shape[1])]
-    lines += [[str(name), *row] for name, row in zip(table.index, table.to_numpy(), strict=True)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def main() -> int:

@@ -14,13 +14,13 @@ OMITTED = ("answers.csv", "encircled_energy.csv", "psf_tail.fields.csv")  # of t
 
 
 def publish(results: Path, destination: Path) -> None:
-    """Copy the tables, answers and figure of a study, or of a point of a sweep."""
+    """Copy the tables and answers of a study, or of a point of a sweep."""
     destination.mkdir(parents=True, exist_ok=True)
-    for old in (path for pattern in (*TABLES, "answer.svg") for path in destination.glob(pattern)):
+    for old in (path for pattern in TABLES for path in destination.glob(pattern)):
         if old.name != "README.md":
             old.unlink()
     sources = [path for pattern in TABLES for path in (results / "tables").glob(pattern)]
-    for path in (*sources, *results.glob("effort.*"), *results.glob("sweep.*"), *results.glob("answer.svg")):
+    for path in (*sources, *results.glob("effort.*"), *results.glob("sweep.*")):
         if path.name not in OMITTED:
             shutil.copyfile(path, destination / path.name)
 
@@ -48,6 +48,8 @@ def main() -> None:
         points = [path.parent for path in results.glob("*=*/tables") if not path.parent.name.startswith("elements=")]
         for folder in (results, *points):
             publish(folder, FOLDER / folder.relative_to("results"))
+        for path in results.glob("answer.svg"):  # a sweep has none of its own
+            shutil.copyfile(path, FOLDER / study / path.name)
         if options.lenses:
             publish_lenses(results, FOLDER / study / "lenses")
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import pandas
 
 from tasklens.report import answers_file, verdicts
-from tasklens.study.claims import Claim, Claims
 
 FOLDER = Path(__file__).parent
 _KEYS = ["table", "claim", "lens", "baseline", "classifier"]
@@ -43,11 +42,9 @@ def comparison_differences(path: Path) -> list[str]:
     wrong = []
     for row in pandas.read_csv(path).to_dict("records"):
         claims, packed = answers_file.read(path.parent / row["answers"])
-        keys = {key: row[key] for key in ("lens", "classifier")}
-        claim = Claim(table="", text="", baselines=tuple(row["baseline"].split()), reference=row["classifier"], **keys)
-        frame = verdicts.collect(Claims(study="", claims=(claim,), seeds=claims.seeds), packed)
-        if any(abs(row[name] - frame[name].iloc[0]) > _ROUNDED for name in _NUMBERS):
-            wrong.append(f"{path}: {row} is {frame[_NUMBERS].iloc[0].round(2).to_dict()}")
+        again = verdicts.compare(row["lens"], row["baseline"].split(), row["classifier"], claims.seeds, packed)
+        if any(abs(row[name] - again[name]) > _ROUNDED for name in _NUMBERS):
+            wrong.append(f"{path}: {row} is {again[_NUMBERS].to_dict()}")
     return wrong
 
 

@@ -147,6 +147,14 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     return table
 
 
+def compare(
+    lens: str, baselines: Sequence[str], classifier: str, seeds: Sequence[int], measurements: Measurements
+) -> pandas.Series:
+    """Return the row of `collect` for one lens and its baselines, without correction for other comparisons."""
+    claim = Claim(table="", text="", lens=lens, baselines=tuple(baselines), classifier=classifier, reference=classifier)
+    return collect(Claims(study="", claims=(claim,), seeds=tuple(seeds)), measurements).iloc[0]
+
+
 def _named(baselines: Iterable[str]) -> str:
     """Name the baseline of all seeds, or each baseline with its number of seeds, most frequent first."""
     counts = Counter(baselines)
