@@ -9,8 +9,8 @@ their headings:
 - `accuracies: TABLE`: accuracy [%] of each design, mean and standard deviation over seeds
 - `gains: TEXT, TEXT`: differences [points] with intervals, of the claims that contain one of these texts
 - `ablation: NAME`: accuracy [%] of a design and its variants, and their differences from it [points]
-- `steps: COLUMN`: a column of decomposition.csv for the network that supervised the designs: `accuracy` and, in brackets,
-  wrong answers [%]; `difference` [points]; or the difference `inside` the corner [points]
+- `steps: COLUMN`: a column of decomposition.csv for the network that supervised the designs: `accuracy` and, in
+  brackets, wrong answers [%]; `difference` [points]; or the difference `inside` the corner [points]
 
 With `--check` the program writes nothing, and ends with 1 if a page differs.
 """
