@@ -47,7 +47,7 @@ class _Convolution(torch.autograd.Function):
         psf: Tensor,
         runs: list[_Run],
         shape: tuple[int, int],
-        kernels: list[Tensor],
+        kernels: Tensor,
     ) -> Tensor:
         """Render captures (N, 2, 3, H, W) of the pairs of each run in turn.
 
@@ -57,16 +57,16 @@ class _Convolution(torch.autograd.Function):
             psf: (F, 3, K, K), used only for its gradient.
             runs: the pairs to render at each field.
             shape: height and width of the captures.
-            kernels: spectra (n, m) of the PSFs by field and colour, divided by n m.
+            kernels: spectra (F, 3, n, m) of the PSFs, divided by n m.
         """
         captures = psf.new_empty(sum(run.stop - run.start for run in runs), 2, 3, *shape)
         window = _window(psf, shape)
-        for field, colour, blocks in _schedule(runs, images):
+        for field, colours, blocks in _schedule(runs, images):
             for source, target in blocks:
-                product = images[colour, source] * kernels[3 * field + colour]
-                product[:, 0, 0] += mean[colour, source]
-                planes = torch.fft.ifft2(product, norm="forward")[window]
-                captures[target, 0, colour], captures[target, 1, colour] = planes.real, planes.imag
+                product = images[colours, source] * kernels[field, colours, None]
+                product[..., 0, 0] += mean[colours, source]
+                planes = torch.fft.ifft2(product, norm="forward")[window].transpose(0, 1)
+                captures[target, 0, colours], captures[target, 1, colours] = planes.real, planes.imag
         ctx.save_for_backward(images, psf)
         ctx.arguments = runs, shape, kernels
         return captures
@@ -80,37 +80,43 @@ class _Convolution(torch.autograd.Function):
         at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
         at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
         conjugate = images.conj().resolve_conj()
-        padded = torch.zeros_like(images[0])
+        padded = torch.zeros_like(images[_colours(images)[0]])
         window = padded[_window(psf, shape)]
-        for field, colour, blocks in _schedule(runs, images):
-            total = torch.zeros_like(padded[0])
+        for field, colours, blocks in _schedule(runs, images):
+            total = torch.zeros_like(padded[:, 0])
             for source, target in blocks:
-                upstream = gradient[target, :, colour]
-                torch.complex(upstream[:, 0], upstream[:, 1], out=window[: len(upstream)])
-                product = torch.fft.fft2(padded[: len(upstream)])
+                upstream = gradient[target, :, colours].transpose(0, 2)
+                count = upstream.shape[2]
+                torch.complex(upstream[:, 0], upstream[:, 1], out=window[:, :count])
+                product = torch.fft.fft2(padded[:, :count])
                 if at_images is not None:
-                    at_images[colour, source].addcmul_(product, kernels[3 * field + colour].conj())
-                    at_mean[colour, source] += product[:, 0, 0]
-                for planes in zip(product, conjugate[colour, source], strict=True):
+                    at_images[colours, source].addcmul_(product, kernels[field, colours, None].conj())
+                    at_mean[colours, source] += product[..., 0, 0]
+                for planes in zip(product.unbind(1), conjugate[colours, source].unbind(1), strict=True):
                     total.addcmul_(*planes)
-            at_psf[field, colour] += torch.fft.ifft2(total).real[: psf.shape[-2], : psf.shape[-1]]
+            at_psf[field, colours] += torch.fft.ifft2(total).real[..., : psf.shape[-2], : psf.shape[-1]]
         return at_images, at_mean, at_psf, None, None, None
 
 
-def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[slice, ...]:
-    """Return the slices of the captures in convolved planes (P, n, m)."""
-    return slice(None), *(slice(k - 1, k - 1 + side) for k, side in zip(psf.shape[-2:], shape, strict=True))
+def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[Any, ...]:
+    """Return the slices of the captures in convolved planes (3, P, n, m)."""
+    return ..., *(slice(k - 1, k - 1 + side) for k, side in zip(psf.shape[-2:], shape, strict=True))
 
 
-def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, int, list[tuple[slice, slice]]]]:
-    """Yield field, colour, and blocks: slices of pairs to transform at once, and slices of their captures."""
+def _colours(planes: Tensor) -> list[slice]:
+    """Return the colours to transform at once: all three on a GPU, which would wait for calls, and one on a CPU."""
+    return [slice(0, 3)] if planes.device.type == "cuda" else [slice(colour, colour + 1) for colour in range(3)]
+
+
+def _schedule(runs: list[_Run], images: Tensor) -> Iterator[tuple[int, slice, list[tuple[slice, slice]]]]:
+    """Yield field, colours, and blocks: slices of pairs to transform at once, and slices of their captures."""
     size = _at_once(images)
     begin = 0
     for field, start, stop in runs:
         ends = [(first, min(first + size, stop)) for first in range(start, stop, size)]
         blocks = [(slice(a, b), slice(begin + a - start, begin + b - start)) for a, b in ends]
-        for colour in range(3):
-            yield field, colour, blocks
+        for colours in _colours(images):
+            yield field, colours, blocks
         begin += stop - start
 
 
@@ -150,7 +156,7 @@ class PsfCamera:
         self.linear = colour == "linear"
         self.sensor = sensor
         self.illumination = (psf.new_ones(len(psf)) if illumination is None else illumination).to(self.psf)
-        self._kernels: dict[tuple[int, int], list[Tensor]] = {}
+        self._kernels: dict[tuple[int, int], Tensor] = {}
 
     @classmethod
     def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "PsfCamera":
@@ -218,7 +224,8 @@ class PsfCamera:
         spectra = torch.fft.fft2(padded, size)
         if size not in self._kernels:
             blocks = self.psf.detach().to(spectra.dtype).flatten(0, 1).split(_at_once(spectra))
-            self._kernels[size] = [k for block in blocks for k in torch.fft.fft2(block, size, norm="forward")]
+            kernels = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
+            self._kernels[size] = kernels.unflatten(0, self.psf.shape[:2])
         captures = _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
         return linear_rgb_to_rgb(captures) if self.linear else captures
 

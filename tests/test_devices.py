@@ -41,13 +41,13 @@ def hold(name: str, ready, done) -> None:
 
 @pytest.fixture
 def elsewhere(monkeypatch, tmp_path):
-    """A function that starts another process to hold the lock of a name, and returns the process."""
+    """A function that starts another process to hold a share of a GPU, and returns the process."""
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr(devices, "_locked", {})
 
-    def held(name: str) -> multiprocessing.Process:
+    def held(name: str, share: int = 0) -> multiprocessing.Process:
         ready = CONTEXT.Event()
-        process = CONTEXT.Process(target=hold, args=(name, ready, CONTEXT.Event()), daemon=True)
+        process = CONTEXT.Process(target=hold, args=(f"{name}-{share}", ready, CONTEXT.Event()), daemon=True)
         process.start()
         ready.wait()
         return process
@@ -66,6 +66,28 @@ def test_a_gpu_has_one_job(monkeypatch, elsewhere):
     monkeypatch.setattr(locks.time, "sleep", lambda seconds: (waited.append(seconds), other.kill(), other.join()))
     assert devices.claim() == torch.device("cuda", 0)
     assert len(waited) == 1
+
+
+def test_several_jobs_share_a_gpu(monkeypatch, elsewhere):
+    """Each GPU gets a job before any gets two; a process keeps its GPU if a share of another one becomes free."""
+    monkeypatch.setenv(devices.JOBS_PER_GPU, "2")
+    names = ["one", "other"]
+    pretend(monkeypatch, names)
+    first = elsewhere("one")
+    assert devices.claim() == torch.device("cuda", 1)
+    first.kill(), first.join()
+    assert devices.claim() == torch.device("cuda", 1) and set(devices._locked) == {"other-0"}
+    elsewhere("one"), elsewhere("one", 1)
+    monkeypatch.setattr(devices, "_locked", {})  # as in a further process
+    assert devices.claim() == torch.device("cuda", 1) and set(devices._locked) == {"other-1"}
+
+
+@pytest.mark.parametrize("value", ["0", "", "two", "-1"])
+def test_the_number_of_jobs_per_gpu_is_checked(monkeypatch, value):
+    pretend(monkeypatch, ["one"])
+    monkeypatch.setenv(devices.JOBS_PER_GPU, value)
+    with pytest.raises(InputError, match=f"TASKLENS_JOBS_PER_GPU={value}: expected a positive integer"):
+        devices.claim()
 
 
 def test_locks_are_nobody_elses(monkeypatch, tmp_path):
@@ -96,7 +118,7 @@ def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
 
     monkeypatch.setattr(locks.time, "sleep", wait)
     assert devices.claim_several(2) == [torch.device("cuda", 0), torch.device("cuda", 1)]
-    assert seen == [1] and set(devices._locked) == set(names)
+    assert seen == [1] and set(devices._locked) == {"one-0", "other-0"}
 
 
 def test_a_process_group_larger_than_the_machine_is_refused(monkeypatch):

@@ -1,7 +1,9 @@
-"""Devices of jobs: a GPU that no other job of this user on this machine uses, or the CPU."""
+"""Devices of jobs: a GPU that few or no other jobs of this user on this machine use, or the CPU."""
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 
 import torch
@@ -12,14 +14,15 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.locks import acquire, wait_until
 
 CPU = torch.device("cpu")
-_locked: dict[str, FileLock] = {}  # by GPU; a lock is released when its process ends
+JOBS_PER_GPU = "TASKLENS_JOBS_PER_GPU"  # environment variable; 1 if it is not set
+_locked: dict[str, FileLock] = {}  # by GPU and share; a lock is released when its process ends
 
 
 def claim() -> torch.device:
     """Claim a GPU for this process, and wait until one is free; without GPUs, return the CPU.
 
     Repeated calls return the same GPU. Parallel jobs of Snakemake are distributed over the visible GPUs, and wait if
-    there are more jobs than GPUs.
+    each of these has `TASKLENS_JOBS_PER_GPU` jobs, by default one.
     """
     (device,) = claim_several(1)
     if device != CPU:
@@ -31,22 +34,28 @@ def claim_several(number: int) -> list[torch.device]:
     """Claim several GPUs, for a process group; without GPUs, return the CPU as often.
 
     Raises:
-        InputError: fewer GPUs are visible.
+        InputError: fewer GPUs are visible, or the number of jobs per GPU is not a positive integer.
     """
     count = torch.cuda.device_count()
     if count == 0:
         return number * [CPU]
+    value = os.environ.get(JOBS_PER_GPU, "1")
+    if not (value.isdecimal() and int(value)):
+        raise InputError(f"{JOBS_PER_GPU}={value}: expected a positive integer")
     if number > count:
         raise InputError(f"{number} processes need one GPU each, but {count} are visible; lower `processes`")
     if number > 1:  # two groups that claim GPUs at the same time could deadlock
         wait_until(lambda: _lock("several"), "another process group that is claiming GPUs")
+    names = [torch.cuda.get_device_properties(index).uuid for index in range(count)]
+    shares = [(index, f"{names[index]}-{share}") for share, index in product(range(int(value)), range(count))]
     gpus: list[torch.device] = []
 
     def claimed() -> bool:
         gpus.clear()
-        for index in range(count):
-            if len(gpus) < number and _lock(str(torch.cuda.get_device_properties(index).uuid)):
-                gpus.append(torch.device("cuda", index))
+        for index, share in sorted(shares, key=lambda entry: entry[1] not in _locked):  # those of this process first
+            gpu = torch.device("cuda", index)
+            if len(gpus) < number and gpu not in gpus and _lock(share):
+                gpus.append(gpu)
         return len(gpus) == number
 
     wait_until(claimed, f"{number} of {count} GPUs, held by your other jobs")
