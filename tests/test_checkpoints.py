@@ -172,6 +172,7 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
     run("spot")
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_leaves_a_whole_checkpoint(workplace):
     """SIGKILL, which nothing can catch, in the middle of a design; the next process ends it."""
     command = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nimport test_checkpoints\n"

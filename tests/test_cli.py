@@ -85,6 +85,7 @@ def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     assert done.returncode == 2 and "bake" in done.stderr
 
 
+@pytest.mark.slow
 def test_every_design_leaves_a_readable_lens(lenses):
     """A prescription with its spec, origin, figures and margins, and a history of finite numbers."""
     for name in tiny_study()["designs"]:
@@ -156,6 +157,7 @@ def test_restoration_and_drawings(lenses):
     assert page.startswith("# singlet-imaging1, seed 0\n") and "## Manufacturability" in page
 
 
+@pytest.mark.slow
 def test_an_imported_lens_goes_the_same_way(lenses, capsys):
     """From its file to its PSF and figure; `check` reports unusable lenses before any job."""
     prescription.write(lenses / "theirs.yaml", Prescription(cooke_triplet()), {})

@@ -37,6 +37,7 @@ def run(code: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_plain_python_traces_the_same_rays(tmp_path):
     """NUMBA_DISABLE_JIT=1 runs the same code slowly, for machines without compilation."""
     traces = {}

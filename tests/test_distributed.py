@@ -22,6 +22,7 @@ VIT = {
 }
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     """Accuracies of all fields within one image, weights within rounding; only one process writes."""
     study = changed(changed(tiny_study(), "classifiers.small", VIT), "fine_tuning.epochs", 2)

@@ -22,6 +22,7 @@ from tasklens.study.names import split
 from tasklens.study.study import TABLES
 from tasklens.study.tables import verification
 
+pytestmark = pytest.mark.slow
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
 STUDY = parse(TINY)
 

@@ -26,6 +26,7 @@ def test_the_settings_of_a_run():
     assert not snakemake_internals.is_main(job)
 
 
+@pytest.mark.slow
 def test_the_jobs_of_a_run(tmp_path, monkeypatch):
     """Labels, needs and settings before a run; outputs and the settings that made them after it."""
     monkeypatch.chdir(tmp_path)
@@ -46,6 +47,7 @@ def test_the_jobs_of_a_run(tmp_path, monkeypatch):
     assert design["made_with"] == design["settings"] == before["design/singlet-imaging1-seed0"]["settings"]
 
 
+@pytest.mark.slow
 def test_the_terminal_is_taken_from_snakemake(tmp_path):
     """From the handler that a run of Snakemake has by default; a chosen one, or --quiet, keeps it."""
     process = snakemake(tmp_path, tiny_study(), "results/tiny/images/train.npy")

@@ -87,6 +87,7 @@ def test_a_new_study_asks_for_what_was_not_given(place):
     assert result.exit_code == 0 and "Seeds" not in result.output and "F-number" not in result.output
 
 
+@pytest.mark.slow
 def test_less_time_gives_a_smaller_study(place):
     """Each shorter time gives fewer jobs or images."""
     sizes = []
@@ -97,6 +98,7 @@ def test_less_time_gives_a_smaller_study(place):
     assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) >= 3
 
 
+@pytest.mark.slow
 def test_a_new_study_of_photographs(place):
     """The network starts from published weights, and the images have its size."""
     for path in (f"photos/{s}/{c}/{k}.jpg" for s in ("train", "test") for c in ("cat", "dog") for k in range(400)):

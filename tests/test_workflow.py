@@ -21,7 +21,7 @@ def beside_config(tmp_path):
     return tmp_path
 
 
-LARGE = ("headline.yaml", "imagenet.yaml")  # hundreds to thousands of jobs
+LARGE = ("headline.yaml", "imagenet.yaml", "imagenette.yaml")  # hundreds to thousands of jobs
 
 
 @pytest.mark.parametrize(

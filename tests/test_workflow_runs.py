@@ -36,6 +36,7 @@ def finished(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_finished_table_has_nothing_to_be_done(finished):
     """The run wrote the study with every default, the table, and is complete."""
     assert load(finished / "results/tiny/study.yaml") == parse(one_lens())
@@ -44,6 +45,7 @@ def test_a_finished_table_has_nothing_to_be_done(finished):
     assert plan(finished, one_lens(), "table1") == {}
 
 
+@pytest.mark.slow
 def test_durations_of_finished_jobs_are_known(finished):
     """A benchmark file for every job, from which the next forecast, time limits and memory are made."""
     files = sorted((finished / "results/tiny/benchmarks").rglob("*.tsv"))
@@ -57,6 +59,7 @@ def test_durations_of_finished_jobs_are_known(finished):
     assert f"runtime={durations.limit_minutes('design')}," in output
 
 
+@pytest.mark.slow
 def test_a_dry_run_changes_nothing(finished):
     """Planning another value must not change the study that a run in progress reads."""
     before = (finished / "results/tiny/study.yaml").read_text()
@@ -64,6 +67,7 @@ def test_a_dry_run_changes_nothing(finished):
     assert (finished / "results/tiny/study.yaml").read_text() == before
 
 
+@pytest.mark.slow
 def test_finished_results_are_not_overwritten_without_consent(finished):
     """A dry run asks too; a further seed needs no consent; no file changes, and the last run's state stays."""
     faster = changed(one_lens(), "spec.f_number", 2.0)
@@ -86,6 +90,7 @@ def test_finished_results_are_not_overwritten_without_consent(finished):
     assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(paths)
 
 
+@pytest.mark.slow
 def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     """No job is left to plan; with another value, the plan has the reruns; `status` has the last run's jobs."""
     monkeypatch.chdir(finished)
@@ -102,6 +107,7 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     assert "6 of 6 jobs done" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "key, value, rerun",
     [

@@ -44,6 +44,7 @@ def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(fine_tolerances)
     assert coarse.allotted is None or float(coarse.allotted.mean()) < float(fine_tolerances.allotted.mean())
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, monkeypatch, capsys):
     """JSON and text of the same lenses, which are simulated once."""
     simulate, results = yields.tolerances, {}
