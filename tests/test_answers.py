@@ -1,6 +1,7 @@
 """The figure of the answer, and files of answers from which verdicts are recomputed."""
 
 import importlib.util
+import math
 import re
 import shutil
 import textwrap
@@ -238,6 +239,8 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
         for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))
     )
     assert fresh.loc[step, "high"] - fresh.loc[step, "low"] == pytest.approx(12.706 * abs(first - second), rel=1e-4)
+    p_of_one = 1 - 2 / math.pi * math.atan(abs(first + second) / abs(first - second))  # Student's t of two points
+    assert p_of_one <= fresh.loc[step, "p"] <= 3 * p_of_one and fresh["p"].count() == 3
 
 
 def test_published_files_replace_those_of_before(tmp_path, monkeypatch):

@@ -3,8 +3,8 @@
 From least squares to squared error or PSNR, to correlation, to correlation with a heavier corner: accuracy of each step
 and its difference from the step before. Then three kinds of task-driven design, each compared with the best lens for
 image quality. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as one study, with
-Student's interval over its points. There are also the differences without the corner field, and the lowest and highest
-difference without one of the fields.
+Student's interval over its points, and p-values of the task-driven kinds after Holm's correction. There are also the
+differences without the corner field, and the lowest and highest difference without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
 networks, and decomposition.svg, of the network that supervised the designs.
@@ -21,7 +21,7 @@ import pandas
 from matplotlib.figure import Figure
 from scipy.stats import t
 
-from tasklens.report import answers_file, vector_files, verdicts
+from tasklens.report import answers_file, bootstrap, vector_files, verdicts
 from tasklens.report.answers_file import PackedMeasurements
 
 FOLDER = Path(__file__).parent
@@ -47,8 +47,12 @@ def rows(study: str) -> pandas.DataFrame:
         return rows_of_file(study, FOLDER / study / "verdicts.npz")
     groups = pandas.concat([rows_of_file(study, path) for path in points]).groupby(_KEYS, sort=False)
     table = groups[["accuracy", "difference", "lowest", "highest"]].mean()
-    half = t.ppf(0.975, len(points) - 1) * groups["difference"].sem()
+    error, freedom = groups["difference"].sem(), len(points) - 1
+    half = t.ppf(0.975, freedom) * error
     table = table.assign(low=table["difference"] - half, high=table["difference"] + half)
+    tested = [key for key in table.index if key[-2:] == (_BEST, _ALL)]
+    p_values = 2 * t.sf((table["difference"] / error).abs()[tested], freedom)
+    table.loc[tested, "p"] = bootstrap.holm(list(p_values))
     table = table.assign(median=groups["difference"].median(), above=groups["above"].sum(), seeds=len(points))
     return table.reset_index()
 

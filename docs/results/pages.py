@@ -10,7 +10,7 @@ their headings:
 - `gains: TEXT, TEXT`: differences [points] with intervals, of the claims that contain one of these texts
 - `ablation: NAME`: accuracy [%] of a design and its variants, and their differences from it [points]
 - `steps: COLUMN`: a column of decomposition.csv for the network that supervised the designs: `accuracy` and, in
-  brackets, wrong answers [%]; `difference` [points]; or the difference `inside` the corner [points]
+  brackets, wrong answers [%]; `difference` [points]; the difference `inside` the corner [points]; or its `p` value
 
 With `--check` the program writes nothing, and ends with 1 if a page differs.
 """
@@ -83,6 +83,9 @@ def steps(column: str, folders: Folders) -> pandas.DataFrame:
     if column == "accuracy":
         cells = [f"{value:.1f} ({100 - value:.1f})" for value in rows["accuracy"]]
         return _table(rows.assign(cell=cells)).rename_axis("designed by")
+    if column == "p":
+        rows = rows.dropna(subset="p")
+        return _table(rows.assign(cell=rows["p"].map("{:.2g}".format))).rename_axis("designed by")
     return _table(rows.assign(cell=_intervals(rows)).dropna(subset="difference")).rename_axis("designed by")
 
 
