@@ -17,9 +17,11 @@ from tasklens.study.settings import ClassifierSettings
     [
         pytest.param("rays", "ratio", ["--rounds", "1"], marks=pytest.mark.slow),
         ("captures", "times faster", ["--rounds", "1"]),
-        ("memory", "peak [GiB]", ["--captures", "5"]),
+        pytest.param("memory", "peak [GiB]", ["--captures", "5"], marks=pytest.mark.slow),
         ("step", "% of the step", ["--rounds", "1"]),
-        ("simulation", "peak [GB]", ["--rounds", "1", "--lenses", "triplet-tasklens"]),
+        pytest.param(
+            "simulation", "peak [GB]", ["--rounds", "1", "--lenses", "triplet-tasklens"], marks=pytest.mark.slow
+        ),
         ("network", "ratio", ["--rounds", "1"]),
         ("cost", "GPU-hours", ["config/smoke.yaml"]),
         ("cluster", "peak [GB]", ["config/smoke.yaml"]),

@@ -85,6 +85,7 @@ def test_a_scale_bar_is_round_and_at_most_a_quarter(width, label):
     assert 0.1 <= float(label.split()[0]) / width <= 0.25 + math.ulp(1)
 
 
+@pytest.mark.slow
 def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
     """PNG, SVG and PDF, without a date; the SVG contains text, the PNG an image."""
     for folder in ("first", "second"):

@@ -178,6 +178,7 @@ def test_materials_are_chosen_from_a_list():
         substitution.combinations(["A|B|C|D|E"] * 5)
 
 
+@pytest.mark.slow
 def test_a_design_with_a_choice_of_materials():
     """The final design has the materials of the sharpest brief design; the file keeps all spots."""
     quick, room = {"evaluations": 60, "starts": 3}, {"max_track": 8.0}

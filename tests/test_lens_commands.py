@@ -123,6 +123,7 @@ def test_compare_fits_a_terminal(capsys):
         assert row["worst_margin"] == yaml.safe_load(path.read_text())["worst_margin"]["value"]
 
 
+@pytest.mark.slow
 def test_lenses_of_one_name_are_told_apart(folder, capsys):
     text = output_of(capsys, "compare", DOUBLET, SAME, *FEW)
     assert [line.split()[0] for line in text.splitlines()[1:3]] == ["doublet-imaging2.yaml", "doublet-imaging2.zmx"]

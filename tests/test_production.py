@@ -164,6 +164,7 @@ def test_who_tolerates_more(tmp_path):
     assert len(tolerances.compare(paths, [], [0])) == 0
 
 
+@pytest.mark.slow
 def test_a_study_makes_the_table_and_the_page_of_each_lens(tmp_path, monkeypatch):
     """From the stored lenses, PSFs and classifiers; the page names errors and tolerances for a drawing."""
     monkeypatch.chdir(tmp_path)

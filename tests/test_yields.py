@@ -27,6 +27,7 @@ def spread(tolerances: yields.Tolerances) -> float:
     return math.sqrt(sum((lens.rms_um - tolerances.design.rms_um) ** 2 for lens in tolerances.built))
 
 
+@pytest.mark.slow
 def test_spots_deviate_in_proportion_to_small_errors(fine_tolerances):
     """A tenth of the same errors gives a tenth of the deviations, up to second order."""
     tenth = Grade.model_validate({name: 0.1 * getattr(FINE, name) for name in GRADES["precision_moulding"]})
