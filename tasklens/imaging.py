@@ -104,7 +104,7 @@ def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[Any, ...]:
 
 
 def _colours(planes: Tensor) -> list[slice]:
-    """Return the colours to transform at once: all three on a GPU, which would wait for calls, and one on a CPU."""
+    """Return the colours to transform at once: all three on a GPU, so that it has few calls, and one on a CPU."""
     return [slice(0, 3)] if planes.device.type == "cuda" else [slice(colour, colour + 1) for colour in range(3)]
 
 
