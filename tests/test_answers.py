@@ -16,10 +16,11 @@ import pytest
 from tasklens.report import answer, answers_file, verdicts
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError
-from tasklens.study.claims import FLAT_FAILS, OVER_IMAGING1, Claim, Claims
+from tasklens.study.claims import FLAT_FAILS, OVER_IMAGE_QUALITY, OVER_IMAGING1, Claim, Claims
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs/results"
+SMALLEST = RESULTS / "replication/images.seed=16"  # one seed
 
 
 def script(name: str) -> ModuleType:
@@ -33,20 +34,35 @@ def script(name: str) -> ModuleType:
 recompute, decomposition, pages, publish = map(script, ("recompute", "decomposition", "pages", "publish"))
 
 
+PROBABILITY = {  # of a correct answer, in the corner half of it
+    "imaging2": 0.5,
+    "image_psnr": 0.7,
+    "image_correlation": 0.8,
+    "tasklens": 0.85,
+    "tasklens_from_quality": 0.9,
+    "tasklens_joint": 0.95,
+}
+
+
 class RandomAnswers(Measurements):
-    """Measurements with random answers."""
+    """Measurements with random answers, right with the probability of the design."""
 
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
-        generator = numpy.random.default_rng([len(lens), seed])
-        fields = 1 if lens == "sharp" else 9
+        generator = numpy.random.default_rng([*lens.encode(), seed])
+        worth = numpy.array([1.0] if lens == "sharp" else [1.0] * 8 + [0.5])
+        answers = generator.random((50, len(worth))) < worth * probability(lens)
         index = pandas.MultiIndex.from_arrays([range(50), ["07"] * 50], names=["image", "label"])
-        return pandas.DataFrame(generator.integers(2, size=(50, fields)), index=index)
+        return pandas.DataFrame(answers.astype(int), index=index)
 
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
-        return {"minival_accuracy": 10.0 * len(lens) + seed, "chance": 10.0, "psnr_db": 20.0}
+        return {"minival_accuracy": 100 * probability(lens), "chance": 10.0, "psnr_db": 20.0}
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
         return {"energy_in_window": 0.3 if "flat" in lens else 0.9, "rms_spot_um": 3.0}
+
+
+def probability(lens: str) -> float:
+    return PROBABILITY.get(lens.partition("-")[2], 0.5)
 
 
 def claim(text: str, lens: str, *baselines: str) -> Claim:
@@ -57,6 +73,11 @@ CLAIMS = Claims(
     study="known",
     claims=(claim(OVER_IMAGING1, "doublet-task", "doublet-a", "doublet-imaging1"), claim(FLAT_FAILS, "doublet-flat")),
     seeds=(0, 1, 2),
+)
+DOUBLETS = Claims(
+    study="doublets",
+    claims=(claim(OVER_IMAGE_QUALITY, *(f"doublet-{name}" for name in reversed(PROBABILITY))),),
+    seeds=(0, 1),
 )
 
 
@@ -91,33 +112,27 @@ def test_published_intervals_are_those_of_the_published_answers():
 
 @pytest.mark.parametrize("column", ["difference", "low", "high"])
 def test_a_changed_interval_is_noticed(tmp_path, column):
-    """In a table, and in the list of comparisons."""
     for name in ("verdicts.npz", "verdicts.csv"):
-        shutil.copy(RESULTS / "diffraction" / name, tmp_path / name)
+        shutil.copy(SMALLEST / name, tmp_path / name)
     assert recompute.table_differences(tmp_path / "verdicts.npz") == []
     table = pandas.read_csv(tmp_path / "verdicts.csv")
     table.loc[1, column] += 0.01
     table.to_csv(tmp_path / "verdicts.csv", index=False)
     assert len(recompute.table_differences(tmp_path / "verdicts.npz")) == 1
-    quoted = pandas.read_csv(RESULTS / "comparisons.csv")
-    quoted = quoted[quoted["answers"] == "diffraction/verdicts.npz"].assign(answers="verdicts.npz")
-    quoted.to_csv(tmp_path / "comparisons.csv", index=False)
-    assert recompute.comparison_differences(tmp_path / "comparisons.csv") == []
-    quoted.assign(**{column: quoted[column] + 0.2}).to_csv(tmp_path / "comparisons.csv", index=False)
-    assert len(recompute.comparison_differences(tmp_path / "comparisons.csv")) == len(quoted)
 
 
-def test_of_several_baselines_the_best_in_minival_is_compared(tmp_path):
-    """A list of comparisons has the difference of the published verdict on the best lens by least squares."""
-    table = pandas.read_csv(RESULTS / "first_look/verdicts.csv")
-    row = table[table["claim"].str.contains("least squares") & (table["lens"] == "doublet-tasklens")].iloc[0]
-    claims, _ = answers_file.read(RESULTS / "first_look/verdicts.npz")
+@pytest.mark.parametrize("column", ["difference", "low", "high"])
+def test_a_changed_comparison_is_noticed(tmp_path, column):
+    """Of several baselines, the comparison is with the best in minival, as in the published verdict."""
+    table = pandas.read_csv(SMALLEST / "verdicts.csv")
+    row = table[table["claim"].str.contains("least squares")].iloc[0]
+    claims, _ = answers_file.read(SMALLEST / "verdicts.npz")
     baselines = next(c.baselines for c in claims.claims if (c.text, c.lens) == (row["claim"], row["lens"]))
-    shutil.copy(RESULTS / "first_look/verdicts.npz", tmp_path)
+    shutil.copy(SMALLEST / "verdicts.npz", tmp_path)
     columns = ("lens", "classifier", "difference", "low", "high")
     quoted = pandas.DataFrame([row[[*columns]]]).assign(answers="verdicts.npz", baseline=" ".join(baselines))
     for change, wrong in ((0, 0), (0.2, 1)):
-        quoted.assign(low=quoted["low"] + change).to_csv(tmp_path / "comparisons.csv", index=False)
+        quoted.assign(**{column: quoted[column] + change}).to_csv(tmp_path / "comparisons.csv", index=False)
         assert len(recompute.comparison_differences(tmp_path / "comparisons.csv")) == wrong
     assert len(baselines) > 1
 
@@ -193,9 +208,10 @@ def test_every_number_in_a_table_of_a_page_has_a_source(page):
 
 def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     """Each difference is that of the accuracies of two steps, with and without the corner, whose share is a ninth."""
-    shutil.copytree(RESULTS / "first_look", tmp_path / "first_look")
+    (tmp_path / "doublets").mkdir()
+    answers_file.write(tmp_path / "doublets/verdicts.npz", DOUBLETS, RandomAnswers({}, {}))
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
-    assert decomposition.main(["first_look"]) == 0
+    assert decomposition.main(["doublets"]) == 0
     table = pandas.read_csv(tmp_path / "decomposition.csv")
     steps = table[table["fields"] == "all fields"].set_index("step")
     quality = ["least squares", "squared error or PSNR", "correlation"]
@@ -206,30 +222,32 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     assert gains["difference"].tolist() == pytest.approx((gains["accuracy"] - best).tolist())
     assert (gains["lowest"] < gains["difference"]).all() and (gains["difference"] < gains["highest"]).all()
     inner = table[table["fields"] == "without the corner"].set_index("step")
-    _, packed = answers_file.read(tmp_path / "first_look/verdicts.npz")
-    corner = [100 * packed.correct("doublet-tasklens", "resnet", seed).iloc[:, -1].mean() for seed in (0, 1)]
+    answers = RandomAnswers({}, {})
+    corner = [100 * answers.correct("doublet-tasklens", "small", seed).iloc[:, -1].mean() for seed in (0, 1)]
     task = "task, from flat plates"
     assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
     labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
     assert {*list(decomposition.STEPS)[4:]} <= {*labels} and decomposition.main([]) == 2
 
 
-def test_without_lenses_for_image_quality_the_task_is_compared_with_least_squares(monkeypatch):
-    monkeypatch.setattr(decomposition, "QUALITY", ())
-    steps = {name: lenses for name, lenses in decomposition.STEPS.items() if not lenses[0].startswith("image_")}
-    monkeypatch.setattr(decomposition, "STEPS", steps)
-    table = decomposition.rows("first_look").set_index("step")
-    assert {*table.loc[[name for name in steps if name.startswith("task")], "compared_with"]} == {"least squares"}
+def test_without_lenses_for_image_quality_the_task_is_compared_with_least_squares(tmp_path):
+    path = tmp_path / "verdicts.npz"
+    answers_file.write(
+        path,
+        Claims(study="s", claims=(claim(OVER_IMAGING1, "doublet-tasklens", "doublet-imaging2"),), seeds=(0,)),
+        RandomAnswers({}, {}),
+    )
+    table = decomposition.rows_of_file("s", path).set_index("step")
+    assert {*table.loc["task, from flat plates", "compared_with"]} == {"least squares"}
 
 
 def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeypatch):
     """The mean over the points of a sweep, with Student's interval, from files of a point each."""
-    claims, packed = answers_file.read(RESULTS / "first_look/verdicts.npz")
-    for seed in claims.seeds:
-        (tmp_path / f"fresh/images.seed={seed}").mkdir(parents=True)
-        path = tmp_path / f"fresh/images.seed={seed}/verdicts.npz"
-        answers_file.write(path, claims.model_copy(update={"seeds": (seed,)}), packed)
-    shutil.copytree(RESULTS / "first_look", tmp_path / "both")
+    seeds = {f"fresh/images.seed={seed}": (seed,) for seed in DOUBLETS.seeds}
+    for folder, of_folder in {**seeds, "both": DOUBLETS.seeds}.items():
+        (tmp_path / folder).mkdir(parents=True)
+        claims = DOUBLETS.model_copy(update={"seeds": of_folder})
+        answers_file.write(tmp_path / folder / "verdicts.npz", claims, RandomAnswers({}, {}))
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
     fresh, both = (decomposition.rows(study).set_index(["fields", "step"]) for study in ("fresh", "both"))
     pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
