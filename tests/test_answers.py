@@ -105,7 +105,8 @@ def test_a_damaged_file_of_answers_is_named(tmp_path, content):
         answers_file.read(path)
 
 
-def test_published_intervals_are_those_of_the_published_answers():
+def test_published_intervals_are_those_of_the_published_answers(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["recompute.py"])
     assert recompute.main() == 0
     assert len(list(RESULTS.rglob("*.npz"))) >= 5
 
@@ -133,7 +134,8 @@ def test_a_changed_comparison_is_noticed(tmp_path, column):
     quoted = pandas.DataFrame([row[[*columns]]]).assign(answers="verdicts.npz", baseline=" ".join(baselines))
     for change, wrong in ((0, 0), (0.2, 1)):
         quoted.assign(**{column: quoted[column] + change}).to_csv(tmp_path / "comparisons.csv", index=False)
-        assert len(recompute.comparison_differences(tmp_path / "comparisons.csv")) == wrong
+        path = tmp_path / "comparisons.csv"
+        assert len(recompute.list_differences(path, recompute.comparisons(path))) == wrong
     assert len(baselines) > 1
 
 
@@ -164,7 +166,23 @@ def test_a_changed_number_is_noticed(tmp_path, source):
     shutil.copy(RESULTS / source, tmp_path)
     for change, wrong in ((0, 0), (0.2, 1)):
         quoted.assign(value=quoted["value"] + change).to_csv(tmp_path / "numbers.csv", index=False)
-        assert len(recompute.number_differences(tmp_path / "numbers.csv")) == wrong
+        path = tmp_path / "numbers.csv"
+        assert len(recompute.list_differences(path, recompute.numbers(path))) == wrong
+
+
+def test_the_lists_are_written_anew(tmp_path, monkeypatch, capsys):
+    """A wrong value is corrected, with one decimal."""
+    (tmp_path / "headline").mkdir()
+    shutil.copy(RESULTS / "headline/table1.csv", tmp_path / "headline")
+    (tmp_path / "comparisons.csv").write_text("answers,lens,baseline,classifier,difference,low,high\n")
+    published = pandas.read_csv(RESULTS / "numbers.csv", keep_default_na=False)
+    published = published[published["source"] == "headline/table1.csv"]
+    published.assign(value=published["value"] + 1).to_csv(tmp_path / "numbers.csv", index=False)
+    monkeypatch.setattr(recompute, "FOLDER", tmp_path)
+    monkeypatch.setattr("sys.argv", ["recompute.py", "--write"])
+    assert recompute.main() == 0 and "0 differences" in capsys.readouterr().out
+    written = pandas.read_csv(tmp_path / "numbers.csv", keep_default_na=False)
+    assert written["value"].tolist() == published["value"].tolist()
 
 
 STUDY_PAGES = [

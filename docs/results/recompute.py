@@ -1,10 +1,11 @@
-"""Recompute every published interval from the published answers: `python docs/results/recompute.py`.
+"""Recompute every published interval from the published answers: `python docs/results/recompute.py [--write]`.
 
 A file of answers (`*.npz`) lies beside the table of the same name (`*.csv`). `comparisons.csv` lists the differences
 that pages quote and no table has, `numbers.csv` the other numbers of their tables. The program ends with 1 if a number
-differs.
+differs. With `--write` it first writes these two lists anew, with one decimal.
 """
 
+import argparse
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,31 +35,37 @@ def table_differences(path: Path) -> list[str]:
     return [f"{path.with_suffix('.csv')}: {', '.join(map(str, row))}" for row in wrong[keys].itertuples(index=False)]
 
 
-def comparison_differences(path: Path) -> list[str]:
-    """Return the rows of a list of comparisons whose difference or interval is not that of the answers.
+def comparisons(path: Path) -> pandas.DataFrame:
+    """Return a list of comparisons with differences and intervals from the answers.
 
     Of several baselines, separated by spaces, the one with the best minival accuracy in each seed is compared.
     """
-    wrong = []
-    for row in pandas.read_csv(path).to_dict("records"):
+    table = pandas.read_csv(path)
+    for k, row in table.iterrows():
         claims, packed = answers_file.read(path.parent / row["answers"])
         again = verdicts.compare(row["lens"], row["baseline"].split(), row["classifier"], claims.seeds, packed)
-        if any(abs(row[name] - again[name]) > _ROUNDED for name in _NUMBERS):
-            wrong.append(f"{path}: {row} is {again[_NUMBERS].to_dict()}")
-    return wrong
+        table.loc[k, _NUMBERS] = again[_NUMBERS].astype(float)
+    return table
 
 
-def number_differences(path: Path) -> list[str]:
-    """Return the rows of a list of quoted numbers that are not those of their source.
+def numbers(path: Path) -> pandas.DataFrame:
+    """Return a list of quoted numbers with the values of their sources.
 
     The source is a file of answers, for an accuracy [%], or a table with the column of the number.
     """
-    wrong = []
-    for row in pandas.read_csv(path, keep_default_na=False).to_dict("records"):
-        value = _of_answers(row, path.parent) if row["source"].endswith(".npz") else _of_table(row, path.parent)
-        if abs(value - float(row["value"])) > _ROUNDED:
-            wrong.append(f"{path}: {row} is {value:.2f}")
-    return wrong
+    table = pandas.read_csv(path, keep_default_na=False)
+    rows = table.to_dict("records")
+    values = [(_of_answers if row["source"].endswith(".npz") else _of_table)(row, path.parent) for row in rows]
+    return table.assign(value=values)
+
+
+def list_differences(path: Path, recomputed: pandas.DataFrame) -> list[str]:
+    """Return the rows of a list in which a number is not the recomputed one."""
+    published = pandas.read_csv(path, keep_default_na=False)
+    columns = [name for name in (*_NUMBERS, "value") if name in published]
+    wrong = ((published[columns] - recomputed[columns]).abs() > _ROUNDED).any(axis=1)
+    pairs = zip(published[wrong].to_dict("records"), recomputed.loc[wrong, columns].to_dict("records"), strict=True)
+    return [f"{path}: {row} is {again}" for row, again in pairs]
 
 
 def _of_answers(row: Mapping[str, str], folder: Path) -> float:
@@ -76,12 +83,22 @@ def _of_table(row: Mapping[str, str], folder: Path) -> float:
     return float(rows[row["column"]].item())
 
 
+LISTS = {"comparisons.csv": comparisons, "numbers.csv": numbers}
+
+
 def main() -> int:
     """Check all files, and print what differs."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="write comparisons.csv and numbers.csv anew")
+    options = parser.parse_args()
     packed = sorted(FOLDER.rglob("*.npz"))
     wrong = [line for path in packed for line in table_differences(path)]
-    wrong += comparison_differences(FOLDER / "comparisons.csv")
-    wrong += number_differences(FOLDER / "numbers.csv")
+    for name, function in LISTS.items():
+        path = FOLDER / name
+        recomputed = function(path)
+        if options.write:
+            recomputed.to_csv(path, index=False, float_format="%.1f")
+        wrong += list_differences(path, recomputed)
     print("\n".join([*wrong, f"{len(packed)} tables and two lists recomputed: {len(wrong)} differences."]))
     return bool(wrong)
 
