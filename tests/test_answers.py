@@ -231,7 +231,8 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
     assert decomposition.main(["doublets"]) == 0
     table = pandas.read_csv(tmp_path / "decomposition.csv")
-    steps = table[table["fields"] == "all fields"].set_index("step")
+    by_step = table.drop_duplicates(["step", "fields"])
+    steps = by_step[by_step["fields"] == "all fields"].set_index("step")
     quality = ["least squares", "squared error or PSNR", "correlation"]
     assert list(steps.index) == [step for step in decomposition.STEPS if "heavy" not in step]
     assert steps.loc[quality[1:], "difference"].tolist() == pytest.approx(steps["accuracy"].diff().tolist()[1:3])
@@ -239,7 +240,11 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     best = steps.loc["correlation", "accuracy"]  # the best lens for image quality in both seeds
     assert gains["difference"].tolist() == pytest.approx((gains["accuracy"] - best).tolist())
     assert (gains["lowest"] < gains["difference"]).all() and (gains["difference"] < gains["highest"]).all()
-    inner = table[table["fields"] == "without the corner"].set_index("step")
+    inner = by_step[by_step["fields"] == "without the corner"].set_index("step")
+    spots = table[(table["compared_with"] == "least squares") & (table["fields"] == "all fields")].set_index("step")
+    least_squares = steps.loc["least squares", "accuracy"]
+    assert spots["difference"].tolist() == pytest.approx((spots["accuracy"] - least_squares).tolist())
+    assert len(spots) == 4  # the squared error and three kinds of task
     answers = RandomAnswers({}, {})
     corner = [100 * answers.correct("doublet-tasklens", "small", seed).iloc[:, -1].mean() for seed in (0, 1)]
     task = "task, from flat plates"
@@ -267,11 +272,12 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
         claims = DOUBLETS.model_copy(update={"seeds": of_folder})
         answers_file.write(tmp_path / folder / "verdicts.npz", claims, RandomAnswers({}, {}))
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
-    fresh, both = (decomposition.rows(study).set_index(["fields", "step"]) for study in ("fresh", "both"))
+    keys = ["fields", "step"]
+    fresh, both = (decomposition.rows(s).drop_duplicates(keys).set_index(keys) for s in ("fresh", "both"))
     pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
     step = ("all fields", "task, from quality")
     first, second = (
-        decomposition.rows_of_file("", path).set_index(["fields", "step"]).loc[step, "difference"]
+        decomposition.rows_of_file("", path).drop_duplicates(keys).set_index(keys).loc[step, "difference"]
         for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))
     )
     assert fresh.loc[step, "high"] - fresh.loc[step, "low"] == pytest.approx(12.706 * abs(first - second), rel=1e-4)

@@ -2,9 +2,9 @@
 
 From least squares to squared error or PSNR, to correlation, to correlation with a heavier corner: accuracy of each step
 and its difference from the step before. Then three kinds of task-driven design, each compared with the best lens for
-image quality. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as one study, with
-Student's interval over its points, and p-values of the task-driven kinds after Holm's correction. There are also the
-differences without the corner field, and the lowest and highest difference without one of the fields.
+image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as
+one study, with Student's interval over its points, and p-values of the task-driven kinds after Holm's correction. There
+are also the differences without the corner field, and the lowest and highest difference without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
 networks, and decomposition.svg, of the network that supervised the designs.
@@ -14,6 +14,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import matplotlib
@@ -35,6 +36,7 @@ STEPS = {  # designs of each step; of several, the one with the best minival acc
     "task, network trained jointly": ("tasklens_joint",),
 }
 QUALITY = ("image_psnr", "image_error", "image_contrast", "image_correlation", "image_corner")
+_FIRST = "least squares"
 _BEST = "best lens for image quality"
 _ALL, _WITHOUT = "all fields", "without the corner"
 _KEYS = ["study", "elements", "classifier", "step", "compared_with", "fields"]
@@ -58,7 +60,7 @@ def rows(study: str) -> pandas.DataFrame:
 
 
 def rows_of_file(study: str, path: Path) -> pandas.DataFrame:
-    """Return these rows from a file; without lenses for image quality, the task is compared with least squares."""
+    """Return these rows from a file."""
     claims, packed = answers_file.read(path)
     measured = dict.fromkeys((lens, name) for lens, name, _ in packed.answers if "-" in lens and "-" not in name)
     table = []
@@ -67,12 +69,13 @@ def rows_of_file(study: str, path: Path) -> pandas.DataFrame:
         for step, designs in {**STEPS, _BEST: QUALITY}.items():
             lenses = [lens for name in designs if (lens := f"{elements}-{name}", classifier) in measured]
             chosen = _choose(step, lenses, classifier, chosen, claims.seeds) if lenses else chosen
+        inner = _without(chosen, -1)
         steps = [step for step in (*STEPS, _BEST) if (step, classifier, claims.seeds[0]) in chosen.answers]
         for step in (step for step in steps if step != _BEST):
             by_task = step.startswith("task")
-            other = _BEST if by_task and _BEST in steps else before
-            keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
-            for fields, measurements in ((_ALL, chosen), (_WITHOUT, _without(chosen, -1))):
+            others = dict.fromkeys(name for name in (_BEST, _FIRST) if name in steps) if by_task else [before]
+            for other, (fields, measurements) in product(others or [""], ((_ALL, chosen), (_WITHOUT, inner))):
+                keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
                 row = keys | {"fields": fields, "seeds": len(claims.seeds)}
                 row["accuracy"] = _accuracy(step, classifier, measurements, claims.seeds)
                 if other:
@@ -131,6 +134,7 @@ def _range(
 
 def draw(table: pandas.DataFrame, path: Path) -> None:
     """Draw the difference of each step as a point with its interval: filled for all fields, open without the corner."""
+    table = table.drop_duplicates([key for key in _KEYS if key != "compared_with"])  # the first comparison of each step
     panels = list(table.groupby(["study", "elements", "classifier"], sort=False))
     columns = min(3, len(panels))
     count = math.ceil(len(panels) / columns)

@@ -79,6 +79,7 @@ def steps(column: str, folders: Folders) -> pandas.DataFrame:
     rows = pandas.read_csv(FOLDER / "decomposition.csv")
     rows = rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
     rows = rows[rows["study"].isin([*folders]) & ((rows["fields"] == "all fields") != (column == "inside"))]
+    rows = rows.drop_duplicates(["study", "elements", "step"])  # the task is compared with least squares, too
     rows = rows.assign(heading=rows["study"].map(folders), row=rows["step"])
     if column == "accuracy":
         cells = [f"{value:.1f} ({100 - value:.1f})" for value in rows["accuracy"]]
