@@ -1,7 +1,7 @@
 """Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...]`.
 
 From least squares to squared error or PSNR, to correlation, to correlation with a heavier corner: accuracy of each step
-and its difference from the step before. Then three kinds of task-driven design, each compared with the best lens for
+and its difference from the step before. Then four kinds of task-driven design, each compared with the best lens for
 image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as
 one study, with Student's interval over its points, and p-values of the task-driven kinds after Holm's correction. There
 are also the differences without the corner field, and the lowest and highest difference without one of the fields.
@@ -34,6 +34,7 @@ STEPS = {  # designs of each step; of several, the one with the best minival acc
     "task, from flat plates": ("tasklens",),
     "task, from quality": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
+    "task, from flat plates, then jointly": ("tasklens_joint_from_flat",),
 }
 QUALITY = ("image_psnr", "image_error", "image_contrast", "image_correlation", "image_corner")
 _FIRST = "least squares"
