@@ -74,8 +74,8 @@ def rows_of_file(study: str, path: Path) -> pandas.DataFrame:
         steps = [step for step in (*STEPS, _BEST) if (step, classifier, claims.seeds[0]) in chosen.answers]
         for step in (step for step in steps if step != _BEST):
             by_task = step.startswith("task")
-            others = dict.fromkeys(name for name in (_BEST, _FIRST) if name in steps) if by_task else [before]
-            for other, (fields, measurements) in product(others or [""], ((_ALL, chosen), (_WITHOUT, inner))):
+            others = [name for name in (_BEST, _FIRST) if name in steps] if by_task else [before]
+            for other, (fields, measurements) in product(others, ((_ALL, chosen), (_WITHOUT, inner))):
                 keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
                 row = keys | {"fields": fields, "seeds": len(claims.seeds)}
                 row["accuracy"] = _accuracy(step, classifier, measurements, claims.seeds)

@@ -49,14 +49,9 @@ def comparisons(path: Path) -> pandas.DataFrame:
 
 
 def numbers(path: Path) -> pandas.DataFrame:
-    """Return a list of quoted numbers with the values of their sources.
-
-    The source is a file of answers, for an accuracy [%], or a table with the column of the number.
-    """
+    """Return a list of quoted numbers with the values of their sources: a table, a lens, a network and a column."""
     table = pandas.read_csv(path, keep_default_na=False)
-    rows = table.to_dict("records")
-    values = [(_of_answers if row["source"].endswith(".npz") else _of_table)(row, path.parent) for row in rows]
-    return table.assign(value=values)
+    return table.assign(value=[_of_table(row, path.parent) for row in table.to_dict("records")])
 
 
 def list_differences(path: Path, recomputed: pandas.DataFrame) -> list[str]:
@@ -66,12 +61,6 @@ def list_differences(path: Path, recomputed: pandas.DataFrame) -> list[str]:
     wrong = ((published[columns] - recomputed[columns]).abs() > _ROUNDED).any(axis=1)
     pairs = zip(published[wrong].to_dict("records"), recomputed.loc[wrong, columns].to_dict("records"), strict=True)
     return [f"{path}: {row} is {again}" for row, again in pairs]
-
-
-def _of_answers(row: Mapping[str, str], folder: Path) -> float:
-    claims, packed = answers_file.read(folder / row["source"])
-    by_seed = [packed.correct(row["lens"], row["classifier"], seed).to_numpy().mean() for seed in claims.seeds]
-    return 100 * sum(by_seed) / len(by_seed)
 
 
 def _of_table(row: Mapping[str, str], folder: Path) -> float:

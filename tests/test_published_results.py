@@ -1,0 +1,312 @@
+"""The programs of docs/results: they publish tables, recompute intervals, decompose gains and fill pages."""
+
+import importlib.util
+import math
+import re
+import shutil
+import textwrap
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pandas
+import pytest
+from random_answers import PROBABILITY, RandomAnswers, claim
+
+from tasklens.report import answers_file
+from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, Claims
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs/results"
+SMALLEST = RESULTS / "replication/images.seed=16"  # one seed
+
+
+def script(name: str) -> ModuleType:
+    """A program of docs/results as a module."""
+    spec = importlib.util.spec_from_file_location(name, RESULTS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+recompute, decomposition, pages, publish = map(script, ("recompute", "decomposition", "pages", "publish"))
+DOUBLETS = Claims(
+    study="doublets",
+    claims=(claim(OVER_IMAGE_QUALITY, *(f"doublet-{name}" for name in reversed(PROBABILITY))),),
+    seeds=(0, 1),
+)
+
+
+def test_published_intervals_are_those_of_the_published_answers(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["recompute.py"])
+    assert recompute.main() == 0
+    assert len(list(RESULTS.rglob("*.npz"))) >= 5
+
+
+@pytest.mark.parametrize("column", ["difference", "low", "high"])
+def test_a_changed_interval_is_noticed(tmp_path, column):
+    for name in ("verdicts.npz", "verdicts.csv"):
+        shutil.copy(SMALLEST / name, tmp_path / name)
+    assert recompute.table_differences(tmp_path / "verdicts.npz") == []
+    table = pandas.read_csv(tmp_path / "verdicts.csv")
+    table.loc[1, column] += 0.01
+    table.to_csv(tmp_path / "verdicts.csv", index=False)
+    assert len(recompute.table_differences(tmp_path / "verdicts.npz")) == 1
+
+
+@pytest.mark.parametrize("column", ["difference", "low", "high"])
+def test_a_changed_comparison_is_noticed(tmp_path, column):
+    """Of several baselines, the comparison is with the best in minival, as in the published verdict."""
+    table = pandas.read_csv(SMALLEST / "verdicts.csv")
+    row = table[table["claim"].str.contains("least squares")].iloc[0]
+    claims, _ = answers_file.read(SMALLEST / "verdicts.npz")
+    baselines = next(c.baselines for c in claims.claims if (c.text, c.lens) == (row["claim"], row["lens"]))
+    shutil.copy(SMALLEST / "verdicts.npz", tmp_path)
+    columns = ("lens", "classifier", "difference", "low", "high")
+    quoted = pandas.DataFrame([row[[*columns]]]).assign(answers="verdicts.npz", baseline=" ".join(baselines))
+    for change, wrong in ((0, 0), (0.2, 1)):
+        quoted.assign(**{column: quoted[column] + change}).to_csv(tmp_path / "comparisons.csv", index=False)
+        path = tmp_path / "comparisons.csv"
+        assert len(recompute.list_differences(path, recompute.comparisons(path))) == wrong
+    assert len(baselines) > 1
+
+
+def test_a_changed_number_is_noticed(tmp_path):
+    quoted = pandas.read_csv(RESULTS / "numbers.csv").head(1)
+    source = RESULTS / quoted["source"].item()
+    quoted = quoted.assign(source=source.name)
+    shutil.copy(source, tmp_path)
+    for change, wrong in ((0, 0), (0.2, 1)):
+        quoted.assign(value=quoted["value"] + change).to_csv(tmp_path / "numbers.csv", index=False)
+        path = tmp_path / "numbers.csv"
+        assert len(recompute.list_differences(path, recompute.numbers(path))) == wrong
+
+
+def test_the_lists_are_written_anew(tmp_path, monkeypatch, capsys):
+    """A wrong value is corrected, with one decimal."""
+    (tmp_path / "comparisons.csv").write_text("answers,lens,baseline,classifier,difference,low,high\n")
+    published = pandas.read_csv(RESULTS / "numbers.csv").head(1)
+    source = RESULTS / published["source"].item()
+    shutil.copy(source, tmp_path)
+    published = published.assign(source=source.name)
+    published.assign(value=published["value"] + 1).to_csv(tmp_path / "numbers.csv", index=False)
+    monkeypatch.setattr(recompute, "FOLDER", tmp_path)
+    monkeypatch.setattr("sys.argv", ["recompute.py", "--write"])
+    assert recompute.main() == 0 and "0 differences" in capsys.readouterr().out
+    assert pandas.read_csv(tmp_path / "numbers.csv")["value"].item() == published["value"].item()
+
+
+STUDY_PAGES = [
+    str(path.relative_to(ROOT)) for path in sorted(RESULTS.glob("*/README.md")) if pages.BLOCK.search(path.read_text())
+]
+INTERVAL = re.compile(r"(-?\d+\.\d)(?: points?)?,? \(?(-?\d+\.\d) to (-?\d+\.\d)")  # or 0.7, 0.6 to 0.9
+
+
+@cache
+def published() -> set[tuple[float, ...]]:
+    """Differences with their intervals in all published tables, to one decimal; without sign, as pages turn them."""
+    intervals = set()
+    for path in RESULTS.rglob("*.csv"):
+        table = pandas.read_csv(path)
+        if {"difference", "low", "high"} <= {*table}:
+            for row in table[["difference", "low", "high"]].dropna().itertuples(index=False):
+                intervals.add(unsigned(*row))
+    return intervals
+
+
+def unsigned(difference: float, low: float, high: float) -> tuple[float, ...]:
+    return round(abs(difference), 1), *sorted((round(abs(low), 1), round(abs(high), 1)))
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md", *STUDY_PAGES])
+def test_every_interval_of_a_page_is_in_a_published_table(page):
+    quoted = INTERVAL.findall((ROOT / page).read_text())
+    assert [numbers for numbers in quoted if unsigned(*map(float, numbers)) not in published()] == []
+    assert quoted or page == "README.md"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
+def test_every_number_in_a_table_of_a_page_has_a_source(page):
+    """Numbers with a decimal, outside of intervals; `recompute.py` compares the list with its sources."""
+    listed = {f"{value:.1f}" for value in pandas.read_csv(RESULTS / "numbers.csv")["value"]}
+    text = pages.BLOCK.sub("", (ROOT / page).read_text())  # without tables that `pages.py` writes
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    numbers = {number for row in rows for number in re.findall(r"(?<![\d./-])\d+\.\d(?![\d.])", INTERVAL.sub("", row))}
+    assert numbers <= listed, numbers - listed
+    assert numbers or page == "README.md"
+
+
+def test_the_decomposition_adds_up(tmp_path, monkeypatch):
+    """Each difference is that of the accuracies of two steps, with and without the corner, whose share is a ninth."""
+    (tmp_path / "doublets").mkdir()
+    answers_file.write(tmp_path / "doublets/verdicts.npz", DOUBLETS, RandomAnswers({}, {}))
+    monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
+    assert decomposition.main(["doublets"]) == 0
+    table = pandas.read_csv(tmp_path / "decomposition.csv")
+    by_step = table.drop_duplicates(["step", "fields"])
+    steps = by_step[by_step["fields"] == "all fields"].set_index("step")
+    quality = ["least squares", "squared error or PSNR", "correlation"]
+    assert list(steps.index) == [step for step in decomposition.STEPS if "heavy" not in step]
+    assert steps.loc[quality[1:], "difference"].tolist() == pytest.approx(steps["accuracy"].diff().tolist()[1:3])
+    gains = steps.drop(quality)
+    best = steps.loc["correlation", "accuracy"]  # the best lens for image quality in both seeds
+    assert gains["difference"].tolist() == pytest.approx((gains["accuracy"] - best).tolist())
+    assert (gains["lowest"] < gains["difference"]).all() and (gains["difference"] < gains["highest"]).all()
+    inner = by_step[by_step["fields"] == "without the corner"].set_index("step")
+    spots = table[(table["compared_with"] == "least squares") & (table["fields"] == "all fields")].set_index("step")
+    least_squares = steps.loc["least squares", "accuracy"]
+    assert spots["difference"].tolist() == pytest.approx((spots["accuracy"] - least_squares).tolist())
+    assert len(spots) == 5  # the squared error and four kinds of task
+    answers = RandomAnswers({}, {})
+    corner = [100 * answers.correct("doublet-tasklens", "small", seed).iloc[:, -1].mean() for seed in (0, 1)]
+    task = "task, from flat plates"
+    assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
+    labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
+    assert {*list(decomposition.STEPS)[4:]} <= {*labels} and decomposition.main([]) == 2
+
+
+def test_without_lenses_for_image_quality_the_task_is_compared_with_least_squares(tmp_path):
+    path = tmp_path / "verdicts.npz"
+    answers_file.write(
+        path,
+        Claims(study="s", claims=(claim(OVER_IMAGING1, "doublet-tasklens", "doublet-imaging2"),), seeds=(0,)),
+        RandomAnswers({}, {}),
+    )
+    table = decomposition.rows_of_file("s", path).set_index("step")
+    assert {*table.loc["task, from flat plates", "compared_with"]} == {"least squares"}
+
+
+def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeypatch):
+    """The mean over the points of a sweep, with Student's interval, from files of a point each."""
+    seeds = {f"fresh/images.seed={seed}": (seed,) for seed in DOUBLETS.seeds}
+    for folder, of_folder in {**seeds, "both": DOUBLETS.seeds}.items():
+        (tmp_path / folder).mkdir(parents=True)
+        claims = DOUBLETS.model_copy(update={"seeds": of_folder})
+        answers_file.write(tmp_path / folder / "verdicts.npz", claims, RandomAnswers({}, {}))
+    monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
+    keys = ["fields", "step"]
+    fresh, both = (decomposition.rows(s).drop_duplicates(keys).set_index(keys) for s in ("fresh", "both"))
+    pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
+    step = ("all fields", "task, from quality")
+    first, second = (
+        decomposition.rows_of_file("", path).drop_duplicates(keys).set_index(keys).loc[step, "difference"]
+        for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))
+    )
+    assert fresh.loc[step, "high"] - fresh.loc[step, "low"] == pytest.approx(12.706 * abs(first - second), rel=1e-4)
+    p_of_one = 1 - 2 / math.pi * math.atan(abs(first + second) / abs(first - second))  # Student's t of two points
+    assert p_of_one <= fresh.loc[step, "p"] <= 4 * p_of_one and fresh["p"].count() == 4
+
+
+def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
+    """Tables, answers and the lenses of the first seed, also of the points of a sweep; a page by hand remains."""
+    contents = {"tables/table1.csv": "new", "tables/answers.csv": "", "effort.md": "", "answer.svg": ""}
+    contents |= {f"lenses/doublet-a/seed{seed}/{name}": str(seed) for seed in (0, 1) for name in ("lens.yaml", "a.zmx")}
+    contents |= {
+        "gain=2/tables/table1.csv": "point",
+        "elements=doublet/tables/table1.csv": "",
+        "lenses/a_variant/seed0/lens.yaml": "",
+        "report.html": "",
+    }
+    before = {"published/known/README.md": "page", "published/known/old.csv": ""}
+    for name, content in ({f"results/known/{name}": content for name, content in contents.items()} | before).items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(publish, "FOLDER", tmp_path / "published")
+    monkeypatch.setattr("sys.argv", ["publish.py", "known", "--lenses"])
+    publish.main()
+    files = [path for path in (tmp_path / "published/known").rglob("*") if path.is_file()]
+    names = {str(path.relative_to(tmp_path / "published/known")) for path in files}
+    tables = {"table1.csv", "effort.md", "answer.svg", "gain=2/table1.csv"}
+    assert names == {"README.md", "lenses/doublet-a.yaml", "lenses/a.zmx"} | tables
+    assert (tmp_path / "published/known/lenses/doublet-a.yaml").read_text() == "0"
+    monkeypatch.setattr("sys.argv", ["publish.py", "unknown"])
+    with pytest.raises(SystemExit):
+        publish.main()
+
+
+PUBLISHED = {
+    "s/table1.seeds.csv": """
+        elements,design,classifier,seed,accuracy
+        ,reference,,0,100.0
+        ,reference,,1,99.0
+        doublet,psnr,resnet,0,96.0
+        doublet,psnr,resnet,1,97.0
+        doublet,task,resnet,0,98.0
+        doublet,task,resnet,1,98.0
+        triplet,task,resnet,0,99.0
+        triplet,task,resnet,1,99.0""",
+    "s/verdicts.csv": """
+        claim,lens,classifier,difference,low,high,verdict
+        more accurate than imaging1,doublet-task,resnet,9,8,10,holds
+        more accurate than the best,doublet-task,resnet,1.5,0.5,2.5,holds
+        more accurate than the best,triplet-task,resnet,0.04,-1,1,undecided
+        fails,doublet-flat,resnet,,,,undecided""",
+    "s/ablation_step.csv": """
+        lens,accuracy,difference,low,high
+        doublet-task,98.0,,,
+        doublet-task_step_long,98.5,0.5,0.25,0.75""",
+    "decomposition.csv": """
+        study,elements,classifier,step,fields,accuracy,difference,low,high
+        s,doublet,resnet,psnr,all fields,96.5,,,
+        s,doublet,resnet,task,all fields,98,1.5,0.5,2.5
+        s,doublet,resnet,task,without the corner,99,1.25,0.5,2
+        s,doublet,vit,task,all fields,50,5,4,6
+        other,doublet,resnet,task,all fields,60,6,5,7""",
+}
+
+
+@pytest.mark.parametrize(
+    "marker, table",
+    [
+        ("accuracies: table1 | s", """
+            | accuracy [%] | doublet | triplet |
+            | --- | --- | --- |
+            | sharp images | 99.5 ± 0.7 | 99.5 ± 0.7 |
+            | `task` | 98.0 ± 0.0 | 99.0 ± 0.0 |
+            | `psnr` | 96.5 ± 0.7 |  |"""),
+        ("gains: the best | s (textures)", """
+            | gain [points] compared with | doublet | triplet |
+            | --- | --- | --- |
+            | `task`, the best | 1.5 (0.5 to 2.5) | 0.0 (-1.0 to 1.0), undecided |"""),
+        ("ablation: step | s", """
+            | lens | accuracy [%] | difference [points] |
+            | --- | --- | --- |
+            | `doublet-task` | 98.0 |  |
+            | `doublet-task_step_long` | 98.5 | 0.5 (0.2 to 0.8) |"""),
+        ("steps: accuracy | s (textures), other", """
+            | designed by | textures | other |
+            | --- | --- | --- |
+            | psnr | 96.5 (3.5) |  |
+            | task | 98.0 (2.0) | 60.0 (40.0) |"""),
+        ("steps: difference | s", """
+            | designed by | doublet |
+            | --- | --- |
+            | task | 1.5 (0.5 to 2.5) |"""),
+        ("steps: inside | s", """
+            | designed by | doublet |
+            | --- | --- |
+            | task | 1.2 (0.5 to 2.0) |"""),
+    ],
+)  # fmt: skip
+def test_a_table_of_a_page(tmp_path, monkeypatch, marker, table):
+    """It replaces what stands between the comments, and nothing else."""
+    for name, text in PUBLISHED.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(textwrap.dedent(text).lstrip())
+    monkeypatch.setattr(pages, "FOLDER", tmp_path)
+    page = "before\n\n<!-- {} -->\n{}<!-- end -->\n\nafter\n"
+    filled = pages.filled(page.format(marker, "old\n"))
+    assert cells(filled) == cells(page.format(marker, f"{textwrap.dedent(table)}\n\n"))
+    assert pages.filled(filled) == filled
+
+
+def cells(page: str) -> list[list[str]]:
+    """The cells of each line, without their padding."""
+    return [[re.sub(r"^:?-+:?$", "---", cell.strip()) for cell in line.split("|")] for line in page.splitlines()]
+
+
+def test_the_tables_of_pages_are_those_of_their_files(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["pages.py", "--check"])
+    assert STUDY_PAGES and pages.main() == 0
