@@ -93,7 +93,7 @@ def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, i
     if torch.isfinite(quality):
         optimizer.zero_grad()
         (-quality).backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 0.01)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), _GRADIENT_NORM)
         optimizer.step()
     return quality.item()
 

@@ -10,6 +10,8 @@ Functions for notebooks (see `help()` of each):
     design_lens             a new lens
     rank                    ranking of lenses for a network
     Camera                  a lens in front of a network, for your own training loop
+
+They raise `InputError`, a ValueError, if an argument or a file cannot be used.
 """
 
 import warnings
@@ -21,6 +23,7 @@ warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarn
 
 __all__ = [
     "Camera",
+    "InputError",
     "analyse",
     "design_lens",
     "draw",
@@ -34,15 +37,15 @@ __all__ = [
     "trace",
 ]
 
+_MODULES = {"InputError": "tasklens.runtime.errors", "design_lens": "tasklens.design.single"}
+
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use: `import tasklens` alone imports neither torch nor numba."""
-    if name == "design_lens":
-        return import_module("tasklens.design.single").design_lens
     if name == "__version__":
         return import_module("importlib.metadata").version("tasklens")
     if name in __all__:
-        return getattr(import_module("tasklens.notebook"), name)
+        return getattr(import_module(_MODULES.get(name, "tasklens.notebook")), name)
     raise AttributeError(f"module 'tasklens' has no attribute {name!r}")
 
 

@@ -176,10 +176,10 @@ class PsfCamera:
             captures.append(output.flatten(1, 2)[:, : len(block)])
         output = captures[0] if len(captures) == 1 else torch.cat(captures, 1)
         if self.sensor is None:
-            return output
+            return self._developed(output)
         illumination = self.illumination[:, None].expand(output.shape[:2])
         sample = noise(output.transpose(0, 1).shape, generator).transpose(0, 1)
-        return expose(output, self.sensor, illumination, sample.to(output))
+        return self._developed(output, illumination, sample)
 
     def single(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
@@ -197,13 +197,18 @@ class PsfCamera:
         captures = self._render(images[order].unflatten(0, (-1, 2)), runs).flatten(0, 1)
         position = {image: place for place, image in enumerate(order)}
         output = captures[[position[image] for image in range(len(images))]]
+        return self._developed(output, self.illumination[fields], noise)
+
+    def _developed(self, output: Tensor, illumination: Tensor | None = None, noise: Tensor | None = None) -> Tensor:
+        """Return the sRGB values of convolved images: as they are, encoded, or exposed and quantised by the sensor."""
         if self.sensor is None:
-            return output
-        assert noise is not None
-        return expose(output, self.sensor, self.illumination[fields], noise.to(output))
+            return linear_rgb_to_rgb(output) if self.linear else output
+        assert illumination is not None and noise is not None
+        light = output if self.linear else rgb_to_linear_rgb(output.clamp(0, 1))
+        return expose(light, self.sensor, illumination, noise.to(output))
 
     def _render(self, images: Tensor, runs: list[_Run]) -> Tensor:
-        """Render pairs of images (P, 2, 3, H, W) to captures (N, 2, 3, H, W), in the order of the runs.
+        """Convolve pairs of images (P, 2, 3, H, W) to (N, 2, 3, H, W), in the order of the runs, in their colour space.
 
         Raises:
             ValueError: the images are smaller than half of the PSF window.
@@ -226,8 +231,7 @@ class PsfCamera:
             blocks = self.psf.detach().to(spectra.dtype).flatten(0, 1).split(_at_once(spectra))
             kernels = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
             self._kernels[size] = kernels.unflatten(0, self.psf.shape[:2])
-        captures = _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
-        return linear_rgb_to_rgb(captures) if self.linear else captures
+        return _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
 
 
 def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:
@@ -235,8 +239,8 @@ def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Ten
     return torch.randn(tuple(shape), generator=generator or torch.Generator().manual_seed(0))
 
 
-def expose(captures: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:
-    """Expose a sensor to captures: shot and read noise, illumination correction, and quantised sRGB values.
+def expose(light: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:
+    """Expose a sensor: shot and read noise, illumination correction, and quantised sRGB values.
 
     N = W E + sqrt(W E + r^2) z,  value = N / W,  W = illumination * full_well / gain
 
@@ -244,16 +248,18 @@ def expose(captures: Tensor, sensor: SensorSettings, illumination: Tensor, noise
     Poisson distribution. The gradient passes through the quantisation unchanged.
 
     Args:
-        captures: (..., 3, H, W) sRGB values; clipped to [0, 1].
+        light: (..., 3, H, W) linear light; clipped to [0, 1].
         illumination: (...) relative illumination.
-        noise: standard normal numbers z, in the shape of `captures`.
+        noise: standard normal numbers z, in the shape of `light`.
     """
     white = (sensor.full_well / sensor.gain * illumination).clamp(min=1e-6)[..., None, None, None]
-    electrons = white * rgb_to_linear_rgb(captures.clamp(0, 1))
-    deviation = torch.sqrt(electrons + max(sensor.read_noise, 1e-3) ** 2)
-    exact = linear_rgb_to_rgb(((electrons + deviation * noise) / white).clamp(0, 1))
+    light = light.clamp(0, 1)
+    deviation = torch.sqrt(light / white + (max(sensor.read_noise, 1e-3) / white).square())
+    exact = linear_rgb_to_rgb((light + deviation * noise).clamp(0, 1))
     levels = 2**sensor.bits - 1
-    return exact + ((exact * levels).round() / levels - exact).detach()
+    with torch.no_grad():
+        rounding = (exact * levels).round_().div_(levels).sub_(exact)
+    return exact + rounding
 
 
 def psnr(images: Tensor, reference: Tensor) -> Tensor:

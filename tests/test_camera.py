@@ -112,6 +112,13 @@ def test_a_lens_and_a_network_are_trained_together(lens, images):
     assert focal == pytest.approx(lens[1].efl, rel=0.03)
 
 
+@pytest.mark.parametrize("free", [{"curvature": [99]}, {"thickness": [0]}, {"conic": None}])
+def test_what_cannot_be_free_is_refused(lens, free):
+    """Neither a surface that does not exist, nor the stop, nor a variable that no design has."""
+    with pytest.raises(InputError, match="free"):
+        tasklens.Camera(*lens, free=free)
+
+
 def test_a_lens_without_light_is_refused(lens):
     """If all light is stopped, the network would see uniform grey."""
     dark = replace(lens[0], semi_diameter=torch.tensor([1.0, 1e-6, 1e-6], dtype=torch.float64))

@@ -5,15 +5,20 @@ import timm
 import torch
 from examples import random_images, small_network
 from torch import nn
+from torch.nn.functional import cross_entropy
 
 import tasklens
+from tasklens.design.criteria import TaskLoss
 from tasklens.design.single import BASELINES, designs
+from tasklens.design.supervision import loss_at_psf
+from tasklens.design.supervisors import UsersTask
 from tasklens.notebook.verdict import verdict
+from tasklens.recognition import classifiers
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_tensors
-from tasklens.study.settings import TrainingSettings
+from tasklens.study.settings import CaptureSettings, TrainingSettings
 
 PLATES = {"start": "flat", "batch_size": 4, "rays": 16}
 QUICK = PLATES | {"descents": [{"steps": 2, "pixels": [20, 5]}, {"steps": 2, "pixels": [5, 1]}]}
@@ -66,6 +71,37 @@ def test_a_loss_of_ones_own(images):
         "task", ["COC"], images=pairs(images), network=Mean(), loss=blur, settings=QUICK, **SPEC
     )
     assert lens.curvature.any() and notes["origin"]["validation_loss"] < 0
+
+
+def test_fields_weigh_by_a_loss_for_each_image(network):
+    """The gradient at the PSFs of a weighted field is its weight times that without weights, in parts of any size."""
+    frozen = classifiers.frozen(Classifier(network), torch.zeros(4, 3, 32, 32))
+    generator = torch.Generator().manual_seed(0)
+    sharp, grid = torch.rand(4, 3, 32, 32, generator=generator), torch.rand(2, 3, 5, 5, generator=generator) / 25
+    labels, weights = torch.arange(4) % 3, torch.tensor([0.4, 1.6])
+    criterion = TaskLoss(frozen, UsersTask(lambda logits, labels: cross_entropy(logits, labels, reduction="none")))
+    equal, weighted, parts = (
+        loss_at_psf(criterion, sharp, labels, grid, CaptureSettings(), size, weights=w)
+        for size, w in ((8, None), (8, weights), (3, weights))
+    )
+    for result in (weighted, parts):
+        torch.testing.assert_close(result[0], weights * equal[0], rtol=1e-5, atol=0)
+        torch.testing.assert_close(result[1], weights[:, None, None, None] * equal[1], rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"temperature": 2}, "temperature: only for the loss of a classifier"),
+        ({"corner_weight": 4}, "a number for each"),
+    ],
+)
+def test_settings_that_a_loss_cannot_have_are_refused(images, network, change, words):
+    settings = {**QUICK, "descents": [{**QUICK["descents"][0], **change}, QUICK["descents"][1]]}
+    with pytest.raises(InputError, match=words):
+        tasklens.design_lens(
+            "task", ["COC"], images=images, network=network, loss=cross_entropy, settings=settings, **SPEC
+        )
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from tasklens.recognition.training import fit
 from tasklens.report import ranking
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import write_tensors
+from tasklens.runtime.files import FileError, write_tensors
 from tasklens.study.settings import TrainingSettings
 
 TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
@@ -272,3 +272,16 @@ def test_lenses_are_screened_for_a_sensor(here):
     assert 0.5 / numpy.tan(half) == pytest.approx(focal_length, rel=1e-3)
     scaled = pipeline.screen(paths, sensor, [], scaled=True)
     assert scaled.entries["narrow"]["spec"]["field_of_view_deg"] == pytest.approx(10, rel=1e-6)
+
+
+def test_a_fifth_of_a_folder_is_tested_if_the_network_is_trained(tmp_path):
+    """So that photographs remain to train with; without training, all but three are tested."""
+    for k in range(60):
+        (tmp_path / f"class{k % 2}").mkdir(exist_ok=True)
+        (tmp_path / f"class{k % 2}" / f"{k}.png").touch()
+    assert pipeline.image_settings(tmp_path, 32, 500, trained=True)["test"] == 12
+    assert pipeline.image_settings(tmp_path, 32, 5, trained=True)["test"] == 5
+    assert pipeline.image_settings(tmp_path, 32, 500, trained=False)["test"] == 57
+    with pytest.raises(FileError, match="too few photographs for a ranking"):
+        (tmp_path / "few" / "a").mkdir(parents=True)
+        pipeline.image_settings(tmp_path / "few", 32, 500, trained=True)

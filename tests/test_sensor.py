@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
+from kornia.color import rgb_to_linear_rgb
 
 from tasklens.imaging import PsfCamera, expose, noise
 from tasklens.recognition.evaluation import CapturePipeline
@@ -24,7 +24,7 @@ def point(fields: int = 1) -> torch.Tensor:
 def test_moments_are_those_of_electrons(gain, light, share):
     """Mean W E and variance W E + r^2, W = 6000 / gain times the illumination; 200 x 200 pixels of three colours."""
     sensor = SensorSettings(gain=gain, read_noise=3, **FINE)
-    flat = linear_rgb_to_rgb(torch.full((1, 3, 200, 200), light))
+    flat = torch.full((1, 3, 200, 200), light)
     capture = expose(flat, sensor, torch.tensor([share]), noise(flat.shape, torch.Generator().manual_seed(1)))
     white = 6000 / gain * share
     electrons = white * rgb_to_linear_rgb(capture.double())
@@ -45,7 +45,7 @@ def test_much_light_leaves_the_capture_and_its_levels():
     """With 1e9 electrons only the rounding is left: half a level of 4 bits at most, and 16 values."""
     sensor = SensorSettings(full_well=1e9, bits=4)
     image = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    capture = expose(image, sensor, torch.ones(2), noise(image.shape))
+    capture = expose(rgb_to_linear_rgb(image), sensor, torch.ones(2), noise(image.shape))
     assert (capture - image).abs().max() <= 0.5 / 15 + 1e-6
     torch.testing.assert_close(capture * 15, (capture * 15).round(), rtol=0, atol=1e-5)
 
@@ -86,3 +86,16 @@ def test_measurements_repeat_their_noise_and_training_draws_it():
     assert torch.equal(samples[0], samples[1]) and not torch.equal(samples[0], samples[2])
     part = pipeline.one_field(images, torch.Generator().manual_seed(0), slice(2, 5))
     torch.testing.assert_close(part, samples[0][2:5], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("colour", ["srgb", "linear"])
+def test_the_blur_is_in_the_colour_space_of_the_study_and_the_noise_in_light(colour):
+    """With much light, the capture of a sensor is that without one, to the rounding of its levels."""
+    grid = torch.rand(2, 3, 5, 5, generator=torch.Generator().manual_seed(0))
+    grid = grid / grid.sum((-2, -1), keepdim=True)
+    images = torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(1))
+    sensor = SensorSettings(full_well=1e9, bits=16)
+    captures = [
+        PsfCamera(grid, colour=colour, sensor=with_or_without).grid(images) for with_or_without in (None, sensor)
+    ]
+    torch.testing.assert_close(captures[1], captures[0], rtol=0, atol=5e-4)

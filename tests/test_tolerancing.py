@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from tolerance_examples import AIR, COC, NOTHING, OKP4, doublet, grade
 
 from tasklens.materials.material import D_LINE
+from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
@@ -157,6 +158,17 @@ def test_a_shifted_sensor_is_focused_back(shift):
     assert by == pytest.approx(-shift, abs=5e-4) and float(
         sharp_lens.thickness[4] - lens.thickness[4]
     ) == pytest.approx(0.0, abs=5e-4)
+
+
+@pytest.mark.parametrize("shift", [-0.4, 0.15])
+def test_a_long_lens_is_focused_within_a_tenth_of_its_depth(shift):
+    """Depth is F-number / frequency, here 0.09 mm, and not a part of the focal length of 50 mm."""
+    lens = cooke_triplet()
+    view = View(f64([[0.0, 0.0], [0.0, 1.0]]), 50.0, (0.6563, D_LINE, 0.4861), 1.8, 51)
+    lens = refocused(lens, view, 256)
+    peak = focus.peak(lens, view)
+    moved = replace(lens, thickness=lens.thickness + f64([0] * 8 + [shift]))
+    assert float(focus.focused(moved, view, peak)[1]) == pytest.approx(-shift, abs=0.002)
 
 
 def test_a_field_without_light_has_no_displacements():

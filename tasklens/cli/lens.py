@@ -143,7 +143,7 @@ def simulate(
     file: File,
     image: Annotated[Path, typer.Argument(help="Image: JPEG, PNG or WebP.", show_default=False)],
     output: Annotated[Path, typer.Option("--output", "-o", help="Capture: .png or .jpg.", show_default=False)],
-    field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y on the sensor (mm).")] = "axis",
+    field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y: f tan(theta) in mm.")] = "axis",
     grid: Annotated[bool, typer.Option("--grid", help="Show all nine fields in one image.")] = False,
     sensor: Annotated[bool, typer.Option("--sensor", help="Simulate the whole sensor, from axis to corner.")] = False,
     true_pixels: Annotated[

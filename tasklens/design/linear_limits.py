@@ -95,7 +95,7 @@ class LinearLimits:
     def _change(
         self, function: Callable[..., Tensor], surfaces: Tensor, heights: Tensor, d_heights: Tensor, changes: Mapping
     ) -> tuple[Tensor, Tensor]:
-        """Compute a function (P, H) of height, curvature, conic and alpha of surfaces `part` (P,), and its change."""
+        """Compute a function (P, H) of height, curvature, conic and alpha of `surfaces` (P,), and its change."""
         lens, size = self.lens, heights.shape
         shape = lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None]
         leaves = [heights, shape[0].expand(size), shape[2].expand(*size, -1)]

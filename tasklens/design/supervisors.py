@@ -16,6 +16,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
+from tasklens.study.design_settings import DescentSettings
 from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
@@ -66,7 +67,12 @@ class UsersTask(Task):
 
     def loss(self, network: nn.Module, captures: Tensor, labels: Tensor, flipped: Tensor) -> Tensor:
         """Compute the mean loss; a label is the same for a flipped image."""
-        return self.function(network(captures), labels).mean()
+        return self.losses(network, captures, labels).mean()
+
+    def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
+        """Compute the loss (N,) of each capture; all entries are the mean if the function returns only that."""
+        losses = self.function(network(captures), labels)
+        return losses.reshape(len(losses), -1).mean(-1) if losses.dim() else losses.expand(len(captures))
 
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
         """Return the answers of the network."""
@@ -110,6 +116,9 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     network = network.to(device)
     if user.network is not None:
         _check(network, images, user.task)
+    if isinstance(user.task, UsersTask):
+        parts = [part for entry in entries for part in entry.descents if part.criterion == "task"]
+        _check_settings(parts, user.task, network, images)
     if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
         print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
@@ -123,6 +132,20 @@ def _classes(study: Study, user: Supervisors) -> Sequence[str]:
     if study.images.folder is not None:
         return class_folders.training_classes(study.images.folder)
     return [str(k) for k in range(RENDERED_CLASSES)]
+
+
+def _check_settings(
+    parts: Sequence[DescentSettings], task: UsersTask, network: nn.Module, dataset: ImageDataset
+) -> None:
+    """Check that a user's loss can have the settings of the descents by it; raises InputError."""
+    if any(part.temperature != 1 for part in parts):
+        raise InputError("temperature: only for the loss of a classifier; omit it if you give a `loss`")
+    if any(part.corner_weight != 1 for part in parts):
+        from tasklens.recognition.classifiers import frozen
+
+        images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
+        if task.function(frozen(network, dataset.images)(images), labels).dim() == 0:
+            raise InputError("corner_weight: expected a `loss` that returns a number for each image, not their mean")
 
 
 def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None:

@@ -28,7 +28,7 @@ class Camera(nn.Module):
     Its parameters are the free lens variables in dimensionless form, so that one learning rate suits all variables and
     lenses of any size: curvatures times the illuminated radius R of the surface, distances divided by the focal length,
     and coefficients alpha_k R^(k - 1). An Adam step of 1e-3 moves a surface of a phone lens by about a micrometre. If
-    the stop is inside the lens, gradients neglect the change of ray aiming.
+    the stop is inside the lens, gradients neglect the change of its radius, which keeps the F-number.
 
     Args:
         lens: the initial lens.
@@ -40,7 +40,7 @@ class Camera(nn.Module):
         colour, outside_window, sensor: as in `tasklens.simulate`.
 
     Raises:
-        InputError: a variable or value is unknown, or no light arrives at some field.
+        InputError: a variable or value is unknown, a surface does not refract, or no light arrives at some field.
 
     Example:
         >>> camera = tasklens.Camera(lens, view)
@@ -67,6 +67,7 @@ class Camera(nn.Module):
         start = with_coefficients(lens.detached())
         self._variables = Variables.normalised(start, self.view)
         free_surfaces = {} if free is not None and not free else from_lens.resolved(start, free)
+        self._variables.free(free_surfaces)  # checks the surfaces
         refracting = list(start.refracting_surfaces)
         radius = self._variables.radius[refracting]
         scales = {"curvature": radius, "thickness": torch.full_like(radius, 1 / view.efl)}

@@ -36,7 +36,8 @@ def simulate(
     Args:
         image: a file; a Pillow image; an array (H, W, 3) of uint8, uint16, or floats in [0, 1]; or a tensor (3, H, W)
             of uint8, or floats in [0, 1].
-        fields: points (x, y) on the sensor [mm]; None: the F fields of the view.
+        fields: points (x, y), f tan(theta) from the axis [mm]: on the sensor, for an object at infinity; None: the F
+            fields of the view.
         colour: "srgb" convolves the sRGB values of the image, "linear" its linear light.
         outside_window: light outside the PSF window returns as a uniform "veil", or is removed ("renormalise").
         sensor: noise and quantisation, a `tasklens.study.settings.SensorSettings`; None: none.
@@ -46,8 +47,8 @@ def simulate(
         (F, 3, H, W) captures, differentiable in the image and the lens; relative illumination has no gradient.
 
     Raises:
-        InputError: the image cannot be read, or is smaller than half a PSF; a field is not on the sensor, or no light
-            arrives there.
+        InputError: the image cannot be read, or is smaller than half a PSF; a field is beyond those of the view, or
+            no light arrives there.
 
     Example:
         >>> captures = tasklens.simulate("cat.jpg", lens, view, fields=[(0, 0), (1.7, 1.0)])

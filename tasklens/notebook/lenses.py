@@ -19,6 +19,8 @@ from tasklens.optics.io.typed import typed
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import positive
 
 _RAYS = 1024  # per field and colour, for the focus
 
@@ -91,7 +93,10 @@ def lens(
         ...     f_number=4,
         ... )
     """
-    colours = tuple(wavelengths_um)
+    lens_files.check_distance(object_distance_mm)
+    colours = tuple(positive(value, "wavelengths_um") for value in wavelengths_um)
+    if not colours:
+        raise InputError("wavelengths_um: expected at least one wavelength [um]")
     library = Library([*(Path(catalogue) for catalogue in catalogues), *users_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     changes = {"field_of_view_deg": field_of_view_deg, **pixels}

@@ -72,11 +72,14 @@ class View:
         return replace(self, wavelengths=(self.reference,))
 
     def in_colours(self) -> "View":
-        """Return the view at three wavelengths, for red, green and blue: the longest, the middle and the shortest."""
-        if len(self.wavelengths) == 3:
-            return self
-        ordered = sorted(self.wavelengths, reverse=True)
-        return replace(self, wavelengths=(ordered[0], ordered[len(ordered) // 2], ordered[-1]))
+        """Return the view at three wavelengths for red, green and blue: the longest, the reference, the shortest.
+
+        If the reference is the longest or the shortest of three or more, green is one between them.
+        """
+        ordered = sorted(set(self.wavelengths), reverse=True)
+        between = ordered[1:-1]
+        green = self.reference if self.reference in between or not between else between[len(between) // 2]
+        return replace(self, wavelengths=(ordered[0], green, ordered[-1]))
 
     def in_meridian(self) -> "View":
         """Return the view with every field rotated onto +y, equivalent for a rotationally symmetric lens."""

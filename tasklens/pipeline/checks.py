@@ -1,5 +1,7 @@
 """Checks of a study before its first job: images, imported lenses, networks; compiles the tracer."""
 
+import sys
+
 from tasklens.optics.tracing.trace import compile_tracer
 from tasklens.recognition import class_folders, object_splits
 from tasklens.runtime.files import FileError
@@ -33,7 +35,9 @@ def check(study: Study, networks: bool, weights: bool) -> None:
         for lens in study.lenses.values():
             if isinstance(lens.design, ImportedLens):
                 spec = study.lens_spec(lens.name)
-                imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+                origin = imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)[1]
+                for remark in origin.get("assumptions", ()):
+                    print(f"tasklens: {lens.design.file}: {remark}", file=sys.stderr)
     if networks:
         _check_networks(study, weights)
 

@@ -34,6 +34,7 @@ _COVERAGE = 0.99  # least part of the sensor's half diagonal that the field in a
 _LONGEST = 30  # characters of a name
 _SHOWN = 200  # sharp photographs for the check of a network
 _MINIVAL, _TRAIN = 2, 1  # photographs that a study needs in addition to the ranking's
+_TESTED = 5  # the inverse of the part of a folder without splits that is tested if a network is trained on the others
 
 
 @dataclass
@@ -89,7 +90,7 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
     for step, path in enumerate(paths, 1):
         title = _title(path, paths)
         try:
-            entry, mtf = _screened(path, sensor, catalogues, scaled)
+            entry, mtf, remarks = _screened(path, sensor, catalogues, scaled)
         except ValidationError as error:
             screened.left_out[title] = "; ".join(problems(error, Spec))
         except (InputError, OSError) as error:
@@ -97,12 +98,16 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
         else:
             name = _name(path, screened.entries)
             screened.entries[name], screened.titles[name], screened.mtf[name] = entry, title, mtf
+            for remark in remarks:
+                print(f"tasklens: {path}: {remark}", file=sys.stderr)
         progress(step)
     return screened
 
 
-def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool) -> tuple[dict[str, Any], float]:
-    """Return the entry of a lens in a study, and its mean MTF; raises InputError."""
+def _screened(
+    path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
+) -> tuple[dict[str, Any], float, Sequence[str]]:
+    """Return the entry of a lens in a study, its mean MTF, and assumptions about its file; raises InputError."""
     file = lens_files.read(path, catalogues)
     first_order = paraxial(file.lens, sensor.wavelengths_um[1])
     efl = float(first_order.efl)
@@ -132,7 +137,7 @@ def _screened(path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
     if not (light := lit(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
-    return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS)))
+    return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), file.prescription.remarks
 
 
 def _title(path: Path, paths: Sequence[Path]) -> str:
@@ -196,7 +201,9 @@ def study(
 
 
 def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> dict[str, Any]:
-    """Return the images of a ranking: at most `photographs` to test with; if `trained`, all others for training.
+    """Return the images of a ranking: at most `photographs` to test with; if `trained`, the others for training.
+
+    Of a folder without splits, a fifth is tested if the network is trained.
 
     Raises:
         FileError: the folder has no photographs by class, or too few.
@@ -206,6 +213,8 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> 
     images = {"folder": str(folder), "size": size, "minival": _MINIVAL}
     if class_folders.is_split(folder):
         test = class_folders.count(class_folders.split_folder(folder, class_folders.TEST), photographs)
+    elif trained:
+        test = class_folders.count(folder, _TESTED * photographs) // _TESTED
     else:
         test = class_folders.count(folder, photographs + _MINIVAL + _TRAIN) - _MINIVAL - _TRAIN
     if test < 1:

@@ -143,14 +143,18 @@ def decode(path: Path) -> Image.Image:
     """Decode an image to RGB, rotated by its EXIF tag; raises FileError."""
     try:
         with Image.open(path) as file:
-            image = ImageOps.exif_transpose(file)
-            if image.mode == "F":
-                image = _of_floats(image)
-            elif image.mode.startswith("I"):  # 16-bit grey, which `convert` would clip at 255
-                image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
-            return image.convert("RGB")
+            return rgb(ImageOps.exif_transpose(file))
     except Exception as error:  # any type, depending on the decoder
         raise FileError(f"{path}: cannot be read as an image ({error})") from error
+
+
+def rgb(image: Image.Image) -> Image.Image:
+    """Convert an image to 8-bit RGB; raises ValueError for floating-point values outside [0, 1]."""
+    if image.mode == "F":
+        image = _of_floats(image)
+    elif image.mode.startswith("I"):  # 16-bit grey, which `convert` would clip at 255
+        image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
+    return image.convert("RGB")
 
 
 def _of_floats(image: Image.Image) -> Image.Image:

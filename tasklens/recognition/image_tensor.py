@@ -7,7 +7,7 @@ import torch
 from PIL.Image import Image as PillowImage
 from torch import Tensor
 
-from tasklens.recognition.folders import read_whole
+from tasklens.recognition.folders import read_whole, rgb
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
@@ -22,10 +22,13 @@ def image_tensor(image: Image) -> Tensor:
             raise FileError(f"{image}: no such image")
         return read_whole(Path(image)).float() / 255
     if not isinstance(image, Tensor):
-        array = numpy.asarray(image.convert("RGB") if isinstance(image, PillowImage) else image)
+        try:
+            array = numpy.array(rgb(image) if isinstance(image, PillowImage) else image)
+        except ValueError as error:
+            raise InputError(f"image: {error}") from None
         if array.dtype == "uint16":
             array = array / 65535
-        tensor = torch.from_numpy(numpy.ascontiguousarray(array))
+        tensor = torch.from_numpy(array)
         image = tensor.movedim(-1, 0) if tensor.dim() == 3 else tensor
     if image.dim() != 3 or image.shape[0] != 3:
         raise InputError(f"image: expected an array (H, W, 3) or a tensor (3, H, W), got {tuple(image.shape)}")

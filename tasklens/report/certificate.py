@@ -102,6 +102,8 @@ def _lens(content: Mapping) -> dict[str, str]:
     if "worst_margin" in content:
         rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
     origin = content.get("origin", {})
+    if "assumptions" in origin:
+        rows["assumptions about the file"] = "; ".join(origin["assumptions"])
     if "validation_loss" in origin:
         rows["loss of this lens on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
     if (test := optimum(content)) is not None:

@@ -37,7 +37,7 @@ def number(value: object, where: str) -> float:
     Raises:
         FileError: the value is not a finite number; the message begins with `where`.
     """
-    text = value if isinstance(value, str) else repr(value)
+    text = str(value)  # repr of a NumPy number has its type
     if not _NUMBER.fullmatch(text):
         raise FileError(f"{where}: expected a number, found {value!r}")
     if not math.isfinite(float(text)):

@@ -9,6 +9,7 @@ from tasklens.study.design_settings import (
     DesignSettings,
     GradientDesignSettings,
 )
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.messages import in_words
 from tasklens.study.settings import CaptureSettings
@@ -26,6 +27,8 @@ def check(study: Study) -> None:
     if not study.lenses:
         raise ValueError("designs: expected a design of some elements, or a lens that is `imported`")
     _check_names(study)
+    for name, design in study.designs.items():
+        _check_references(study, f"designs.{name}", design)
     for name in study.ablations:
         _check_ablation(study, name)
     _check_networks(study)
@@ -46,10 +49,6 @@ def _check_names(study: Study) -> None:
     for name in study.specs:
         if name not in elements:
             raise ValueError(f"specs.{name}: expected elements of the study, one of {', '.join(elements)}")
-    for name, design in study.designs.items():
-        if isinstance(design, GradientDesignSettings) and design.task not in (None, *study.tasks.networks):
-            tasks = ", ".join(study.tasks.networks) or "none"
-            raise ValueError(f"designs.{name}.task: {design.task!r} is not one of `tasks.networks`: {tasks}")
     for section in ("tolerances", "tasks"):
         for name in getattr(study, section).designs or ():
             if name not in study.designs and name not in study.imported and name not in study.lenses:
@@ -58,6 +57,23 @@ def _check_names(study: Study) -> None:
     for name in study.restored or ():
         if name not in elements:
             raise ValueError(f"restored: {name!r} is not one of {', '.join(elements)}")
+
+
+def _check_references(study: Study, where: str, design: DesignSettings) -> None:
+    """Check the names of elements and of a task in a design."""
+    if isinstance(design, LeastSquaresSettings):
+        spots = design.spot_um if isinstance(design.spot_um, dict) else study.elements
+        if missing := [elements for elements in study.elements if elements not in spots]:
+            raise ValueError(f"{where}.spot_um: expected a value for {', '.join(missing)}, too")
+    elif design.task is not None:
+        networks = study.tasks.networks
+        if design.task not in networks:
+            raise ValueError(
+                f"{where}.task: {design.task!r} is not one of `tasks.networks`: {', '.join(networks) or 'none'}"
+            )
+        weighted = any(descent.corner_weight != 1 for descent in design.by_network)
+        if weighted and networks[design.task].kind != "segmentation":
+            raise ValueError(f"{where}: corner_weight: a network that detects objects has one loss for all captures")
 
 
 def _check_ablation(study: Study, name: str) -> None:

@@ -9,7 +9,7 @@ _CRITERIA = {
     "image_error": "the squared error of the captures",
     "log_image_error": "the logarithm of the squared error of the captures (PSNR)",
     "correlation": "the correlation of captures and sharp images",
-    "contrast": "the contrast (MTF) at a quarter and half of the Nyquist frequency",
+    "contrast": "the contrast (real part of the OTF) at a quarter and half of the Nyquist frequency",
 }
 
 
@@ -19,7 +19,8 @@ def description(lens: LensEntry) -> str:
     if isinstance(design, ImportedLens):
         return f"A lens from the file {design.file.name}, scaled to the specification."
     if not isinstance(design, GradientDesignSettings):
-        stop = " until the spot is as large as the paper's" if design.spot_um else ""
+        spot = design.of_elements(lens.elements).spot_um
+        stop = f" until the RMS spot is {spot:g} um" if spot else ""
         vignetting = (
             f", with apertures that stop up to {design.vignetting:.0%} of the light" if design.vignetting else ""
         )

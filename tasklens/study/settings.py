@@ -100,7 +100,7 @@ class Spec(Frozen):
     @computed_field
     @property
     def fields_mm(self) -> tuple[tuple[float, float], ...]:
-        """Nine field points [mm] on the sensor: {0, 1/2, 1} x {0, 1/2, 1} of its half width and half height."""
+        """Nine fields f tan(theta) [mm]: {0, 1/2, 1} x {0, 1/2, 1} of the half width and half height of the sensor."""
         unit = self.diagonal_mm / 2 / math.hypot(*self.aspect)
         width, height = (unit * side for side in self.aspect)
         return tuple((u * width, v * height) for v in (0, 0.5, 1) for u in (0, 0.5, 1))

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis.diffraction import diffraction_psf
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays, passing
@@ -52,8 +53,11 @@ def lit(lens: Lens, view: View) -> Tensor:
 
 
 def chief_points(lens: Lens, view: View) -> Tensor:
-    """Compute the image points (F, 2) of the chief rays [mm]; for a lost ray its last point."""
-    rays = chief_rays(lens, view)
+    """Compute the image points (F, 2) of the chief rays [mm]; for a lost ray its last point.
+
+    Clear apertures are ignored: light may arrive around a chief ray that they stop.
+    """
+    rays = chief_rays(with_open_apertures(lens), view)
     return torch.stack([rays.x[:, 0, 0], rays.y[:, 0, 0]], -1)
 
 

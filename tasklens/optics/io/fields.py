@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.spots import chief_rays
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -52,8 +53,7 @@ def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
     Raises:
         InputError: no chief ray arrives at this height.
     """
-    at_stop = torch.arange(len(lens.media)) == lens.stop
-    unclipped = replace(lens, semi_diameter=torch.where(at_stop, lens.semi_diameter, math.inf))
+    unclipped = with_open_apertures(lens)
 
     def beyond(tangents: torch.Tensor) -> torch.Tensor:
         """Return how far the chief rays arrive beyond `height` [mm]; NaN for a lost ray."""

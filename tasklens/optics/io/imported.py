@@ -31,8 +31,8 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
         rays: number of pupil points per field and wavelength for the focus.
 
     Returns:
-        The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale, and
-        the shift of the image plane after scaling [mm].
+        The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale, the
+        shift of the image plane after scaling [mm], and assumptions made when the file was read, in words.
 
     Raises:
         FileError: the file cannot be read, or its lens does not fit the specification.
@@ -57,6 +57,7 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
         "file_object_distance_mm": None if math.isinf(source.object_distance_mm) else source.object_distance_mm,
         "scale": scale,
         "image_plane_shift_mm": float(focused.thickness[-1] - lens.thickness[-1]),
+        **({"assumptions": list(source.remarks)} if source.remarks else {}),
     }
 
 

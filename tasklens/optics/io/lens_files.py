@@ -25,7 +25,7 @@ from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
-_AXIS_DEG = 1.0  # field of view of a specification whose only field is the axis
+_CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,14 @@ def read(
         InputError: an object distance that is not positive.
         FileError: the file is not a lens or has no field, or the object is in the lens.
     """
-    _check_distance(object_distance_mm)
+    if object_distance_mm is not None:
+        check_distance(object_distance_mm)
     source, content = read_prescription(path, catalogues, configuration)
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
-        wavelengths = tuple(positive(value, "wavelengths_um") for value in wavelengths_um or ())
-        spec = Spec.model_validate(changes)
-        changes = {key: getattr(spec, key) for key in changes}
+        colours = () if wavelengths_um is None else wavelengths_um  # an array has no truth value
+        wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
+        changes = _validated(changes)
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if "spec" in content:
             lens_file = _specified(source, content, changes, wavelengths, 1 / distance, str(path))
@@ -90,16 +91,27 @@ def read(
         if lens_file.view.object_vergence:
             check_object(lens_file.lens, lens_file.view)
         return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_dark(lens_file)))
-    except ValidationError as error:
-        raise FileError(f"{path}: {'; '.join(problems(error, Spec))}") from None
     except FileError:
         raise
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
 
 
-def _check_distance(distance: float | None) -> None:
-    if distance is not None and not (distance > 0 and 1 / distance < math.inf):
+def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changed values of `Spec`, converted to numbers; raises InputError."""
+    for key in changes:
+        if key not in _CHANGES:
+            raise InputError(f"{key}: unknown key; expected one of {', '.join(_CHANGES)}")
+    try:
+        spec = Spec.model_validate(changes)
+    except ValidationError as error:
+        raise InputError("; ".join(problems(error, Spec))) from None
+    return {key: getattr(spec, key) for key in changes}
+
+
+def check_distance(distance: float) -> None:
+    """Raise InputError if an object is not in front of the lens [mm]."""
+    if not (distance > 0 and 1 / distance < math.inf):
         raise InputError(
             f"object distance {distance:g} (--object, in Python object_distance_mm): expected millimetres in front of "
             "the first vertex, such as 500, or inf"
@@ -112,12 +124,8 @@ def _specified(
     """Return a lens with the changed specification of its file."""
     lens, view = source.lens, view_of(source.lens, content, name)
     wavelengths = wavelengths or view.wavelengths
-    if changes:
-        own = {key: value for key, value in content["spec"].items() if key in Spec.model_fields}
-        own.pop("wavelengths_um", None)
-        lens, view = _changed(lens, content["spec"]["efl_mm"], own, changes, wavelengths)
-    view = replace(view, wavelengths=wavelengths, object_vergence=vergence)
     lens.refractive_indices(wavelengths)
+    lens, view = _changed(lens, replace(view, wavelengths=wavelengths, object_vergence=vergence), changes)
     remarks = []
     near = source.object_distance_mm
     if math.isfinite(near) and vergence != 1 / near:
@@ -141,8 +149,10 @@ def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
     """Write a lens as YAML with `notes`, or as a .zmx file for Zemax, which needs fields and wavelengths.
 
     Raises:
-        FileError: another suffix, or a lens that the format does not support.
+        FileError: another suffix, or a lens that the format does not support, such as one with decentres or a melt.
     """
+    if data.lens.pose is not None or data.lens.melt is not None:
+        raise FileError(f"{path}: a lens file has a nominal lens: write it without `pose` and `melt`")
     if path.suffix.lower() in (".yaml", ".yml"):
         own = prescription.to_dict(data)
         prescription.write(path, data, {key: value for key, value in notes.items() if key not in own})
@@ -152,16 +162,19 @@ def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
         raise FileError(f"{path}: expected .yaml, or .zmx for Zemax")
 
 
-def _changed(lens: Lens, efl: float, own: dict, changes: dict, wavelengths: tuple[float, ...]) -> tuple[Lens, View]:
-    """Return the lens and its view with changed values; the focal length stays."""
-    values = own | changes
+def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, View]:
+    """Return the lens and its view with changed values of `Spec`; the focal length stays."""
     if "field_of_view_deg" in changes:
-        values["diagonal_mm"] = 2 * efl * math.tan(math.radians(min(changes["field_of_view_deg"], 149.0)) / 2)
-    spec = Spec.model_validate(values)
-    view = replace(view_of_spec(spec), wavelengths=wavelengths)
-    lens.refractive_indices(wavelengths)
+        fields = view.fields if view.radii.any() else torch.tensor(Spec().fields_mm, dtype=torch.float64)
+        corner = view.efl * math.tan(math.radians(changes["field_of_view_deg"]) / 2)
+        view = replace(view, fields=fields * (corner / fields.norm(dim=-1).max()))
+    view = replace(
+        view,
+        pixel_pitch=changes.get("pixel_pitch_um", view.pixel_pitch),
+        kernel_size=changes.get("kernel_size", view.kernel_size),
+    )
     if "f_number" in changes:
-        radius = zemax.stop_radius(lens, ("f_number", spec.f_number), view.reference)
+        radius = zemax.stop_radius(lens, ("f_number", changes["f_number"]), view.reference)
         at_stop = torch.arange(len(lens.media)) == lens.stop
         lens = replace(lens, semi_diameter=torch.where(at_stop, radius, lens.semi_diameter))
     return lens, view
@@ -177,9 +190,9 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         vergence: 1 / distance of the object [1/mm].
 
     Raises:
-        InputError: the lens forms no image, or has no field.
+        InputError: a value of `changes` is invalid, or the lens forms no image or has no field.
     """
-    remarks = []
+    changes, remarks = _validated(changes), []
     if not wavelengths and source.wavelengths_um:
         wavelengths = _with_reference(source.wavelengths_um, source.primary or 0)
     elif not wavelengths:
@@ -190,20 +203,18 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     efl = float(first_order.efl)
     if not 0 < efl < math.inf:
         raise InputError(f"a lens with a focal length of {efl:.4g} mm forms no image")
-    own: dict[str, Any] = {"f_number": efl / float(2 * first_order.entrance_pupil_radius)}
-    tangent = 1.0
+    source.lens.refractive_indices(wavelengths)
+    view = replace(view_of_spec(Spec()), efl=efl, wavelengths=wavelengths, object_vergence=vergence)
     if "field_of_view_deg" not in changes:
         tangent = largest_tangent(source, efl, float(first_order.entrance_pupil_z), reference)
-        own["field_of_view_deg"] = math.degrees(2 * math.atan(tangent)) if tangent else _AXIS_DEG
-        own["diagonal_mm"] = 2 * efl * math.tan(math.radians(own["field_of_view_deg"]) / 2)
-    lens, view = _changed(source.lens, efl, own, changes, wavelengths)
-    if not tangent:
-        view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
-        remarks.append("the file has no field except the axis (--field-of-view)")
+        view = replace(view, fields=view.fields * (efl * tangent / view.radii.max()))
+        if not tangent:
+            view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
+            remarks.append("the file has no field except the axis (--field-of-view)")
+    lens, view = _changed(source.lens, view, changes)
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
-    view = replace(view, object_vergence=vergence)
     near = source.object_distance_mm
     if math.isfinite(near) and vergence != 1 / near:
         focused = refocused(lens, view, _RAYS)

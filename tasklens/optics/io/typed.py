@@ -12,6 +12,7 @@ from tasklens.optics.io.prescription import Prescription, check_order
 from tasklens.optics.io.zemax import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import positive
 
 _KEYS = ("radius", "curvature", "thickness", "material", "conic", "coefficients", "semi_diameter", "stop")
 
@@ -56,7 +57,7 @@ def typed(
     check_order(lens.media, lens.thickness.tolist(), "a lens", first=0)
     if f_number is None:
         return Prescription(lens)
-    aperture = ("f_number", f_number)
+    aperture = ("f_number", positive(f_number, "f_number"))
     lens.semi_diameter[lens.stop] = stop_radius(lens, aperture, wavelength)
     return Prescription(lens, aperture=aperture)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
@@ -16,8 +17,9 @@ from tasklens.optics.rays import passing
 from tasklens.optics.view import View
 
 _FREQUENCY = 0.25  # frequency at which lens modules are focused, as a fraction of Nyquist
-_RANGE = 0.06  # largest shift of the image plane, as a fraction of the focal length
-_STEPS = 40  # steps of the scan on each side
+_STEP = 0.1  # distance of planes [F-number / frequency]: the blur of a point grows by a tenth of a period
+_STEPS = 40  # least number of planes on each side
+_RANGE = 0.02  # least shift on each side, as a fraction of the focal length: errors of index and radius scale with it
 _FITTED = 2  # planes on each side of the best one that a parabola is fitted to
 _RAYS = 256  # per field and colour
 
@@ -27,14 +29,17 @@ def peak(lens: Lens, view: View) -> Tensor:
 
     It is the vertex of a parabola fitted to the planes around the best one, and differentiable in the lens.
     """
-    step = _RANGE * view.efl / _STEPS
-    values = through_focus(lens, view.in_all_quadrants(), -_STEPS * step, step, 2 * _STEPS + 1)
+    first_order = paraxial(lens.detached(), view.reference)
+    f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
+    step = _STEP * f_number / frequency(view)
+    steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))
+    values = through_focus(lens, view.in_all_quadrants(), -steps * step, step, 2 * steps + 1)
     best = int(values[_FITTED:-_FITTED].argmax()) + _FITTED
     x = torch.arange(-_FITTED, _FITTED + 1, dtype=torch.float64)
     near = values[best - _FITTED : best + _FITTED + 1]
     _, slope, bend = torch.linalg.pinv(x[:, None] ** torch.arange(3)) @ near
     offset = -0.5 * slope / bend if bend < 0 else torch.zeros_like(bend)
-    return (best - _STEPS + offset.clamp(-1, 1)) * step
+    return (best - steps + offset.clamp(-1, 1)) * step
 
 
 def through_focus(lens: Lens, view: View, first: float, step: float, count: int) -> Tensor:

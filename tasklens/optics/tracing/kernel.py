@@ -47,7 +47,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
     Args:
         start: (7, R) x, y, z, l, m, n and path of the rays, ordered (..., W, N).
         count: (W, N).
-        lens: tables as from `trace._tables`.
+        lens: tables as from `traced._tables`.
         image: (7, R) output, the same on the image plane; for a lost ray its last point, z from the vertex of the
             surface where it was lost, its direction along the axis.
         status, lost_at: (R,) input and output.
