@@ -1,5 +1,6 @@
 """Ranking of lenses by the accuracy of a network on their captures: order, intervals, groups, and a page."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -9,13 +10,13 @@ from typing import Any
 import numpy
 import pandas
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from scipy.stats import spearmanr
+from scipy.stats import spearmanr, studentized_range
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
-from tasklens.report.bootstrap import holm, interval, p_value, resampled_means
+from tasklens.report.bootstrap import interval, resampled_means
 from tasklens.report.figures import section_svg
 from tasklens.report.page import pictures
 from tasklens.report.publish import publish
@@ -30,7 +31,7 @@ _SCALE = 5.0  # step of the axis of accuracies on the page [%]
 _NOTE = """\
 Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Intervals are 95 % over the
 photographs. "Behind" is the accuracy of the first lens minus that of this one, on the same photographs. Lenses of a
-group cannot be distinguished from the first of the group (paired test, Holm's correction, 5 %)."""
+group cannot be distinguished from the first of the group (paired, by the studentised range, 5 %)."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     """Rank lenses by accuracy, and group lenses that the photographs cannot tell apart.
 
     A group begins with the best lens that has no group yet. It ends before the first lens that is significantly less
-    accurate, by paired differences over resampled photographs, after Holm's correction for all lenses compared with the
-    best one.
+    accurate: by the paired difference over its standard error, from resampled photographs, and the distribution of the
+    studentised range (Tukey), since the best of several lenses was chosen on the same photographs.
 
     Args:
         correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
@@ -85,10 +86,13 @@ def _groups(means: numpy.ndarray) -> list[int]:
     groups: list[int] = []
     while len(groups) < means.shape[1]:
         first = len(groups)
-        others = range(first + 1, means.shape[1])
-        corrected = holm([p_value(means[:, first] - means[:, k], 1) for k in others])
-        less = [k for k, p in zip(others, corrected, strict=True) if p < SIGNIFICANCE]
-        end = less[0] if less else means.shape[1]
+        behind = means[:, first, None] - means[:, first + 1 :]
+        lenses = behind.shape[1] + 1
+        end = means.shape[1]
+        if lenses > 1:
+            least = studentized_range.isf(SIGNIFICANCE, lenses, math.inf) / math.sqrt(2)
+            less = (behind.mean(0) > least * behind.std(0)).nonzero()[0]
+            end = first + 1 + less[0] if len(less) else end
         groups += [groups[-1] + 1 if groups else 1] * (end - first)
     return groups
 
