@@ -1,4 +1,4 @@
-"""Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...]`.
+"""Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...] [--check]`.
 
 From least squares to squared error or PSNR, to correlation, to correlation with a heavier corner: accuracy of each step
 and its difference from the step before. Then four kinds of task-driven design, each compared with the best lens for
@@ -7,9 +7,11 @@ one study, with Student's interval over its points, and p-values of the task-dri
 are also the differences without the corner field, and the lowest and highest difference without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
-networks, and decomposition.svg, of the network that supervised the designs.
+networks, and decomposition.svg, of the network that supervised the designs. With `--check` it writes nothing, and ends
+with 1 if the rows of a study differ from those in decomposition.csv.
 """
 
+import argparse
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -171,12 +173,29 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
         figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
 
 
-def main(studies: Sequence[str]) -> int:
-    """Write the table and the figure of these studies."""
-    if not studies:
-        print((__doc__ or "").splitlines()[0])
-        return 2
-    table = pandas.concat([rows(study) for study in studies])
+def differs(study: str, table: pandas.DataFrame) -> bool:
+    """Return whether the rows of a study in decomposition.csv are not these."""
+    published = pandas.read_csv(FOLDER / "decomposition.csv")
+    published = published[published["study"] == study].reset_index(drop=True)
+    table = table.replace("", None).reindex(columns=published.columns)
+    try:
+        pandas.testing.assert_frame_equal(table, published, check_dtype=False, rtol=0, atol=1e-6)
+    except AssertionError as error:
+        print(f"{study}: {error}")
+        return True
+    return False
+
+
+def main() -> int:
+    """Write the table and the figure of the studies on the command line, or check their rows."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("studies", nargs="+", metavar="STUDY")
+    parser.add_argument("--check", action="store_true")
+    options = parser.parse_args()
+    tables = {study: rows(study) for study in options.studies}
+    if options.check:
+        return any([differs(study, table) for study, table in tables.items()])
+    table = pandas.concat(tables.values())
     table.to_csv(FOLDER / "decomposition.csv", index=False)
     supervisors = table.groupby("study")["classifier"].transform("first")  # table 1 comes first
     draw(table[table["classifier"] == supervisors], FOLDER / "decomposition.svg")
@@ -184,4 +203,4 @@ def main(studies: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

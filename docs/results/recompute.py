@@ -1,8 +1,9 @@
-"""Recompute every published interval from the published answers: `python docs/results/recompute.py [--write]`.
+"""Recompute the intervals of published tables from the answers: `python docs/results/recompute.py [--write]`.
 
 A file of answers (`*.npz`) lies beside the table of the same name (`*.csv`). `comparisons.csv` lists the differences
 that pages quote and no table has, `numbers.csv` the other numbers of their tables. The program ends with 1 if a number
-differs. With `--write` it first writes these two lists anew, with one decimal.
+differs. With `--write` it first writes these two lists anew, with one decimal. `decomposition.py --check` recomputes
+the decomposition.
 """
 
 import argparse
