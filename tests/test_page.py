@@ -12,6 +12,7 @@ from safetensors.numpy import save_file
 from tasklens.report.optimality import Optimum
 from tasklens.report.page import captures, charts, tables, words
 from tasklens.report.verdicts import verdict
+from tasklens.runtime.files import read_table
 from tasklens.study.claims import (
     FEWER_ELEMENTS,
     OVER_END_TO_END,
@@ -263,3 +264,15 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     (example,) = captures.shown(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
     assert [answer.right for answer in example.captures["lens", False][0].answers] == [True, False]
     assert example.label == "7"
+
+
+def test_names_may_look_like_numbers(tmp_path):
+    """A study may call its elements `2` and a design `nan`; the sharp images have no elements."""
+    write(tmp_path / "table1.csv", "elements,design,accuracy\n,reference,99\n2,nan,80\n2,01,70\n")
+    table = read_table(tmp_path / "table1.csv")
+    assert table["elements"].tolist() == ["", "2", "2"] and table["design"].tolist() == ["reference", "nan", "01"]
+    (sentence,) = words.best_lenses(table, ["2-nan"]).values()
+    assert (
+        sentence.text
+        == "nan, the most accurate task-driven design: 80.0 %; 01, the most accurate other design: 70.0 %."
+    )

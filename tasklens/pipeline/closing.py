@@ -3,12 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import pandas
-
 from tasklens.pipeline import runs
 from tasklens.pipeline.forecast import duration
 from tasklens.report.page import words
 from tasklens.report.verdicts import LEAST_SEEDS
+from tasklens.runtime.files import read_table
 from tasklens.study.loading import at_points
 from tasklens.study.parts import owner
 from tasklens.study.report_jobs import ReportJob
@@ -62,7 +61,7 @@ def _sweep(study: Study, by_study: Mapping[str, runs.Run]) -> list[str]:
 
 def _answer(study: Study, verdicts: Path) -> list[str]:
     """Return the answer of the study in sentences, as its page gives it."""
-    frame = pandas.read_csv(verdicts, dtype={"lens": str, "baseline": str}, keep_default_na=False)
+    frame = read_table(verdicts, keep_default_na=False)
     return [sentence.text for sentence in words.summary(frame, ReportJob.of(study))]
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pandas
 import yaml
 from pydantic import ValidationError
 
@@ -21,7 +20,7 @@ from tasklens.optics.view import view_of_spec
 from tasklens.pipeline.digest import NOT_INSTALLED, ROOT
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError, write_text
+from tasklens.runtime.files import FileError, read_table, write_text
 from tasklens.runtime.progress import Progress
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.messages import problems
@@ -263,5 +262,5 @@ def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrit
 def first_lenses(folder: Path, titles: Mapping[str, str], count: int) -> list[str]:
     """Return the first lenses of a finished ranking by their names in the study."""
     names = {title: lens for lens, title in titles.items()}
-    table = pandas.read_csv(folder / "tables" / "ranking.csv")
+    table = read_table(folder / "tables" / "ranking.csv")
     return [names[str(title)] for title in table["lens"][:count]]

@@ -80,8 +80,14 @@ def read_yaml(path: Path) -> Any:
     return content
 
 
+_NAMES = ("elements", "design", "classifier", "lens", "baseline")  # columns of tables with names of a study
+
+
 def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
-    """Read a CSV file that a job wrote; `options` are passed to `pandas.read_csv`.
+    """Read a CSV file that a job wrote; columns of names are text, also if a name is a number, `nan` or `null`.
+
+    Args:
+        options: options of `pandas.read_csv`.
 
     Raises:
         FileError: the file is cut off, or no table.
@@ -92,7 +98,10 @@ def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
     if not text.endswith("\n"):
         raise damaged(path, "cut off")
     try:
-        return pandas.read_csv(io.StringIO(text), **options)
+        table = pandas.read_csv(io.StringIO(text), **options)
+        names = [name for name in _NAMES if name in table]
+        texts = pandas.read_csv(io.StringIO(text), usecols=names, dtype=str, keep_default_na=False)
+        return table.assign(**texts)
     except ValueError as error:  # errors of pandas are ValueErrors too
         raise damaged(path, f"not a table ({str(error).splitlines()[0]})") from None
 

@@ -157,7 +157,7 @@ def _draw_answer(path: Path, settings: ReportJob, files: PageFiles) -> None:
     """Draw the main comparisons and the accuracies of the study's first table, by its supervisor."""
     table, by_seed = next(iter(files.by_seed.items()))
     rows, verdicts = read_table(by_seed), read_table(files.others["verdicts"])
-    lenses = rows[rows["elements"].notna() & (rows["classifier"] == settings.supervisor)]
+    lenses = rows[(rows["elements"] != "") & (rows["classifier"] == settings.supervisor)]
     main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == table)]
     main = main[main["classifier"].str.split("-").str[0] == settings.supervisor]  # also restored
     answer_figure.draw(path, main, lenses, settings.by_task, float(lenses["reference_accuracy"].mean()))

@@ -49,7 +49,7 @@ def colour_of(names: Sequence[str], name: str) -> str:
 
 def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
     """Chart the accuracy of every lens of table 1 against its RMS spot; None without lenses."""
-    lenses = table[table["elements"].fillna("") != ""].dropna(subset=["accuracy", "rms_spot_um"])
+    lenses = table[table["elements"] != ""].dropna(subset=["accuracy", "rms_spot_um"])
     if lenses.empty:
         return None
     elements, designs = list(dict.fromkeys(lenses["elements"])), list(dict.fromkeys(lenses["design"]))

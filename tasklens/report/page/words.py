@@ -173,7 +173,7 @@ def comparison(row: Mapping[Any, Any], margin: float) -> Sentence:
 
 def best_lenses(table1: pandas.DataFrame, task_driven: Iterable[str]) -> dict[str, Sentence]:
     """Name the most accurate task-driven lens and the most accurate other lens in table 1, by name of elements."""
-    lenses = table1[table1["elements"].fillna("") != ""].dropna(subset=["accuracy"])
+    lenses = table1[table1["elements"] != ""].dropna(subset=["accuracy"])
     by_task = (lenses["elements"] + "-" + lenses["design"]).isin(list(task_driven))
     sentences = {}
     for name in dict.fromkeys(lenses["elements"]):
