@@ -42,14 +42,14 @@ def test_a_damaged_file_of_answers_is_named(tmp_path, content):
 
 
 def test_the_figure_of_the_answer_has_every_comparison_and_design(tmp_path):
-    """Names of designs and comparisons are text; the same data give the same file."""
+    """Names of designs and comparisons are text; undecided ones are grey; the same data give the same file."""
     text = "more accurate than the best one"
     rows = [
-        ("doublet-task", "doublet-psnr", text, 1.0, 0.5, 1.5),
-        ("doublet-task", "triplet-psnr", text, -1.0, -1.5, -0.5),
-        ("doublet-task", "doublet-psnr (2), doublet-error (1)", text, 1.0, 0.5, 1.5),
+        ("doublet-task", "doublet-psnr", text, 1.0, 0.5, 1.5, "holds"),
+        ("doublet-task", "triplet-psnr", text, -1.0, -1.5, -0.5, "does not hold"),
+        ("doublet-task", "doublet-psnr (2), doublet-error (1)", text, 1.0, 0.5, 1.5, "undecided"),
     ]
-    comparisons = pandas.DataFrame(rows, columns=["lens", "baseline", "claim", "difference", "low", "high"])
+    comparisons = pandas.DataFrame(rows, columns=["lens", "baseline", "claim", "difference", "low", "high", "verdict"])
     columns = {"elements": ["doublet"] * 3 + ["triplet"], "design": ["task", "psnr", "task", "psnr"]}
     accuracies = pandas.DataFrame(columns | {"accuracy": [98.0, 97.0, 100.0, 99.0]})
     for name in ("a.svg", "b.svg"):
@@ -59,3 +59,5 @@ def test_the_figure_of_the_answer_has_every_comparison_and_design(tmp_path):
     assert {"task − psnr", "task − triplet-psnr", "task − the best one"} <= {*labels}
     assert {"doublet", "triplet", "task", "psnr"} <= {*labels}
     assert text == (tmp_path / "b.svg").read_text()
+    with_the_intervals = re.findall(r"stroke: (#[0-9a-f]{6}); stroke-width: 2", text)
+    assert with_the_intervals[:3] == ["#0072b2", "#d55e00", "#777777"]

@@ -46,7 +46,7 @@ def test_the_design_comes_first_and_errors_cost_sharpness():
     rows = production.built_lenses(process, 12, 5, IMAGES)
     assert [row["lens"] for row in rows] == ["design", *range(12)] and rows[0]["focus_um"] == 0.0
     assert rows[0] | {"lens": 0} == {"lens": 0} | process.measure(process.lens, IMAGES) | {"focus_um": 0.0}
-    assert sum(row["rms_um"] for row in rows[1:]) / 12 > rows[0]["rms_um"]
+    assert sum(row["rms_spot_um"] for row in rows[1:]) / 12 > rows[0]["rms_spot_um"]
     assert rows == production.built_lenses(process, 12, 5, IMAGES)
     assert rows[1:] != production.built_lenses(process, 12, 6, IMAGES)[1:]
     assert not any(row["failed"] for row in rows)
@@ -133,7 +133,7 @@ def test_single_errors_and_allotted_tolerances():
 
 
 def distribution_of(*accuracies: float) -> list[dict]:
-    same = {"worst_field_accuracy": 0.0, "loss": 0.0, "rms_um": 2.0, "mtf": 0.5, "focus_um": 0.0, "failed": 0}
+    same = {"worst_field_accuracy": 0.0, "loss": 0.0, "rms_spot_um": 2.0, "mtf": 0.5, "focus_um": 0.0, "failed": 0}
     return [{"lens": k, "accuracy": accuracy, **same} for k, accuracy in enumerate(accuracies)]
 
 

@@ -61,7 +61,7 @@ class Production:
             "accuracy": float(fields.mean()),
             "worst_field_accuracy": float(fields.min()),
             "loss": loss,
-            "rms_um": 1e3 * float(rms_spot_radius(rays, centroid(rays)).mean()),
+            "rms_spot_um": 1e3 * float(rms_spot_radius(rays, centroid(rays)).mean()),
             "mtf": float(torch.stack(geometric_mtf(rays, self.view.directions, [focus.frequency(self.view)])).mean()),
             "failed": int(not rays.valid.any(-1).any(-1).all()),
         }

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from tasklens.report import vector_files
+from tasklens.report.page import words
 from tasklens.runtime.files import replacing
 
 _TASK, _OTHER, _NEUTRAL = "#0072B2", "#D55E00", "#777777"  # Okabe and Ito
@@ -52,9 +53,9 @@ def draw(
 
 
 def _differences(axes: Axes, rows: pandas.DataFrame, elements: str) -> None:
-    """Draw differences with their intervals, in the order of the rows, and a line at zero."""
+    """Draw differences with their intervals, in the order of the rows, grey if undecided, and a line at zero."""
     for k, row in enumerate(rows.to_dict("records")):
-        colour = _TASK if row["low"] > 0 else _OTHER if row["high"] < 0 else _NEUTRAL
+        colour = {words.FOR: _TASK, words.AGAINST: _OTHER}.get(words.judged(row, 0.0)[0], _NEUTRAL)
         axes.plot([row["low"], row["high"]], [k, k], color=colour, linewidth=2)
         axes.plot(row["difference"], k, "D", color=colour, markersize=6)
     axes.axvline(0, color="black", linewidth=1)

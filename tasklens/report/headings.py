@@ -54,7 +54,9 @@ HEADINGS = {
         meaning="Loss before fine-tuning minus that of the best other lens with the same elements; negative is better",
     ),
     "psnr_db": Heading("PSNR", "dB", ".1f", "max", meaning="Peak signal-to-noise ratio of captures, mean over fields"),
-    "worst_psnr_db": Heading("worst PSNR", "dB", ".1f", "max", meaning="PSNR at the field with the lowest one"),
+    "worst_psnr_db": Heading(
+        "worst PSNR", "dB", ".1f", "max", meaning="Mean PSNR of the worst hundredth of images, mean over fields"
+    ),
     "rms_spot_um": Heading("RMS spot", "um", ".1f", "min", meaning="RMS distance of rays from their centroid"),
     "core_radius_um": Heading(
         "core radius", "um", ".1f", "min", meaning="Radius of the circle about the chief ray with half of the light"
@@ -87,7 +89,8 @@ HEADINGS = {
         "difference",
         "points",
         "+.1f",
-        meaning="Accuracy of the lens minus that of its baseline; for a failure, the distance to its rule",
+        meaning="Accuracy of the lens minus that of its baseline, or points lost in manufacture minus those of the "
+        "baseline; for a failure, the distance to its rule",
     ),
     "low": Heading("from", "points", "+.1f", meaning="Lower end of the 95 % interval"),
     "high": Heading("to", "points", "+.1f", meaning="Upper end of the 95 % interval"),
@@ -115,7 +118,7 @@ HEADINGS = {
     "lost": Heading("lost", "points", ".1f", meaning="Accuracy of the design minus the mean of built lenses"),
     "yield_1": Heading("yield, 1 point", "%", ".1f", meaning="Built lenses that lose at most one point"),
     "yield_3": Heading("yield, 3 points", "%", ".1f", meaning="Built lenses that lose at most three points"),
-    "rms_um_design": Heading("RMS spot of the design", "um", ".1f"),
+    "rms_spot_um_design": Heading("RMS spot of the design", "um", ".1f"),
     "mtf_design": Heading("MTF of the design", "", ".2f"),
     "mtf": Heading("MTF", "", ".2f"),
     "failed_lenses": Heading("failed lenses", meaning="Built lenses that let no light through to some field"),

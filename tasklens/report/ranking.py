@@ -210,7 +210,7 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
         "corner": rank.by_field[-1],
         "f_number": figures["f_number"],
         "field_of_view": field_of_view_deg,
-        "rms_um": float(numpy.mean(figures["rms_centroid_um"])),
+        "rms_spot_um": float(numpy.mean(figures["rms_centroid_um"])),
     }
 
 

@@ -28,8 +28,8 @@ def distribution(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
         "accuracy_5th": float(numpy.quantile(accuracy, 0.05)),
         "lost": nominal - float(accuracy.mean()),
         **{f"yield_{points:g}": 100 * float((accuracy >= nominal - points - 1e-9).mean()) for points in POINTS},
-        "rms_um_design": float(design["rms_um"]),
-        "rms_um": float(numpy.median([float(row["rms_um"]) for row in built])),
+        "rms_spot_um_design": float(design["rms_spot_um"]),
+        "rms_spot_um": float(numpy.median([float(row["rms_spot_um"]) for row in built])),
         "mtf_design": float(design["mtf"]),
         "mtf": float(numpy.median([float(row["mtf"]) for row in built])),
         "failed_lenses": sum(int(row["failed"]) for row in built),
@@ -54,7 +54,7 @@ def markdown(
         f"measured by the classifier of the design on {images} images at nine fields. The design has "
         f"{stats['accuracy_design']:.1f} %, they have {stats['accuracy']:.1f} % (95 of 100 more than "
         f"{stats['accuracy_5th']:.1f} %). {stats['yield_1']:.0f} % lose at most one point, {stats['yield_3']:.0f} % at "
-        f"most three.{failed} The RMS spot is {stats['rms_um_design']:.1f} um in the design and {stats['rms_um']:.1f} "
+        f"most three.{failed} The RMS spot is {stats['rms_spot_um_design']:.1f} um in the design and {stats['rms_spot_um']:.1f} "
         f"um in the median, the MTF at a quarter of Nyquist's frequency {stats['mtf_design']:.2f} and "
         f"{stats['mtf']:.2f}."
     )
