@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import psutil
@@ -26,10 +27,10 @@ from tasklens.pipeline.digest import ROOT
 from tasklens.study import loading
 
 
-def planned(study: str, seeds: int) -> tuple[list[PlannedJob], float, float, float]:
+def planned(study: str, seeds: Sequence[int]) -> tuple[list[PlannedJob], float, float, float]:
     """Jobs, wall and processor time [s] and peak memory [GB] of Snakemake's dry run."""
     words = ["-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", "1", "-n", "tables"]
-    words += ["--configfile", str(Path(study).resolve()), "--config", f"seeds={list(range(seeds))}", "plan=jobs.json"]
+    words += ["--configfile", str(Path(study).resolve()), "--config", f"seeds={list(seeds)}", "plan=jobs.json"]
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as log:
         begin, peak = time.monotonic(), 0
         process = psutil.Popen([sys.executable, *words], cwd=folder, stdout=log, stderr=subprocess.STDOUT)
@@ -53,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--failing", type=float, default=0.01, help="probability that an attempt fails")
     options = parser.parse_args(arguments)
     seeds, gpus, trials = (1, 4, 2) if options.tiny else (options.seeds, options.gpus, 20)
-    jobs, *figures = planned(options.study, seeds)
+    jobs, *figures = planned(options.study, range(seeds))
     title, columns = f"Planning {options.study}, {seeds} seeds", ("jobs", "time [s]", "processor time [s]", "peak [GB]")
     timing.report(title, columns, [(len(jobs), *(f"{value:.3g}" for value in figures))], options.save)
 

@@ -13,6 +13,7 @@ from cluster import planned
 from scheduling import Job, chains, critical_path, simulate
 
 from tasklens.runtime import benchmarks
+from tasklens.study import loading
 from tasklens.study.parts import owner
 
 CORES = (1, 2, 4, 8)
@@ -22,12 +23,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser = timing.arguments(__doc__)
     parser.add_argument("results", type=Path, help="folder of a finished study")
     options = parser.parse_args(arguments)
-    plan = [job for job in planned(str(options.results / "study.yaml"), 1)[0] if job.study == owner(job.study)]
+    study = options.results / "study.yaml"
+    seeds = loading.load(study).seeds
     jobs = {}
-    for job in plan:
-        measured = benchmarks.read(options.results / "benchmarks" / f"{job.label}.tsv")
-        hours = 0.0 if measured is None else measured.seconds / 3600
-        jobs[job.label] = Job(job.rule, hours, 1, 0, frozenset(job.needs))
+    for job in (job for job in planned(str(study), seeds)[0] if job.study == owner(job.study)):
+        path = options.results / "benchmarks" / f"{job.label}.tsv"
+        if (measured := benchmarks.read(path)) is None:
+            parser.error(f"{path}: no measured time; the study has not finished")
+        jobs[job.label] = Job(job.rule, measured.seconds / 3600, 1, 0, frozenset(job.needs))
     lengths, rows = chains(jobs), []
     path = critical_path(jobs)
     for cores in CORES:

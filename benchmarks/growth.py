@@ -6,7 +6,6 @@ the first minutes to the last sixth. The target is 2 %.
 """
 
 import multiprocessing
-import os
 import statistics
 import tempfile
 import time
@@ -14,7 +13,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
-from unittest import mock
 
 import psutil
 import timing
@@ -33,10 +31,10 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.runtime.job import keep_memory
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
 
-JOBS_MALLOC = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "2147483647"}  # as in the Snakefile
 NETWORK = {"layers": [1, 1, 1, 1], "channels": [16, 32, 64, 128], "stem_type": "deep", "stem_width": 16}
 STEPS = 1000  # of a job: some minutes
 
@@ -93,6 +91,7 @@ def fine_tuning(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
 
 def work(job: Callable[[int, bool, Checkpoint], None], minutes: float, tiny: bool) -> None:
     """Run a job for so many minutes, again from the beginning if it ends earlier; in a separate process."""
+    keep_memory()
     end = time.monotonic() + 60 * minutes
     with tempfile.TemporaryDirectory() as folder, suppress(TimeUp):
         for number in count():
@@ -131,13 +130,12 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     minutes, first, every = (0.05, 0.0, 0.1) if options.tiny else (options.minutes, options.first, options.every)
     rows = []
-    with mock.patch.dict(os.environ, JOBS_MALLOC):  # malloc reads them when a process starts
-        for job in [job for job in (design, fine_tuning) if job.__name__ in options.jobs]:
-            samples = sampled(job, minutes, options.tiny, every)
-            after, end = growth(samples, first)
-            most = max(memory for _, memory in samples)
-            share = f"{100 * (end / after - 1):+.1f}"
-            rows.append((job.__name__, f"{samples[-1][0]:.1f}", f"{after:.0f}", f"{end:.0f}", f"{most:.0f}", share))
+    for job in [job for job in (design, fine_tuning) if job.__name__ in options.jobs]:
+        samples = sampled(job, minutes, options.tiny, every)
+        after, end = growth(samples, first)
+        most = max(memory for _, memory in samples)
+        share = f"{100 * (end / after - 1):+.1f}"
+        rows.append((job.__name__, f"{samples[-1][0]:.1f}", f"{after:.0f}", f"{end:.0f}", f"{most:.0f}", share))
     columns = ("job", "minutes", f"after {first:g} min [MB]", "at the end [MB]", "peak [MB]", "growth [%]")
     timing.report("Resident memory of long jobs, 64 px", columns, rows, options.save)
 

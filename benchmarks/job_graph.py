@@ -16,7 +16,6 @@ from tasklens.study.study import Study
 
 TRAIN, TEST, DECODED = 1_281_167, 50_000, 800.0  # ImageNet; images/s of eight threads, assumed
 ON_GPU = ("reference", "design", "restore", "fine_tune")  # rules that need a GPU; designs, if images supervise
-FIRST = ("design", "restore")  # rules with priority
 RESUMED = ("images", *ON_GPU)  # rules with checkpoints, which are retried
 
 
@@ -46,7 +45,7 @@ def graph(study: Study, planned: Sequence[PlannedJob]) -> dict[str, Job]:
         gpus = int(job.rule in ON_GPU and (job.rule != "design" or study.lens(lens).supervised))
         resumed = job.rule in RESUMED
         saved = resumed * INTERVAL / 3600
-        jobs[job.label] = Job(job.rule, hours, gpus, int(job.rule in FIRST), frozenset(job.needs), saved, int(resumed))
+        jobs[job.label] = Job(job.rule, hours, gpus, job.priority, frozenset(job.needs), saved, int(resumed))
     return jobs
 
 

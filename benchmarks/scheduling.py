@@ -17,7 +17,7 @@ class Job:
     rule: str
     hours: float
     gpus: int
-    priority: int
+    priority: float
     needs: frozenset[str]
     checkpoint_hours: float = 0.0
     retries: int = 0

@@ -211,6 +211,15 @@ def test_a_lens_that_cannot_serve_the_specification_is_refused(tmp_path, lens, s
 PHONES = [path for path in reference_files("lenses/cellphone/source/*") if path.suffix.lower() == ".zmx"]
 
 
+def test_the_catalogue_beside_a_zemax_file_is_one_of_its_sources(tmp_path):
+    """Our exports write one; a job whose catalogue changes runs again."""
+    for name in ("mine.zmx", "mine.agf", "other.agf"):
+        (tmp_path / name).touch()
+    other = tmp_path / "other.agf"
+    lens = ImportedLens(elements="phone", file=tmp_path / "mine.zmx", catalogues=(other,))
+    assert lens.sources == (tmp_path / "mine.zmx", tmp_path / "mine.agf", other)
+
+
 def phone(path: Path) -> ImportedLens:
     return ImportedLens(elements="phone", file=path, catalogues=tuple(reference_files("glass/*.AGF")))
 

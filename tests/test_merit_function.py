@@ -66,8 +66,11 @@ def test_a_lens_does_not_predict_itself():
     assert (abs(predicted - clean)[lenses != 2] > 1).any()
 
 
-def write_results(study) -> None:
-    """Write files of Gaussian PSFs, and of losses with a weight of 4 in one band, a different one per classifier."""
+def write_results(study, light: float) -> None:
+    """Write files of Gaussian PSFs with this part of the light, and losses by those with all of it.
+
+    They have a weight of 4 in one band, a different one per classifier.
+    """
     random = numpy.random.default_rng(2)
     contents = MeritFunctionJob.of(study).contents
     for lens in contents.lenses:
@@ -75,7 +78,7 @@ def write_results(study) -> None:
         path = outputs("design", study, lens=lens, seed=0).psf
         path.parent.mkdir(parents=True, exist_ok=True)
         psf_files.write(
-            path, FieldPsfs(torch.from_numpy(psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
+            path, FieldPsfs(torch.from_numpy(light * psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
         )
         for name, band in (("small", 2), ("other", 5)):
             loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
@@ -84,11 +87,12 @@ def write_results(study) -> None:
             write(measurement(study.name, lens, name, 0, "-frozen"), pandas.DataFrame(losses).to_csv(index=False))
 
 
-def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch):
+@pytest.mark.parametrize("outside_window, light", [("veil", 1.0), ("renormalise", 0.5)])
+def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch, outside_window, light):
     """The planted bands; all of the variance; the other classifier ranked a little differently; a figure."""
     monkeypatch.chdir(tmp_path)
-    study = parse(tiny_study())
-    write_results(study)
+    study = parse(tiny_study() | {"capture": {"outside_window": outside_window}})
+    write_results(study, light)
     paths = finish("merit_function_table", study)
     rows = pandas.read_csv(paths.csv).set_index("classifier")
     for name, band in (("small", 2), ("other", 5)):

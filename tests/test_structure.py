@@ -278,6 +278,7 @@ MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function_table
 PSFS = {"design", "diffraction"}
 OPTICS = {*PSFS, "psf_tail_table", "production", *FIGURES}
 SEE = {"restore", "fine_tune", "reproduce", "captures"}
+RENDER = {"design", "frames", "production", "merit_function_table", *SEE, *TASKS}
 
 
 @pytest.mark.parametrize(
@@ -298,7 +299,7 @@ def test_words_do_not_change_a_digest(digests, edit_code, path, old, new):
     "path, old, new, touched",
     [
         ("tasklens/optics/psf.py", "kernel_size // 2", "kernel_size // 3", OPTICS),
-        ("tasklens/imaging.py", '"reflect"', '"circular"', {"design", "frames", "production"} | SEE | TASKS),
+        ("tasklens/imaging.py", '"reflect"', '"circular"', RENDER),
         ("tasklens/recognition/scenes.py", "image + NOISE * ", "image + ", READ_IMAGES),
         ("tasklens/design/constraints.py", ".clamp(min=0)", ".clamp(min=1)", {"design"}),
         ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
@@ -324,6 +325,8 @@ def test_words_do_not_change_a_digest(digests, edit_code, path, old, new):
             "RESAMPLES = 10",
             JUDGE | {"ranking_table", "tolerances_table"},
         ),
+        ("tasklens/report/page/page.css", "{", "{color: red;", {"report_page"}),
+        ("tasklens/report/ranking.html", "<table", "<table class='other'", {"ranking_table"}),
         ("tasklens/study/settings.py", "Field(68.8,", "Field(68.9,", set()),  # such a value is in the slice
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",

@@ -10,7 +10,6 @@ from tasklens.optics.analysis.pupil import gauss_quadrature, sobol_disc
 from tasklens.optics.analysis.zernike import (
     noll_orders,
     rms_wavefront_error,
-    strehl_ratio,
     zernike,
     zernike_coefficients,
 )
@@ -105,13 +104,3 @@ def test_gradients_are_those_of_differences():
     step = torch.zeros((), dtype=torch.float64, requires_grad=True)
     gradient = torch.stack([torch.autograd.grad(v, step, retain_graph=True)[0] for v in along(step)])
     torch.testing.assert_close(gradient, difference(along, f64(0.0), 1e-3), rtol=1e-8, atol=1e-10)
-
-
-@pytest.mark.parametrize("index", [4, 6, 7, 11])
-def test_strehl_ratio_of_small_errors(index):
-    """Against the diffraction integral on the axis, |mean exp(2 pi i W)|^2."""
-    points, weights = disc(12, 24)
-    for rms in (0.02, 0.05, 0.1):
-        phase = 2 * math.pi * rms * zernike(points, index)[:, -1]
-        exact = float((weights * torch.exp(1j * phase)).sum().abs() ** 2)
-        assert float(strehl_ratio(f64(rms))) == pytest.approx(exact, abs=0.02)

@@ -81,6 +81,7 @@ class PlannedJob:
         needs: labels of the jobs that it waits for.
         settings: its settings as JSON.
         made_with: settings that its outputs were made with; None if unknown.
+        priority: Snakemake's priority.
     """
 
     study: str
@@ -90,6 +91,7 @@ class PlannedJob:
     needs: tuple[str, ...]
     settings: str
     made_with: str | None = None
+    priority: float = 0.0
 
     @property
     def rule(self) -> str:

@@ -1,8 +1,9 @@
 """Digest of the code of a job: Snakemake reruns the jobs whose digest changed.
 
 It covers the module of the job's function and all our modules that it imports, directly or indirectly, as syntax trees
-without docstrings, so that editing comments or docstrings does not change it. It leaves out the package
-`tasklens.study`, because a job's settings contain everything that the job reads of a study.
+without docstrings, so that editing comments or docstrings does not change it, and templates of the report. It leaves
+out the package `tasklens.study`, because a job's settings contain everything that the job reads of a study, also the
+coefficients of its plastics.
 """
 
 import ast
@@ -14,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 NOT_INSTALLED = "the workflow is not installed: clone the repository, and install it by `pip install -e .`"
 PACKAGES = ("tasklens", "restoration")
 SETTINGS = "tasklens.study"
+_TEMPLATES = (".html", ".css", ".js")
 
 
 def module_path(module: str) -> Path | None:
@@ -51,9 +53,15 @@ def parse(module: str) -> ast.Module:
 
 @cache
 def code_and_imports(module: str) -> tuple[str, set[str]]:
-    """Return the code of one of our modules without docstrings and comments, and our modules that it imports."""
-    tree = parse(module)
-    return ast.dump(tree), imports(tree)
+    """Return the code of one of our modules without docstrings and comments, and our modules that it imports.
+
+    The code includes the templates beside the module that it names.
+    """
+    tree, path = parse(module), module_path(module)
+    assert path is not None
+    texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    named = sorted(text for text in texts if text.endswith(_TEMPLATES) and (path.parent / text).is_file())
+    return "\n".join([ast.dump(tree), *((path.parent / name).read_text() for name in named)]), imports(tree)
 
 
 def reached_modules(module: str) -> set[str]:

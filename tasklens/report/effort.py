@@ -10,10 +10,10 @@ from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.study.effort import Efforts
 
 _NOTE = """\
-Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares. Time is that of the
-design job on one core, with the figures and PSFs of its lens; the shortest of all seeds, since other work on the
-machine prolongs a job. "In all" adds the designs of all lenses from which the start was chosen, without the
-fine-tunings that this choice needed."""
+Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares, which are fewer if it
+ends at a given spot. Time is that of the design job on one core, with the figures and PSFs of its lens: the median of
+all seeds. A job that was interrupted counts from its last start. "In all" adds the designs of all lenses from which the
+start was chosen, without the fine-tunings that this choice needed."""
 
 
 def core_minutes(path: Path) -> float:
@@ -26,14 +26,14 @@ def core_minutes(path: Path) -> float:
 
 
 def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
-    """Return a row per lens: lenses tried and fewest core-minutes, alone and with all lenses it was chosen from.
+    """Return a row per lens: lenses tried and median core-minutes, alone and with all lenses it was chosen from.
 
     Args:
         benchmarks: benchmark files of the designs in `efforts.lens_keys`.
     """
     by_key = dict(zip(efforts.lens_keys, map(core_minutes, benchmarks), strict=True))
     minutes = {
-        effort.lens: pandas.Series([by_key[effort.lens, seed] for seed in efforts.seeds]).min()
+        effort.lens: pandas.Series([by_key[effort.lens, seed] for seed in efforts.seeds]).median()
         for effort in efforts.efforts
     }
     rows = []

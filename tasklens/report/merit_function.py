@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import nnls
 
+from tasklens.imaging import PsfCamera
 from tasklens.optics.io import psf_files
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish
@@ -29,11 +30,11 @@ _NOTE = """\
 Study `{study}`. For each classifier before fine-tuning, the loss at a field is fitted by exp(c - sum w M): weights w
 of the mean modulation M in bands of spatial frequency [cycles per pixel], from {fields} fields of {lenses} lenses.
 "r2" is for the logarithm of the loss of lenses that were left out of the fit. "Ranked by supervisor" is the rank
-correlation of the losses with those that the merit function of {supervisor} predicts."""
+correlation of the losses with those that the merit function of {supervisor} predicts for lenses left out."""
 
 
 def modulation(psf: numpy.ndarray) -> numpy.ndarray:
-    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; light outside the window is a veil."""
+    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; light that they lack is a veil."""
     frequency = numpy.fft.fftfreq(psf.shape[-1])
     radius = numpy.hypot(frequency[:, None], frequency)
     mtf = abs(numpy.fft.fft2(psf)).mean(1)
@@ -88,7 +89,8 @@ def make(
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
-    modulations = numpy.concatenate([modulation(psf_files.read(path).psf.double().numpy()) for path in psfs])
+    grids = (PsfCamera(psf_files.read(path).psf, settings.outside_window).psf for path in psfs)
+    modulations = numpy.concatenate([modulation(grid.double().numpy()) for grid in grids])
     fields = len(modulations) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {
@@ -97,7 +99,7 @@ def make(
     }
     fits = {name: fit(modulations, loss) for name, loss in losses.items()}
     predicted = {name: left_out(modulations, loss, lenses) for name, loss in losses.items()}
-    ranking = fits[supervisor].log_loss(modulations)
+    ranking = predicted[supervisor]
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
     note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)
     publish(csv, md, "Merit functions of the classifiers", table, note)

@@ -54,9 +54,9 @@ def markdown(
         f"measured by the classifier of the design on {images} images at nine fields. The design has "
         f"{stats['accuracy_design']:.1f} %, they have {stats['accuracy']:.1f} % (95 of 100 more than "
         f"{stats['accuracy_5th']:.1f} %). {stats['yield_1']:.0f} % lose at most one point, {stats['yield_3']:.0f} % at "
-        f"most three.{failed} The RMS spot is {stats['rms_spot_um_design']:.1f} um in the design and {stats['rms_spot_um']:.1f} "
-        f"um in the median, the MTF at a quarter of Nyquist's frequency {stats['mtf_design']:.2f} and "
-        f"{stats['mtf']:.2f}."
+        f"most three.{failed} The RMS spot is {stats['rms_spot_um_design']:.1f} um in the design and "
+        f"{stats['rms_spot_um']:.1f} um in the median, the MTF at a quarter of Nyquist's frequency "
+        f"{stats['mtf_design']:.2f} and {stats['mtf']:.2f}."
     )
     frame = pandas.DataFrame(errors)
     worst = frame.sort_values("moved_um", ascending=False)[:_SHOWN][

@@ -89,7 +89,7 @@ def reporting_errors(log: Path | None) -> Iterator[None]:
     Args:
         log: file for standard error; None: standard error stays as it is.
     """
-    _keep_memory()
+    keep_memory()
     if log is not None and "RANK" not in os.environ:  # a process of a group inherits the log of its parent
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
@@ -174,7 +174,7 @@ def _imported(function: str) -> Iterator[Callable[..., Any]]:
         gc.unfreeze()
 
 
-def _keep_memory() -> None:
+def keep_memory() -> None:
     """Keep freed memory in the process.
 
     Otherwise page faults of new arrays take a fifth of the time of a training with 64-pixel images, and half of the

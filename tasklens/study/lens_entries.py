@@ -37,8 +37,10 @@ class ImportedLens(Frozen):
 
     @property
     def sources(self) -> tuple[Path, ...]:
-        """The file and its catalogues."""
-        return self.file, *self.catalogues
+        """The file and its catalogues, also the one beside a Zemax file that has its name."""
+        companion = self.file.with_suffix(".agf")
+        own = (companion,) if companion.is_file() and companion not in self.catalogues else ()
+        return self.file, *own, *self.catalogues
 
     @field_validator("file")
     @classmethod

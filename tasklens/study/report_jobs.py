@@ -147,12 +147,13 @@ class MeritFunctionJob(Frozen):
 
     contents: TableContents
     supervisor: str
+    outside_window: str
 
     @classmethod
     def of(cls, study: Study) -> "MeritFunctionJob":
         """Return the settings of the job."""
         contents = paper_tables.table(study, "table2" if "table2" in study.tables else "table1")
-        return cls(contents=contents, supervisor=study.supervisor)
+        return cls(contents=contents, supervisor=study.supervisor, outside_window=study.capture.outside_window)
 
     @property
     def frozen_keys(self) -> list[MeasuredKey]:

@@ -86,13 +86,3 @@ def rms_wavefront_error(opd: Tensor, pupil: Tensor, removed: int = 3) -> Tensor:
     count = valid.sum(-1)
     rms = torch.where(count > 0, torch.sqrt(squared / count.clamp(min=1)), torch.nan)
     return torch.where(coefficients.isnan().any(-1), torch.nan, rms) if removed else rms
-
-
-def strehl_ratio(rms: Tensor) -> Tensor:
-    """Estimate the Strehl ratio exp(-(2 pi sigma)^2) from the RMS wavefront error sigma [waves].
-
-    Within 0.02 of the diffraction integral up to sigma = 0.1 waves; no estimate for much larger errors.
-
-    Source: Mahajan 1983, J. Opt. Soc. Am. 73, 860.
-    """
-    return torch.exp(-(2 * math.pi * rms).square())

@@ -146,7 +146,8 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "configuration_link": pictures.of_text(settings.configuration),
     }
     folder = resources.files(__package__)
-    parts = {name: (folder / f"page.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
+    names = {"css": "page.css", "js": "page.js"}  # whole names, which `pipeline.digest` looks for
+    parts = {key: (folder / name).read_text(encoding="utf-8") for key, name in names.items()}
     environment = Environment(
         loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
