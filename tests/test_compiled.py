@@ -3,15 +3,12 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from examples import WAVELENGTHS, random_lens, random_rays
 
 from tasklens.optics.tracing import block
-from tasklens.optics.tracing.trace import trace
 
 TRACE = """
 import sys; sys.path.insert(0, {tests!r})
@@ -111,13 +108,3 @@ def test_a_folder_that_cannot_be_made_does_not_stop_it(tmp_path):
     )
     (tmp_path / "file").write_text("")
     assert run(code, NUMBA_CACHE_DIR=str(tmp_path / "file")) == "2.0"
-
-
-def test_single_precision():
-    """Results agree with double precision and stay in single precision."""
-    lens, rays = random_lens(0), random_rays(50, 0)
-    single = replace(lens, **{k: v.float() for k, v in vars(lens).items() if isinstance(v, torch.Tensor)})
-    indices = lens.refractive_indices(WAVELENGTHS)
-    low, high = trace(single, rays, indices.float()), trace(lens, rays, indices)
-    assert low.x.dtype == torch.float32
-    torch.testing.assert_close(low.x.double(), high.x, rtol=0, atol=1e-5)

@@ -105,6 +105,7 @@ def test_penalty_is_zero_inside_and_pushes_outward():
 
 def test_shortfall_begins_before_the_limit():
     """Designs aim a buffer inside: at the limit itself the violation is already positive, far inside it is zero."""
-    violations = violation({"min_air_gap": f64([0.0, 1.0, -0.5]), "distortion": f64([0.0])})
+    violations = violation({"min_air_gap": f64([0.0, 1.0, -0.5])})
     assert violations[0] > 0 and violations[1] == 0 and float(violations[2] - violations[0]) == pytest.approx(0.5)
-    assert 0 < violations[3] < violations[0]
+    for name in ("efl_tolerance", "distortion", "chief_ray_angle"):  # fractions and radians
+        assert float(violation({name: f64([0.0])})) == pytest.approx(0.1 * float(violations[0]))

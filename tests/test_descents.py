@@ -13,6 +13,7 @@ from tasklens.design import least_squares, methods
 from tasklens.design.constraints import incidence_penalty
 from tasklens.design.criteria import Contrast, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
@@ -209,3 +210,38 @@ def test_least_squares_stops_at_a_spot():
     rays = trace_fields(lens, view, sobol_disc(512, 0))
     assert 1e3 * float(rms_spot_radius(rays, centroid(rays)).mean()) == pytest.approx(12, rel=0.1)
     assert all(row["rms_um"] > 10 for row in history)
+
+
+def test_a_lens_far_outside_its_limits_is_the_best_only_if_all_are(start, monkeypatch):
+    """Its loss is smaller, but its repair would change it; of two lenses far outside, the loss decides."""
+    supervisor = Supervisor(SpotRadius(), Problem(VIEW, LIMITS, 0), None, False, 1)
+    settings = GradientDesignSettings(descents=[{"steps": 3, "criterion": "spot"}])
+    descent = Descent(start, supervisor, settings, settings.descents[0], 0)
+    validations = iter([(0.3, 1.0), (0.2, 1.0), (0.9, 0.0), (0.1, 1.0)])  # loss and violation [mm]
+
+    def validate() -> tuple[bool, float]:
+        loss, violation = next(validations)
+        monkeypatch.setattr(descent, "_validation_loss", lambda vector: loss)
+        monkeypatch.setattr(descent.optimizer, "violation", lambda: violation)
+        descent._validate()
+        return descent.least
+
+    assert [validate() for _ in range(4)] == [(True, 0.3), (True, 0.2), (False, 0.9), (False, 0.9)]
+
+
+def test_adamw_penalises_angles_of_incidence_and_moves_only_free_variables(start):
+    changes = {}
+    for largest_deg in (None, 10.0):
+        settings = DescentSettings(optimizer="adamw", steps=3, max_incidence_deg=largest_deg)
+        posed = replace(Problem(VIEW, LIMITS, 0), free={"curvature": (1,)})
+        optimizer = AdamWOptimizer(start, posed, settings)
+        vector = optimizer.vector()
+        lens = optimizer.lens(vector)
+        changes[largest_deg] = (
+            optimizer.change(vector, lens, lens.curvature.square().sum(), 0.0, 1.0),
+            optimizer.penalty,
+        )
+        optimizer.apply(changes[largest_deg][0])
+        moved = optimizer.vector().detach() != vector.detach()
+        assert moved.tolist() == optimizer.free.tolist() and moved.sum() == 1
+    assert changes[10.0][1] > changes[None][1] and not torch.equal(changes[10.0][0], changes[None][0])

@@ -65,10 +65,6 @@ def accuracies(path: Path) -> list[float]:
     return [float(row["value"]) for row in read_rows(path) if row["metric"] == "accuracy"]
 
 
-def failures(printed: str) -> list[str]:
-    return [line for line in printed.splitlines() if line.startswith("failed: ")]
-
-
 def test_predictions_are_kept(finished):
     """A row per test image with its label; their means are the accuracies of the metrics file."""
     rows = read_rows(measured_path("predictions", "singlet-imaging1"))

@@ -79,6 +79,7 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
 
     monkeypatch.setattr(frames, "draw", drawn)
     finish("frames", study, elements="doublet", seed=0)
+    assert arguments["shown"]
     for captures in arguments["shown"].values():
         assert list(captures) == ["sharp", TASK, JOINT, BEST]
         assert all(capture.shape == (3, *SHAPE) for capture in captures.values())

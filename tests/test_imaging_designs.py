@@ -232,3 +232,26 @@ def test_a_lens_that_may_vignette_makes_a_smaller_spot():
     assert (results[0][1] == 1).all() and results[1][0] < results[0][0]
     assert (results[1][1][VIEW.radii == 0] == 1).all()
     assert float(results[1][1].min()) == pytest.approx(0.6, abs=0.02)
+
+
+def test_a_perturbation_changes_some_variables_a_little(start):
+    """About 40 % of them, by 1.5 to 15 % of their mean magnitude."""
+    random, before = numpy.random.default_rng(0), Variables.plain(start).values()
+    changed, deviations = [], []
+    for _ in range(300):
+        after = Variables.plain(least_squares._perturbed(start, random)).values()
+        relative = torch.cat(
+            [(after[name] - before[name]) / before[name].abs().mean() for name in ("curvature", "thickness")]
+        )
+        moved = relative.abs() > 1e-12
+        changed.append(float(moved.double().mean()))
+        deviations.append(float(relative[moved].square().mean().sqrt()) if moved.any() else 0.0)
+    assert 0.35 < sum(changed) / 300 < 0.45
+    assert 0.05 < sum(deviations) / 300 < 0.11 and max(deviations) > 0.12  # uniform from 0.015 to 0.15, on average 0.08
+
+
+def test_a_lost_ray_has_a_large_residual(start):
+    """Otherwise the search could shrink spots by losing rays."""
+    merit = Merit(VIEW, LIMITS)
+    dark = replace(start, semi_diameter=torch.where(torch.arange(len(start.media)) == 2, 1e-6, start.semi_diameter))
+    assert float(merit.residuals(dark)[: merit.rays].square().sum()) == pytest.approx(2 * 300**2)  # um, in x and y

@@ -7,7 +7,7 @@ import torch
 from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
 
-from tasklens.design.criteria import SpotRadius
+from tasklens.design.criteria import ImageError, SpotRadius
 from tasklens.design.optimum import local_optimum
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
@@ -73,3 +73,18 @@ def test_a_descent_that_was_cut_short_has_not_converged():
         finished = with_clear_apertures(*repair(lens, VIEW, LIMITS))
         gains.append(Optimum(**local_optimum(finished, supervisor, part)).gain)
     assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]
+
+
+def test_steps_are_compared_on_other_images_than_those_of_the_gradient(feasible, monkeypatch):
+    """One half of the selection images gives the gradient, the other half judges every step."""
+    calls, images = [], Supervisor.images
+
+    def recorded(self, indices, augment):
+        calls.append(set(indices.tolist()))
+        return images(self, indices, augment)
+
+    monkeypatch.setattr(Supervisor, "images", recorded)
+    local_optimum(feasible, Supervisor(ImageError(False), problem(), None, False, 36), PART)
+    of_gradient, *of_steps = calls
+    assert len(of_steps) == 1 + 3 + 4 and all(judging == of_steps[0] for judging in of_steps)
+    assert of_gradient.isdisjoint(of_steps[0]) and of_gradient | of_steps[0] == set(range(12))

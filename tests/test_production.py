@@ -142,6 +142,19 @@ def test_yields():
     row = tolerance_page.distribution(distribution_of(90.0, 91.0, 89.0, 88.9, 87.0, 80.0))
     assert (row["yield_1"], row["yield_3"]) == (40.0, 80.0)
     assert row["accuracy"] == pytest.approx(87.18) and row["lost"] == pytest.approx(2.82)
+    assert row["accuracy_5th"] == pytest.approx(80 + 0.2 * 7)  # a fifth of the way from the worst to the next
+
+
+def test_the_table_has_means_over_seeds_and_sums_of_lenses(tmp_path):
+    paths = {}
+    for seed, lost in ((0, 1.0), (1, 3.0)):
+        paths["doublet-task", seed] = tmp_path / f"{seed}.csv"
+        rows = distribution_of(90.0, 90 - lost, 90 - lost)
+        rows[1]["failed"] = 1
+        pandas.DataFrame(rows).to_csv(paths["doublet-task", seed], index=False)
+    (row,) = tolerances.collect(paths).to_dict("records")
+    assert (row["accuracy"], row["lost"], row["yield_1"]) == (88.0, 2.0, 50.0)
+    assert (row["failed_lenses"], row["built"], row["seeds"]) == (2, 4, 2)
 
 
 def test_who_tolerates_more(tmp_path):

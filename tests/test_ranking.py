@@ -292,3 +292,35 @@ def test_a_fifth_of_a_folder_is_tested_if_the_network_is_trained(tmp_path):
     with pytest.raises(FileError, match="too few photographs for a ranking"):
         (tmp_path / "few" / "a").mkdir(parents=True)
         pipeline.image_settings(tmp_path / "few", 32, 500, trained=True)
+
+
+class Answers(torch.nn.Module):
+    """A network that returns what a function makes of the images."""
+
+    def __init__(self, function):
+        super().__init__()
+        self.function = function
+
+    def forward(self, images: torch.Tensor):
+        return self.function(images)
+
+
+@pytest.mark.parametrize(
+    "network, words",
+    [
+        (Answers(lambda images: (images.mean((2, 3)), None)), "returns a tuple; expected a tensor of logits"),
+        (Answers(lambda images: {"logits": images}), "returns a dict"),
+        (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(7, 2)), r"fails for images \(3, 32, 32\): .*mat1"),
+        (Answers(lambda images: torch.nan * images.mean((2, 3))), "logits that are not finite"),
+    ],
+)
+def test_a_network_that_returns_no_logits_ranks_nothing(network, words):
+    pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
+    with pytest.raises(InputError, match=words):
+        tasklens.rank({"mine": singlet()}, pairs, network)
+
+
+def test_names_of_lenses_are_text_on_a_page():
+    pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
+    network = Answers(lambda images: images.mean((2, 3)))
+    assert "<b>a&b" not in tasklens.rank({"<b>a&b": singlet()}, pairs, network, rays=64)._repr_html_()

@@ -7,7 +7,7 @@ import torch
 from designs import LIMITS, NO_LIMITS, VIEW, image_error, problem, task_design, tiny_network
 from examples import by_descents, changed, materials, tiny_study
 
-from tasklens.design import descents, least_squares, methods, optimizers
+from tasklens.design import descents, least_squares, methods, optimizers, ray_space
 from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
 from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
 from tasklens.design.start import flat
@@ -155,3 +155,20 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
     with_halving = longest()
     monkeypatch.setattr(optimizers, "_HALVINGS", 0)
     assert longest() > 10 * with_halving
+
+
+def test_a_repair_that_cannot_succeed_ends_at_the_smallest_violation(spot_lens, monkeypatch):
+    """Two limits that contradict each other: the last step may be worse than an earlier one."""
+    impossible = LIMITS.model_copy(update={"max_track": 2.0, "min_back_focus": 2.5})
+    norms, linearise = [], RaySpace.linearise
+
+    def recorded(self, vector):
+        model = linearise(self, vector)
+        norms.append(model.violation_norm)
+        return model
+
+    monkeypatch.setattr(RaySpace, "linearise", recorded)
+    lens, _ = ray_space._repaired(spot_lens, VIEW, impossible, None)
+    least = min(norms)
+    space = RaySpace(lens, VIEW, impossible)
+    assert space.linearise(space.start).violation_norm == pytest.approx(least, rel=1e-6) and least > 0.1

@@ -73,11 +73,13 @@ def test_validation_is_of_built_lenses(spot_lens):
 def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch):
     """Relative illumination is traced by symmetry, which a decentred lens lacks."""
     lenses = []
-    monkeypatch.setattr(supervision, "relative_illumination", lambda lens, view: lenses.append(lens) or f64([1.0] * 9))
+    monkeypatch.setattr(supervision, "relative_illumination", lambda lens, *_: lenses.append(lens) or f64([1.0] * 9))
     lit = replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
     criterion = Supervisor(TaskLoss(tiny_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
     assert math.isfinite(criterion.validation_loss(spot_lens, 1.0))
-    assert lenses and all(item.pose is None for item in lenses)
+    (built_lens,) = criterion.as_built(spot_lens, 3)
+    criterion.loss(built_lens, sobol_disc(16, seed=0), 1.0, torch.arange(2), 0, design=spot_lens)
+    assert len(lenses) == 2 and all(item.pose is None for item in lenses)
 
 
 def test_a_design_for_built_lenses_is_another(start):

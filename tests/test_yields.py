@@ -10,7 +10,9 @@ from tasklens.cli.app import main
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.tolerancing import yields
+from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.view import View
+from tasklens.report.yields import summary
 from tasklens.study.tolerance_settings import GRADES, Grade
 
 VIEW = View(f64([[0.0, 0.0], [0.0, 9.0], [0.0, 18.0]]), 50.0, (0.5876,), 20.0, 51)
@@ -42,7 +44,22 @@ def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(fine_tolerances)
     coarse = yields.tolerances(cooke_triplet(), VIEW, Grade.model_validate("commercial_moulding"), 20, 0)
     assert spread(coarse) > 10 * spread(fine_tolerances)
     assert fine_tolerances.allotted is not None and float(fine_tolerances.allotted.mean()) > 1
-    assert coarse.allotted is None or float(coarse.allotted.mean()) < float(fine_tolerances.allotted.mean())
+    assert coarse.allotted is not None and float(coarse.allotted.mean()) < float(fine_tolerances.allotted.mean())
+
+
+def test_yields_by_hand():
+    """Twenty lenses with spots of 1.0 to 2.9 times the design's, and MTFs of 1.0 to 0.05 times its own."""
+    built = [yields.Quality(2 * (1 + 0.1 * k), 3 + k, 0.6 * (1 - 0.05 * k)) for k in range(20)]
+    lens = cooke_triplet()
+    error_list = errors(lens, Grade(**dict.fromkeys(GRADES["precision_moulding"], 0.0) | {"thickness_um": 1.0}))[:3]
+    simulated = yields.Tolerances(yields.Quality(2, 3, 0.6), built, error_list, f64([1.0, 3.0, 2.0]), None)
+    data = summary(simulated, "mine", 10.0)
+    assert data["yield_by_rms"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
+    assert data["yield_by_mtf"] == pytest.approx({0.95: 10, 0.9: 15, 0.8: 25, 0.6: 45})
+    assert data["worst_of_95_percent"] == pytest.approx(
+        {"rms_um": 2 * 2.805, "worst_rms_um": 3 + 18.05, "mtf": 0.6 * 0.0975}
+    )
+    assert [row["error"] for row in data["errors"]] == [error_list[k].name for k in (1, 2, 0)]
 
 
 @pytest.mark.slow

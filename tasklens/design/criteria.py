@@ -98,8 +98,10 @@ class JointTaskLoss(TaskLoss):
     def evaluating(self) -> Iterator[None]:
         """Put the network into `eval()` within this context."""
         self.network.eval()
-        yield
-        self.network.train()
+        try:
+            yield
+        finally:
+            self.network.train()
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from math import atan, degrees
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ class Ranking:
 
     def _repr_html_(self) -> str:
         table = headings.texts(self.table).to_html(index=False)
-        return "".join(f"<p>{sentence}</p>" for sentence in self.sentences) + table
+        return "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences) + table
 
 
 def rank(
@@ -95,13 +96,19 @@ def rank(
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
     classifier = classifiers.frozen(classifiers.Classifier(network), dataset.images)
-    with torch.no_grad():
-        answer = classifier(dataset.batch(torch.arange(1))[0])
+    image = dataset.batch(torch.arange(1))[0]
+    try:
+        with torch.no_grad():
+            answer = classifier(image)
+    except RuntimeError as error:
+        raise InputError(f"rank: the network fails for images {tuple(image.shape[1:])}: {error}") from None
     if answer.dim() != 2 or answer.shape[1] < max(len(dataset.classes), 2):
         raise InputError(
             f"rank: the network returns a tensor {tuple(answer.shape)} for one image; expected logits of the "
             f"{len(dataset.classes)} classes"
         )
+    if not answer.isfinite().all():
+        raise InputError("rank: the network returns logits that are not finite")
     sharp = float(100 * evaluation.evaluate([classifier], dataset, CapturePipeline()).correct.double().mean())
     correct = {name: _correct(classifier, dataset, lens, view, rays, name) for name, (lens, view) in lenses.items()}
     ranks = report.ranked(correct)

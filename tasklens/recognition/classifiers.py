@@ -66,7 +66,10 @@ class Classifier(nn.Module):
         """Compute the logits (B, outputs) of all network outputs for images (B, 3, H, W) in [0, 1]."""
         normalised = (images - self.mean) / self.std
         with half_precision(images.device):
-            return self.network(normalised.contiguous(memory_format=torch.channels_last)).float()
+            logits = self.network(normalised.contiguous(memory_format=torch.channels_last))
+        if not isinstance(logits, Tensor):
+            raise InputError(f"the network returns a {type(logits).__name__}; expected a tensor of logits")
+        return logits.float()
 
     def forward(self, images: Tensor) -> Tensor:
         """Compute the logits (B, used outputs) for images (B, 3, H, W) in [0, 1]."""

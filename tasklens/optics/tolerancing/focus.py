@@ -31,7 +31,8 @@ def peak(lens: Lens, view: View) -> Tensor:
     """
     first_order = paraxial(lens.detached(), view.reference)
     f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
-    step = _STEP * f_number / frequency(view)
+    f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # a full stop: planes do not move with a slightly changed lens
+    step = _STEP * f_stop / frequency(view)
     steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))
     values = through_focus(lens, view.in_all_quadrants(), -steps * step, step, 2 * steps + 1)
     best = int(values[_FITTED:-_FITTED].argmax()) + _FITTED
