@@ -21,6 +21,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View, view_of_spec
+from tasklens.runtime.errors import InputError
 from tasklens.study.design_settings import (
     DescentSettings,
     DesignSettings,
@@ -116,7 +117,8 @@ def test_an_entry_of_a_list_is_changed_by_its_number():
     above = {"descents": {"1": {"steps": 3}}}
     assert laid_over(below, above) == {"descents": [{"steps": 1, "damping": 0.5}, {"steps": 3}]}
     assert laid_over(below, {"descents": [{"steps": 4}]}) == {"descents": [{"steps": 4}]}
-    assert laid_over(below, {"descents": {"2": {"steps": 3}}})["descents"] == {"2": {"steps": 3}}  # no such entry
+    with pytest.raises(InputError, match=r"descents\.2: there is no such entry; expected 0 to 1"):
+        laid_over(below, {"descents": {"2": {"steps": 3}}})
 
 
 # ---- angles of incidence

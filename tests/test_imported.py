@@ -212,7 +212,7 @@ PHONES = [path for path in reference_files("lenses/cellphone/source/*") if path.
 
 
 def test_the_catalogue_beside_a_zemax_file_is_one_of_its_sources(tmp_path):
-    """Our exports write one; a job whose catalogue changes runs again."""
+    """The file may name any of them; a job whose catalogue changes runs again."""
     for name in ("mine.zmx", "mine.agf", "other.agf"):
         (tmp_path / name).touch()
     other = tmp_path / "other.agf"

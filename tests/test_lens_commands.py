@@ -1,6 +1,7 @@
 """`tasklens lens ...` as a user types it, on our lenses and on Zemax files: its output and its error messages."""
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import yaml
 from PIL import Image
 
 from tasklens.cli.app import main
-from tasklens.optics.io import prescription
+from tasklens.optics.io import lens_files, prescription
 from tasklens.runtime.files import read_tensors
 
 REPOSITORY = Path(__file__).parents[1]
@@ -205,6 +206,15 @@ def test_to_zemax_and_back(folder):
     again = prescription.read(folder / "again.yaml")[0].lens
     assert torch.equal(again.curvature, after.curvature)
     assert [medium.coefficients for medium in again.media] == [medium.coefficients for medium in after.media]
+
+
+def test_an_export_with_another_field_of_view(folder):
+    """Of a file with a specification, and of a Zemax file."""
+    assert run("export", DOUBLET, "-o", "lens.zmx") == 0
+    for source, name in ((DOUBLET, "wide.yaml"), (DOUBLET, "wide.zmx"), ("lens.zmx", "wider.yaml")):
+        assert run("export", source, "-o", name, "--field-of-view", "50") == 0
+        view = lens_files.read(folder / name).view
+        assert math.degrees(2 * math.atan(float(view.tangents.norm(dim=-1).max()))) == pytest.approx(50, rel=1e-9)
 
 
 def test_nothing_is_overwritten_without_consent(folder, capsys):

@@ -261,6 +261,31 @@ def test_a_specification_that_cannot_be(change, words):
         tasklens.lens(COOKE, **({"field_of_view_deg": 40, "f_number": 5} | change))
 
 
+IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda lens, view: tasklens.simulate(IMAGE, lens, view, []), "fields: expected at least one"),
+        (lambda lens, view: tasklens.simulate(IMAGE, lens, view, sensor=True), "sensor: expected"),
+        (lambda lens, view: tasklens.simulate_sensor(IMAGE, lens, view, 0), "pixel_pitch_um: expected a positive"),
+        (lambda lens, view: tasklens.psf(lens, view, rays=0), "rays: expected at least one"),
+        (lambda lens, view: tasklens.lens(COOKE, 40, 5, wavelengths_um=0.55), "wavelengths_um: expected a list"),
+        (lambda lens, view: tasklens.Camera(lens, view, free={"curvature": 1}), "free: expected surfaces by variable"),
+        (lambda lens, view: tasklens.Camera(lens, view, free=["curvature"]), "free: expected surfaces by variable"),
+        (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None], torch.tensor([9])), "an index from 0 to 8"),
+        (lambda lens, view: tasklens.Camera(lens, view)(255 * IMAGE[None]), r"values in \[0, 1\], got 127"),
+        (lambda lens, view: tasklens.rank([(lens, view)], [(IMAGE, 0)], NETWORK), "expected lenses by name"),
+        (lambda lens, view: tasklens.rank({"a": (lens, view)}, [(IMAGE, -1)], NETWORK), "numbers of classes"),
+        (lambda lens, view: tasklens.design_lens("spot", start=(lens, view)), "start: expected the path"),
+    ],
+)
+def test_arguments_that_cannot_be_used(doublet, call, words):
+    with pytest.raises(InputError, match=words):
+        call(*doublet)
+
+
 def test_colours_do_not_depend_on_the_order_of_wavelengths(doublet):
     """Red is the longest wavelength; green is the reference, which is the middle one in the list, or between them."""
     _, view = doublet

@@ -104,6 +104,23 @@ def test_settings_that_a_loss_cannot_have_are_refused(images, network, change, w
         )
 
 
+def test_labels_may_be_tensors(images):
+    """For a custom loss: here the network is to return three given numbers for each image."""
+    generator = torch.Generator().manual_seed(0)
+    labelled = [(image.float() / 255, torch.rand(3, generator=generator)) for image in images.images[:12]]
+
+    def distance(answer, target):
+        return (answer - target).square().mean(-1)
+
+    options = {"images": labelled, "network": small_network(0), "settings": QUICK, **SPEC}
+    lens, _, _ = tasklens.design_lens("task", ["COC"], loss=distance, **options)
+    assert lens.curvature.any()
+    with pytest.raises(InputError, match="labels are not numbers of classes; give a `loss`"):
+        tasklens.design_lens("task", ["COC"], **options)
+    with pytest.raises(InputError, match="loss: expected a tensor"):
+        tasklens.design_lens("task", ["COC"], loss=lambda answer, target: 0.5, **options)
+
+
 @pytest.mark.parametrize(
     "network, loss, words",
     [

@@ -69,6 +69,15 @@ def test_a_much_better_lens_is_alone_among_hundreds():
     assert [rank.group for rank in ranking.ranked(predictions(50, 0, 1.0, 0.0))] == [1, 2]
 
 
+def test_few_photographs_do_not_make_a_lens_perfect():
+    """Ten of ten right: the accuracy is above 69 %, by the binomial distribution; the difference is as uncertain."""
+    ranks = ranking.ranked(predictions(10, 0, 1.0, 1.0))
+    assert [rank.low for rank in ranks] == pytest.approx([69.15] * 2, abs=0.01) and ranks[0].high == 100
+    assert ranks[1].behind_high == pytest.approx(30.85, abs=0.01) == -ranks[1].behind_low
+    (sentence,) = ranking.sentences(ranks[:1], {})
+    assert sentence == "a: 100.0 %, without another lens to compare with."
+
+
 def test_differences_are_of_the_same_photographs():
     """A lens that fails in a few photographs more is behind, however different the photographs are."""
     correct = predictions(300, 0, 0.5)
@@ -89,7 +98,7 @@ def test_the_answer_in_words():
         "A and B cannot be distinguished by these photographs: they agree within 1.2 points.",
         "c: 4.0 to 7.0 points behind the first.",
     ]
-    assert ranking.sentences(ranks[:1], {}) == ["a is the best."]
+    assert ranking.sentences([ranks[0], ranks[2]], {})[0] == "a is the best."
 
 
 def test_what_the_sieve_may_have_missed():

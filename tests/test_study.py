@@ -177,6 +177,12 @@ def test_a_study_extends_another_one(tmp_path, monkeypatch):
     assert parse({"name": "mine", "extends": "smoke"}).designs == load(STUDIES["smoke.yaml"]).designs
 
 
+def test_a_study_that_extends_another_has_a_name_of_its_own():
+    """Otherwise its results would be in the folder of the other one."""
+    with pytest.raises(StudyError, match="name: missing"):
+        parse({"extends": "smoke", "seeds": [3]})
+
+
 @pytest.mark.parametrize(
     "extends, words",
     [

@@ -52,7 +52,7 @@ def test_yields_by_hand():
     built = [yields.Quality(2 * (1 + 0.1 * k), 3 + k, 0.6 * (1 - 0.05 * k)) for k in range(20)]
     lens = cooke_triplet()
     error_list = errors(lens, Grade(**dict.fromkeys(GRADES["precision_moulding"], 0.0) | {"thickness_um": 1.0}))[:3]
-    simulated = yields.Tolerances(yields.Quality(2, 3, 0.6), built, error_list, f64([1.0, 3.0, 2.0]), None)
+    simulated = yields.Tolerances(yields.Quality(2, 3, 0.6), built, error_list, f64([1.0, 3.0, 2.0]), None, 0.0)
     data = summary(simulated, "mine", 10.0)
     assert data["yield_by_rms"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
     assert data["yield_by_mtf"] == pytest.approx({0.95: 10, 0.9: 15, 0.8: 25, 0.6: 45})

@@ -115,6 +115,9 @@ def test_glasses_have_the_names_of_opticstudio(tmp_path):
     read_media = zemax.read(tmp_path / "lens.zmx").lens.media
     assert read_media[:3] == media[:3]
     assert read_media[3:] == (*(replace(medium, source="lens.agf") for medium in media[3:5]), AIR)
+    (tmp_path / "copy.zmx").write_bytes((tmp_path / "lens.zmx").read_bytes())
+    copied = zemax.read(tmp_path / "copy.zmx").lens.media  # its GCAT names lens.agf
+    assert [medium.coefficients for medium in copied] == [medium.coefficients for medium in read_media]
     (tmp_path / "lens.agf").unlink()
     without = zemax.read(tmp_path / "lens.zmx")
     assert without.lens.media[4].abbe() == pytest.approx(MINE.abbe(), rel=1e-12)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -173,6 +174,8 @@ def simulate(
     from tasklens.study.settings import SensorSettings
 
     new_file(output, force, ".png", ".jpg", ".jpeg")
+    if grid and field != "axis":
+        raise InputError("--grid shows all fields: not with --field")
     if sensor and (grid or noise or diffraction or field != "axis"):
         raise InputError("--sensor: not with --field, --grid, --noise or --diffraction")
     if not sensor and (true_pixels or distortion or illumination):
@@ -215,10 +218,18 @@ def export(
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
     lens_data, content = lens_files.read_prescription(file, [*(catalogue or ()), *users_files()], configuration)
-    if output.suffix.lower() == ".zmx" and not (lens_data.fields and lens_data.wavelengths_um):
-        lens_data = prescription.with_use(
-            lens_data, reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
-        )
+    lacks_use = output.suffix.lower() == ".zmx" and not (lens_data.fields and lens_data.wavelengths_um)
+    if field_of_view is not None or lacks_use:
+        view = reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
+        if field_of_view is not None:
+            lens_data = replace(lens_data, fields=None)
+            if "spec" in content:  # figures are those of other fields
+                content = {**content, "spec": {**content["spec"], "fields_mm": view.fields.tolist()}}
+                content.pop("figures", None)
+        lens_data = prescription.with_use(lens_data, view)
+    else:
+        for remark in lens_data.remarks:
+            say(f"{file}: {remark}")
     glasses = NamedGlasses.of(lens_data.lens.media, output.stem).own if output.suffix.lower() == ".zmx" else ()
     if glasses:
         glass_file = new_file(output.with_suffix(".agf"), force, ".agf")

@@ -83,12 +83,18 @@ def new(
     if weights is not None and not weights.is_file():
         raise FileError(f"--weights {weights}: no such file")
     minutes = asked(minutes, "Time to spend [minutes]", 30.0)
-    cut, seconds = new_study.fit(request, minutes, cores)
-    new_study.check(request, cut)
-    write_text(path, new_study.text(request, cut, seconds, cores, path))
-    study = loading.load(path)
-    remaining = planning.plan([path], "tables").get(study.name, {})
-    seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as in Snakemake and `study plan`
+    largest, seconds = new_study.fit(request, minutes, cores)
+    new_study.check(request, largest)
+    for cut in new_study.CUTS[new_study.CUTS.index(largest) :]:
+        write_text(path, new_study.text(request, cut, seconds, cores, path))
+        study = loading.load(path)
+        remaining = planning.plan([path], "tables").get(study.name, {})
+        seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as in Snakemake and `study plan`
+        if seconds <= 60 * minutes:
+            break
+    else:
+        path.unlink()
+        raise new_study.too_long(minutes, seconds, cores)
     write_text(path, new_study.text(request, cut, seconds, cores, path))
     print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
     print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables --configfile {path}")

@@ -83,6 +83,10 @@ def design(
         InputError: the object is at a finite distance, there are not three wavelengths, the lens lacks a variable, or
             `design_lens` raises it.
     """
+    if method == "least_squares":
+        raise InputError(
+            "least squares begins with random lenses: choose spot, image_quality, or task for a lens of yours"
+        )
     spec, view = _spec(file)
     free = resolved(file.lens, free)
     if method == "spot":  # its default descent begins with flat plates
@@ -147,6 +151,8 @@ def resolved(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dic
     if free is None:
         aspheres = tuple(i for i in curved_surfaces if lens.alpha[i].any() or lens.conic[i])
         return defaults | {f"alpha_{order}": aspheres for order in ORDERS}
+    if not isinstance(free, Mapping) or any(isinstance(surfaces, int | str) for surfaces in free.values()):
+        raise InputError(f"free: expected surfaces by variable, such as {{'curvature': [1, 2]}}, got {free!r}")
     if unknown_names := [name for name in free if name not in defaults]:
         raise InputError(f"free: unknown variable {unknown_names[0]!r}; expected some of {', '.join(defaults)}")
     variables = {name: defaults[name] if surfaces is None else tuple(surfaces) for name, surfaces in free.items()}
@@ -175,17 +181,15 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
     view_margins = first_order_margins(lens, limits, view, chief_rays(lens, view))
     margins |= {name: torch.cat([margin, merit_margins[name]]) for name, margin in view_margins.items()}
     own_values: dict[str, float] = {}
+    violated = []
     for name, margin in margins.items():
         deficit = BUFFER * buffer_scale(name) - float(margin.min()) if margin.numel() else 0.0
         if deficit > 0 and name not in fixed_names and name in Constraints.model_fields:
             own_values[name] = getattr(limits, name) + (-deficit if name.startswith("min_") else deficit)
-    changes = ", ".join(f"{name} {value:.4g}" for name, value in own_values.items())
-    remarks = (
-        [f"the lens violates default limits, which are relaxed to its own values: {changes} (--limit)"]
-        if own_values
-        else []
-    )
-    return limits.model_copy(update=own_values), remarks
+            if margin.min() < 0:  # otherwise only the buffer of designs is missing
+                violated.append(f"{name} {own_values[name]:.4g}")
+    remark = f"the lens violates default limits, which are relaxed to its own values: {', '.join(violated)} (--limit)"
+    return limits.model_copy(update=own_values), [remark] if violated else []
 
 
 def _spec(file: LensFile) -> tuple[Spec, View]:
@@ -198,13 +202,13 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         if len(colours) < 3:
             raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
         colours = colours[0], file.view.reference, colours[-1]
-    first_order = paraxial(file.lens, file.view.reference)
-    efl = float(first_order.efl)
-    tangent = float(file.view.radii.max()) / file.view.efl
+    radius = float(paraxial(file.lens, file.view.reference).entrance_pupil_radius)
+    efl = file.view.efl  # of the specification, if the file has one
+    tangent = float(file.view.radii.max()) / efl
     values = {
         "diagonal_mm": 2 * efl * tangent,
         "field_of_view_deg": 2 * math.degrees(math.atan(tangent)),
-        "f_number": float(efl / (2 * first_order.entrance_pupil_radius)),
+        "f_number": efl / (2 * radius),
         "pixel_pitch_um": file.view.pixel_pitch,
         "kernel_size": file.view.kernel_size,
         "wavelengths_um": colours,

@@ -101,6 +101,8 @@ def designs(
     user = Supervisors(dataset, network, None if loss is None else UsersTask(loss))
     files = [str(path) for path in materials]
     if start is not None:
+        if not isinstance(start, str | Path):
+            raise InputError("start: expected the path of a lens file; `tasklens.save_lens` writes one")
         return _from_lens(
             Path(start), method, free, settings, constraints, files, section, classifier, seed, user, baselines, spec
         )

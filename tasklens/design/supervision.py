@@ -268,7 +268,7 @@ class Supervisor:
         with criterion.evaluating():
             for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
                 captures = camera.grid(batch, noise)
-                sharp, targets = batch.repeat(len(grid), 1, 1, 1), batch_labels.repeat(len(grid))
+                sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
                 loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
                 losses.append((self.weights.to(loss)[:, None] * loss.reshape(len(grid), -1)).mean(0))
         return torch.cat(losses)

@@ -72,6 +72,8 @@ class UsersTask(Task):
     def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
         """Compute the loss (N,) of each capture; all entries are the mean if the function returns only that."""
         losses = self.function(network(captures), labels)
+        if not isinstance(losses, Tensor):
+            raise InputError(f"loss: expected a tensor, one number or one for each image, got {losses!r}")
         return losses.reshape(len(losses), -1).mean(-1) if losses.dim() else losses.expand(len(captures))
 
     def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
@@ -155,6 +157,10 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
     images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
     images.requires_grad_()
     frozen_network = frozen(network, dataset.images)
+    if task is None and not dataset.classes:
+        raise InputError(
+            "images: labels are not numbers of classes; give a `loss` of the network's output and the labels"
+        )
     if task is None:
         check_logits(frozen_network(images), len(images), len(dataset.classes))
         return

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from tasklens.study.settings import SensorSettings
 
 
+_ROUNDING = 1e-3  # tolerance of images in [0, 1], for augmented ones
+
+
 class Camera(nn.Module):
     """A camera for any network: captures of images through a lens, differentiable in the lens.
 
@@ -60,7 +63,7 @@ class Camera(nn.Module):
         sensor: "SensorSettings | None" = None,
     ):
         super().__init__()
-        check_choices(colour, outside_window)
+        check_choices(colour, outside_window, sensor)
         check_light(lens, view)
         self.view, self.rays = view.in_colours(), rays
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
@@ -97,6 +100,10 @@ class Camera(nn.Module):
         """
         if fields is None:
             fields = torch.randint(len(self.view.fields), (len(images),))
+        if fields.shape != (len(images),) or not ((fields >= 0) & (fields < len(self.view.fields))).all():
+            raise InputError(
+                f"fields: expected an index from 0 to {len(self.view.fields) - 1} for each of {len(images)} images"
+            )
         pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
         return self._camera(images).single(images, fields, pixel_noise)
 
@@ -115,6 +122,9 @@ class Camera(nn.Module):
     def _camera(self, images: Tensor) -> PsfCamera:
         if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point():
             raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
+        low, high = (float(bound) for bound in images.detach().aminmax())
+        if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
+            raise InputError(f"images: expected values in [0, 1], got {low:g} to {high:g}")
         lens = self.lens
         light = None if self.sensor is None else relative_illumination(lens.detached(), self.view)
         psf = evaluation_psf(lens, self.view, self.rays).float().to(images.device)

@@ -56,7 +56,7 @@ def simulate(
     from tasklens.imaging import PsfCamera
 
     source = image_tensor(image)
-    check_choices(colour, outside_window)
+    check_choices(colour, outside_window, sensor)
     if fields is not None:
         view = replace(view, fields=_on_sensor(fields, view))
     if view.kernel_size // 2 >= min(source.shape[-2:]):
@@ -105,6 +105,8 @@ def simulate_sensor(
     from tasklens.simulation import sensor
 
     check_choices(colour)
+    if pixel_pitch_um is not None and not pixel_pitch_um > 0:
+        raise InputError(f"pixel_pitch_um: expected a positive width, got {pixel_pitch_um}")
     return sensor.simulate(
         lens, view.in_colours(), image_tensor(image), pixel_pitch_um, rays, colour, distortion, illumination
     )
@@ -117,8 +119,10 @@ def check_light(lens: Lens, view: View) -> None:
         raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
 
 
-def check_choices(colour: str, outside_window: str = "veil") -> None:
-    """Raise InputError for an unknown `colour` or `outside_window`."""
+def check_choices(colour: str, outside_window: str = "veil", sensor: "SensorSettings | None" = None) -> None:
+    """Raise InputError for an unknown `colour` or `outside_window`, or a `sensor` that is none."""
+    if sensor is not None and not hasattr(sensor, "full_well"):
+        raise InputError(f"sensor: expected a tasklens.study.settings.SensorSettings, got {sensor!r}")
     for value, choices in ((colour, ("srgb", "linear")), (outside_window, ("veil", "renormalise"))):
         if value not in choices:
             raise InputError(f"expected {' or '.join(choices)}, got {value!r}")
@@ -127,6 +131,8 @@ def check_choices(colour: str, outside_window: str = "veil") -> None:
 def _on_sensor(fields: Sequence[tuple[float, float]], view: View) -> Tensor:
     """Return fields (F, 2) [mm]; raises InputError if one is beyond the largest field of the view."""
     points = torch.tensor(fields, dtype=view.fields.dtype).reshape(-1, 2)
+    if not len(points):
+        raise InputError("fields: expected at least one point (x, y), or None for those of the view")
     largest = float(view.radii.max())
     for x, y in points[points.norm(dim=-1) > largest * (1 + 1e-3)].tolist():
         raise InputError(f"field ({x:g}, {y:g}) mm: outside the field, which ends {largest:.3f} mm from the axis")

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +49,7 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
     Example:
         >>> lens, view = tasklens.load_lens("triplet.zmx", ["SCHOTT.AGF"], pixel_pitch_um=3.0)
     """
-    files = [*(Path(catalogue) for catalogue in catalogues), *users_files()]
+    files = [*_paths(catalogues), *users_files()]
     file = lens_files.read(Path(path), files, **specification)
     for remark in file.remarks:
         warnings.warn(f"{path}: {remark}", stacklevel=2)
@@ -94,16 +94,23 @@ def lens(
         ... )
     """
     lens_files.check_distance(object_distance_mm)
+    if not isinstance(wavelengths_um, Iterable):
+        raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
     colours = tuple(positive(value, "wavelengths_um") for value in wavelengths_um)
     if not colours:
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
-    library = Library([*(Path(catalogue) for catalogue in catalogues), *users_files()])
+    library = Library([*_paths(catalogues), *users_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     changes = {"field_of_view_deg": field_of_view_deg, **pixels}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" in surfaces[-1]:
         return file.lens, file.view
     return refocused(file.lens, file.view, _RAYS), file.view
+
+
+def _paths(catalogues: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return the paths of one catalogue or several."""
+    return [Path(path) for path in ([catalogues] if isinstance(catalogues, str | Path) else catalogues)]
 
 
 def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":

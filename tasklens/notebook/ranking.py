@@ -89,12 +89,16 @@ def rank(
     Example:
         >>> tasklens.rank({name: tasklens.load_lens(f"{name}.zmx") for name in ("a", "b")}, "photographs", network)
     """
+    if not isinstance(lenses, Mapping):
+        raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
         dataset = users_images.test_images(Path(images), size, limit)
     else:
         dataset = users_images.of_pairs(images)
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
+    if dataset.labels.is_floating_point() or dataset.labels.dim() != 1 or dataset.labels.min() < 0:
+        raise InputError("rank: expected labels that are numbers of classes, from 0")
     classifier = classifiers.frozen(classifiers.Classifier(network), dataset.images)
     image = dataset.batch(torch.arange(1))[0]
     try:

@@ -1,14 +1,19 @@
 """Checks of a study before its first job: images, imported lenses, networks; compiles the tracer."""
 
 import sys
+from collections.abc import Mapping
 
+from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import compile_tracer
 from tasklens.recognition import class_folders, object_splits
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
+from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
+from tasklens.study.tables import candidates, starts
 
 
 def check(study: Study, networks: bool, weights: bool) -> None:
@@ -32,14 +37,31 @@ def check(study: Study, networks: bool, weights: bool) -> None:
         from tasklens.optics.io import imported
         from tasklens.optics.view import view_of_spec
 
+        read = {}
         for lens in study.lenses.values():
             if isinstance(lens.design, ImportedLens):
                 spec = study.lens_spec(lens.name)
-                origin = imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)[1]
+                fitted = imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+                read[lens.name], origin = fitted
                 for remark in origin.get("assumptions", ()):
                     print(f"tasklens: {lens.design.file}: {remark}", file=sys.stderr)
+        _check_free(study, read)
     if networks:
         _check_networks(study, weights)
+
+
+def _check_free(study: Study, imported_lenses: Mapping[str, Lens]) -> None:
+    """Check the free surfaces of designs that start from imported lenses; raises InputError."""
+    from tasklens.design.variables import Variables
+
+    for lens in study.lenses.values():
+        if not isinstance(lens.design, GradientDesignSettings) or lens.design.free is None:
+            continue
+        for name in {*starts(study, lens.name), *candidates(study, lens.name)} & imported_lenses.keys():
+            try:
+                Variables.plain(imported_lenses[name]).free(lens.design.free)
+            except InputError as error:
+                raise InputError(f"designs.{lens.design_name}, which may start from {name}: {error}") from None
 
 
 def _check_networks(study: Study, weights: bool) -> None:

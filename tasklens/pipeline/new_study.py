@@ -212,8 +212,13 @@ def fit(request: StudyRequest, minutes: float, cores: int) -> tuple[Cut, float]:
         forecast_s = seconds(parse(content(request, cut)), cores) * cut.fraction
         if forecast_s <= 60 * minutes:
             return cut, forecast_s
-    raise InputError(
-        f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(forecast_s)} on {cores} cores; "
+    raise too_long(minutes, forecast_s, cores)
+
+
+def too_long(minutes: float, seconds: float, cores: int) -> InputError:
+    """Return the error for a budget that not even the smallest cut fits."""
+    return InputError(
+        f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(seconds)} on {cores} cores; "
         "allow more time, or choose fewer elements, networks or seeds"
     )
 

@@ -128,6 +128,8 @@ HEADINGS = {
     "moved_um": Heading("rays move", "um", ".2f", meaning="RMS displacement of the core's rays, by derivative"),
     "traced_um": Heading("rays move, traced", "um", ".2f"),
     "accuracy_change": Heading("change of accuracy", "points", "+.2f"),
+    "accuracy_low": Heading("from", "%", ".1f", meaning="Lower end of the 95 % interval of the accuracy"),
+    "accuracy_high": Heading("to", "%", ".1f", meaning="Upper end of the 95 % interval of the accuracy"),
     "behind": Heading("behind", "points", ".1f", meaning="Accuracy of the best lens minus that of this one"),
     "behind_low": Heading("behind, from", "points", ".1f"),
     "behind_high": Heading("behind, to", "points", ".1f"),

@@ -74,11 +74,22 @@ def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     groups = _groups(means)
     ranks = []
     for k, name in enumerate(names):
-        behind = interval(means[:, 0] - means[:, k])
+        behind = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
         by_field = tuple(predictions.accuracy_by_field(correct[name]))
-        own_interval = interval(means[:, k])
+        own_interval = _interval(means[:, k], len(values))
         ranks.append(Rank(name, groups[k], observed[k], *own_interval, observed[0] - observed[k], *behind, by_field))
     return ranks
+
+
+def _interval(means: numpy.ndarray, images: int) -> tuple[float, float]:
+    """Return the interval of an accuracy or a difference [%], clipped to 100, from resampled means.
+
+    If all photographs agree, they show only that less than 1 - 0.025^(1 / images) of others differ.
+    """
+    if numpy.ptp(means) > 0:
+        return interval(means)
+    most = 100 * (1 - 0.025 ** (1 / images))
+    return float(max(means[0] - most, -100)), float(min(means[0] + most, 100))
 
 
 def _groups(means: numpy.ndarray) -> list[int]:
@@ -106,6 +117,8 @@ def sentences(ranks: Sequence[Rank], titles: Mapping[str, str]) -> list[str]:
         if number > 1:
             low, high = min(rank.behind_low for rank in group), max(rank.behind_high for rank in group)
             answer.append(f"{names}: {low:.1f} to {high:.1f} points behind the first.")
+        elif len(ranks) == 1:
+            answer.append(f"{names}: {ranks[0].accuracy:.1f} %, without another lens to compare with.")
         elif len(group) == 1:
             answer.append(f"{names} is the best.")
         else:
@@ -201,8 +214,8 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
         "lens": title,
         "group": rank.group,
         "accuracy": rank.accuracy,
-        "low": rank.low,
-        "high": rank.high,
+        "accuracy_low": rank.low,
+        "accuracy_high": rank.high,
         "behind": rank.behind,
         "behind_low": rank.behind_low,
         "behind_high": rank.behind_high,

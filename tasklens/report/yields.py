@@ -31,6 +31,7 @@ def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, A
         "grade": grade,
         "lenses": len(tolerances.built),
         "frequency_per_mm": frequency,
+        "peak_um": tolerances.peak_um,
         "design": {name: getattr(design, name) for name in _QUALITIES},
         "median": {name: float(numpy.median(values)) for name, values in built.items()},
         "worst_of_95_percent": {
@@ -54,8 +55,8 @@ def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, A
 def text(name: str, data: Mapping[str, Any]) -> str:
     """Format a summary as lines for a terminal."""
     lines = [
-        f"{name}: {data['lenses']} lenses built to {data['grade'].replace('_', ' ')}, each focused; MTF at "
-        f"{data['frequency_per_mm']:.0f} cycles/mm",
+        f"{name}: {data['lenses']} lenses built to {data['grade'].replace('_', ' ')}, each focused like the design, "
+        f"{abs(data['peak_um']):.0f} um from the peak of its MTF; MTF at {data['frequency_per_mm']:.0f} cycles/mm",
         f"  {'':<36}{'design':>9}{'median':>9}{'worst of 95 %':>15}",
     ]
     for key, meaning in _QUALITIES.items():

@@ -3,16 +3,23 @@
 from collections.abc import Mapping
 from typing import Any
 
+from tasklens.runtime.errors import InputError
+
 
 def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced.
 
     A mapping whose keys are the numbers of entries of a list below, such as {"0": {"steps": 200}}, changes these.
+
+    Raises:
+        InputError: the list has no entry of this number.
     """
     merged = dict(below)
     for key, value in above.items():
         under = merged.get(key)
-        if isinstance(under, list | tuple) and isinstance(value, Mapping) and _numbers(value, len(under)):
+        if isinstance(under, list | tuple) and isinstance(value, Mapping) and _numbers(value):
+            if missing := [number for number in value if int(number) >= len(under)]:
+                raise InputError(f"{key}.{missing[0]}: there is no such entry; expected 0 to {len(under) - 1}")
             entries = laid_over({str(k): entry for k, entry in enumerate(under)}, {str(k): v for k, v in value.items()})
             merged[key] = list(entries.values())
         elif isinstance(under, Mapping) and isinstance(value, Mapping):
@@ -22,5 +29,5 @@ def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, A
     return merged
 
 
-def _numbers(keys: Mapping[str, Any], count: int) -> bool:
-    return bool(keys) and all(str(key).isdecimal() and int(key) < count for key in keys)
+def _numbers(keys: Mapping[str, Any]) -> bool:
+    return bool(keys) and all(str(key).isdecimal() for key in keys)

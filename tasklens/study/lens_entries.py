@@ -37,10 +37,10 @@ class ImportedLens(Frozen):
 
     @property
     def sources(self) -> tuple[Path, ...]:
-        """The file and its catalogues, also the one beside a Zemax file that has its name."""
-        companion = self.file.with_suffix(".agf")
-        own = (companion,) if companion.is_file() and companion not in self.catalogues else ()
-        return self.file, *own, *self.catalogues
+        """The file, and its catalogues, also those in the folder of a Zemax file, which it may name."""
+        beside = self.file.parent.glob("*") if self.file.suffix.lower() == ".zmx" else ()
+        own = sorted(path for path in beside if path.suffix.lower() == ".agf")
+        return tuple(dict.fromkeys([self.file, *own, *self.catalogues]))
 
     @field_validator("file")
     @classmethod

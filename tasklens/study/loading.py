@@ -95,8 +95,10 @@ def extended(config: Mapping, folder: Path) -> dict[str, Any]:
         folder: folder of the file of the study.
 
     Raises:
-        StudyError: there is no such study, or it extends itself.
+        StudyError: the study has no name of its own; there is no such study to extend, or it extends itself.
     """
+    if "extends" in config and "name" not in config:
+        raise StudyError("name: missing; a study that extends another one needs a name of its own")
     below = [dict(config)]
     names: list[str] = []
     while (name := below[-1].pop("extends", None)) is not None:

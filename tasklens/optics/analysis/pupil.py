@@ -18,7 +18,13 @@ _RIM = 16  # rays per field for the test whether an object is in front of the le
 
 
 def sobol_disc(count: int, seed: int) -> Tensor:
-    """Return (count, 2) points of a scrambled Sobol sequence, uniform over the unit disc."""
+    """Return (count, 2) points of a scrambled Sobol sequence, uniform over the unit disc.
+
+    Raises:
+        InputError: fewer than one point.
+    """
+    if count < 1:
+        raise InputError(f"rays: expected at least one, got {count}")
     engine = torch.quasirandom.SobolEngine(2, scramble=True, seed=seed)
     u, v = engine.draw(count, dtype=torch.float64).unbind(-1)
     radius, angle = torch.sqrt(u), 2 * math.pi * v

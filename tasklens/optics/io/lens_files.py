@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_object, check_stop
-from tasklens.optics.analysis.spots import chief_rays, lit
+from tasklens.optics.analysis.pupil import check_object, check_stop, rim
+from tasklens.optics.analysis.spots import chief_rays, lit, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
@@ -25,6 +25,7 @@ from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
+_RIM = 64  # marginal rays on the axis
 _CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
 
 
@@ -236,11 +237,15 @@ def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, 
 
 
 def _dark(lens_file: LensFile) -> list[str]:
-    """Return remarks on fields whose chief ray, or all of whose light, does not arrive."""
+    """Return remarks on fields whose chief ray, or all of whose light, does not arrive, and on light lost on axis."""
     view = lens_file.view.in_reference()
     chief = chief_rays(lens_file.lens, view).valid[:, 0, 0]
     light = lit(lens_file.lens, view)
     remarks = []
+    on_axis = replace(view, fields=torch.zeros_like(view.fields[:1]))
+    beam = trace_fields(lens_file.lens, on_axis, rim(_RIM))
+    if light.all() and beam.vignetted.any():
+        remarks.append("clear apertures stop light of the beam on the axis: the F-number is that of the stop alone")
     for arrives, loss in ((light, "no light arrives"), (chief | ~light, "the chief ray does not arrive")):
         if not arrives.all():
             angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))

@@ -57,6 +57,10 @@ def typed(
     check_order(lens.media, lens.thickness.tolist(), "a lens", first=0)
     if f_number is None:
         return Prescription(lens)
+    if "semi_diameter" in surfaces[lens.stop]:
+        raise InputError(
+            f"surface {lens.stop}: expected either the `semi_diameter` of the stop or an F-number, not both"
+        )
     aperture = ("f_number", positive(f_number, "f_number"))
     lens.semi_diameter[lens.stop] = stop_radius(lens, aperture, wavelength)
     return Prescription(lens, aperture=aperture)

@@ -44,6 +44,7 @@ class Tolerances:
         moved_um: (P,) RMS displacement of rays by each error as large as its tolerance [um].
         allotted: (P,) widest tolerances, as multiples of the tolerances of the grade, with which a fraction
             `allocation.YIELD` of the lenses keeps `KEPT_MTF` of the design's MTF; None if the tightest do not suffice.
+        peak_um: distance of the peak of the MTF from the image plane [um], for the design and the built lenses.
     """
 
     design: Quality
@@ -51,6 +52,7 @@ class Tolerances:
     errors: list[Error]
     moved_um: Tensor
     allotted: Tensor | None
+    peak_um: float
 
 
 def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> Tolerances:
@@ -90,7 +92,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         return True
 
     allotted = allocation.widest(allocation.both_axes(error_list, moved_um), passes)
-    return Tolerances(design, qualities, error_list, moved_um, allotted)
+    return Tolerances(design, qualities, error_list, moved_um, allotted, 1e3 * float(peak))
 
 
 def _assembled(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
