@@ -143,7 +143,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
     count = math.ceil(len(panels) / columns)
     steps = list(STEPS)[1:]
     with matplotlib.rc_context({**vector_files.STYLE, "font.size": 9}):
-        figure = Figure(figsize=(2.4 + 2.8 * columns, 0.6 + 2.2 * count), layout="constrained")
+        figure = Figure(figsize=(2.4 + 2.8 * columns, 0.6 + 2.4 * count), layout="constrained")
         axes = figure.subplots(count, columns, sharex=True, sharey=True, squeeze=False)
         for axis in axes.flat[len(panels) :]:
             axis.remove()
@@ -158,7 +158,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
                     axis.text(1.01, y, f"{row['accuracy']:.1f}", transform=axis.get_yaxis_transform(), va="center")
             axis.axvline(0, color="black", linewidth=1)
             first = part.iloc[0]
-            title = f"{study}: {elements} ({first['step']} {first['accuracy']:.1f})"
+            title = f"{study}\n{elements} ({first['step']} {first['accuracy']:.1f})"
             axis.set_title(title, fontsize="medium", loc="left")
             axis.spines[["top", "right"]].set_visible(False)
         axes[0, 0].set_yticks(range(len(steps)), steps)
