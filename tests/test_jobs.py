@@ -69,7 +69,7 @@ READERS = [
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measures(*RESTORED)(job)),
     ("restored", [], lambda job: job in (("table", "table4"), ("verdicts_table",), ("verify",), ("captures",))),
     ("capture.outside_window", "renormalise",
-     lambda job: job[0] in ("restore", "captures", "frames", "production")
+     lambda job: job[0] in ("restore", "captures", "frames", "production", "merit_function_table")
      or (job[0] in ("fine_tune", "reproduce") and job[1] != SHARP)
      or (job[0] == "design" and job[1] in SUPERVISED)),
     ("classifiers.small.training.learning_rate", 2e-3,

@@ -149,8 +149,9 @@ def test_extended_aspheres_are_normalised(tmp_path):
 def test_the_catalogue_that_the_file_names_first_defines_a_glass(tmp_path):
     """GCAT SECOND FIRST sets the order of catalogues, whatever the order of the paths; built-in plastics come last."""
     paths = []
+    (tmp_path / "elsewhere").mkdir()  # catalogues in the folder of the lens need no path
     for name, index in (("FIRST", 1.4), ("second", 1.6), ("THIRD", 1.7)):
-        paths.append(tmp_path / f"{name}.agf")
+        paths.append(tmp_path / "elsewhere" / f"{name}.agf")
         paths[-1].write_text(f"NM COC 5 0 1.5 50\nCD {index} 0 0\nLD 0.4 0.8\n")
     for order in (paths, paths[::-1]):
         assert read_lens(tmp_path, catalogues=order).lens.media[0].source == "second.agf"
