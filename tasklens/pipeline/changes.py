@@ -81,7 +81,7 @@ class PlannedJob:
         needs: labels of the jobs that it waits for.
         settings: its settings as JSON.
         made_with: settings that its outputs were made with; None if unknown.
-        priority: Snakemake's priority.
+        priority: Snakemake's priority; 0 if it does not have to run.
     """
 
     study: str

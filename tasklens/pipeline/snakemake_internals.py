@@ -70,7 +70,7 @@ def planned_jobs(workflow: Any) -> Iterator[PlannedJob]:
             needs=tuple(place(Path(other.log[0]))[1] for other in dag.dependencies[job] if other.log),
             settings=str(job.params.settings),
             made_with=next((text for text in records if isinstance(text, str) and text.startswith("{")), None),
-            priority=job.priority,
+            priority=job.priority if dag.needrun(job) else 0.0,
         )
 
 

@@ -17,8 +17,8 @@ from tasklens.optics.rays import passing
 from tasklens.optics.view import View
 
 _FREQUENCY = 0.25  # frequency at which lens modules are focused, as a fraction of Nyquist
-_STEP = 0.1  # distance of planes [F-number / frequency]: the blur of a point grows by a tenth of a period
-_STEPS = 40  # least number of planes on each side
+_STEP = 0.08  # distance of planes [F-number / frequency]: a point blurs by so many periods more
+_STEPS = 50  # least number of planes on each side
 _RANGE = 0.02  # least shift on each side, as a fraction of the focal length: errors of index and radius scale with it
 _FITTED = 2  # planes on each side of the best one that a parabola is fitted to
 _RAYS = 256  # per field and colour
