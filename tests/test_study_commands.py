@@ -91,7 +91,7 @@ def test_a_new_study_asks_for_what_was_not_given(place):
 def test_less_time_gives_a_smaller_study(place):
     """Each shorter time gives fewer jobs or images."""
     sizes = []
-    for minutes in ("600", "10", "4", "3"):
+    for minutes in ("600", "8", "5", "3"):
         assert study("new", "a", "--yes", "--force", "--minutes", minutes) == 0
         config = load("a.yaml")
         sizes.append((len(config.tables), len(config.designs), config.images.train))
