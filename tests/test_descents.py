@@ -119,6 +119,8 @@ def test_an_entry_of_a_list_is_changed_by_its_number():
     assert laid_over(below, {"descents": [{"steps": 4}]}) == {"descents": [{"steps": 4}]}
     with pytest.raises(InputError, match=r"descents\.2: there is no such entry; expected 0 to 1"):
         laid_over(below, {"descents": {"2": {"steps": 3}}})
+    with pytest.raises(InputError, match=r"designs\.mine\.descents\.2: there is no"):
+        laid_over({"designs": {"mine": below}}, {"designs": {"mine": {"descents": {"2": {"steps": 3}}}}})
 
 
 # ---- angles of incidence

@@ -251,7 +251,8 @@ def test_a_target_without_jobs_has_nothing_to_be_done(capsys):
 
 def test_an_unknown_target_is_reported(capsys):
     write("study.yaml", dump(parse(tiny_study())))
-    assert "cannot plan nothing of study.yaml" in complaint(capsys, "plan", "study.yaml", "--target", "nothing")
+    why = complaint(capsys, "plan", "study.yaml", "--target", "nothing")
+    assert "cannot plan nothing of study.yaml" in why and "No rule to produce nothing" in why
 
 
 # ---- diff

@@ -85,7 +85,7 @@ def design(
     """
     if method == "least_squares":
         raise InputError(
-            "least squares begins with random lenses: choose spot, image_quality, or task for a lens of yours"
+            "method: least_squares begins with random lenses; choose spot, image_quality or task for a lens of yours"
         )
     spec, view = _spec(file)
     free = resolved(file.lens, free)

@@ -53,8 +53,8 @@ def plan(files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
         command = [sys.executable, "-m", "snakemake", *options, "--configfile", *map(str, files)]
         process = subprocess.run([*command, "--config", f"plan={path}"], capture_output=True, text=True)
         if process.returncode:
-            printed = process.stderr.splitlines() or process.stdout.splitlines()  # a dry run's errors go to stdout
-            lines = [line for line in printed if line.strip() and not line.startswith("Using ")]
+            printed = (process.stdout + process.stderr).rpartition("Building DAG of jobs...\n")[2]  # without the header
+            lines = [line for line in printed.splitlines() if line.strip() and not line.startswith("Using ")]
             raise InputError(f"Snakemake cannot plan {target} of {', '.join(map(str, files))}: {' '.join(lines)}")
         rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
     plans: dict[str, dict[str, Planned]] = {}

@@ -33,7 +33,7 @@ _COVERAGE = 0.99  # least part of the sensor's half diagonal that the field in a
 _LONGEST = 30  # characters of a name
 _SHOWN = 200  # sharp photographs for the check of a network
 _MINIVAL, _TRAIN = 2, 1  # photographs that a study needs in addition to the ranking's
-_TESTED = 5  # the inverse of the part of a folder without splits that is tested if a network is trained on the others
+_TESTED = 5  # one photograph in so many is tested if the network is trained on the others of the same folder
 
 
 @dataclass

@@ -76,20 +76,21 @@ def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     for k, name in enumerate(names):
         behind = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
         by_field = tuple(predictions.accuracy_by_field(correct[name]))
-        own_interval = _interval(means[:, k], len(values))
-        ranks.append(Rank(name, groups[k], observed[k], *own_interval, observed[0] - observed[k], *behind, by_field))
+        low, high = _interval(means[:, k], len(values))
+        accuracy = observed[k], max(low, 0.0), min(high, 100.0)
+        ranks.append(Rank(name, groups[k], *accuracy, observed[0] - observed[k], *behind, by_field))
     return ranks
 
 
 def _interval(means: numpy.ndarray, images: int) -> tuple[float, float]:
-    """Return the interval of an accuracy or a difference [%], clipped to 100, from resampled means.
+    """Return the interval of an accuracy or a difference [%] from resampled means.
 
     If all photographs agree, they show only that less than 1 - 0.025^(1 / images) of others differ.
     """
     if numpy.ptp(means) > 0:
         return interval(means)
     most = 100 * (1 - 0.025 ** (1 / images))
-    return float(max(means[0] - most, -100)), float(min(means[0] + most, 100))
+    return float(means[0] - most), float(means[0] + most)
 
 
 def _groups(means: numpy.ndarray) -> list[int]:

@@ -53,6 +53,11 @@ def positive(value: object, where: str) -> float:
     return result
 
 
+def beside(path: Path, suffix: str) -> list[Path]:
+    """Return the files with a suffix, in small or capital letters, in the folder of a file."""
+    return sorted(file for file in path.parent.glob("*") if file.suffix.lower() == suffix)
+
+
 def read_bytes(path: Path, most: int = 100_000_000) -> bytes:
     """Read a file of at most `most` bytes; raises FileError for a folder, a pipe or a larger file."""
     size = path.stat().st_size
@@ -99,9 +104,10 @@ def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
         raise damaged(path, "cut off")
     try:
         table = pandas.read_csv(io.StringIO(text), **options)
-        names = [name for name in _NAMES if name in table]
-        texts = pandas.read_csv(io.StringIO(text), usecols=names, dtype=str, keep_default_na=False)
-        return table.assign(**texts)
+        if names := [name for name in _NAMES if name in table]:
+            texts = pandas.read_csv(io.StringIO(text), usecols=names, dtype=str, keep_default_na=False)
+            return table.assign(**texts)
+        return table
     except ValueError as error:  # errors of pandas are ValueErrors too
         raise damaged(path, f"not a table ({str(error).splitlines()[0]})") from None
 

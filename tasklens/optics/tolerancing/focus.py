@@ -17,7 +17,7 @@ from tasklens.optics.rays import passing
 from tasklens.optics.view import View
 
 _FREQUENCY = 0.25  # frequency at which lens modules are focused, as a fraction of Nyquist
-_STEP = 0.08  # distance of planes [F-number / frequency]: a point blurs by so many periods more
+_STEP = 0.08  # distance of planes [F-number / frequency]: from one to the next, blurs grow by 0.08 periods
 _STEPS = 50  # least number of planes on each side
 _RANGE = 0.02  # least shift on each side, as a fraction of the focal length: errors of index and radius scale with it
 _FITTED = 2  # planes on each side of the best one that a parabola is fitted to
@@ -31,7 +31,7 @@ def peak(lens: Lens, view: View) -> Tensor:
     """
     first_order = paraxial(lens.detached(), view.reference)
     f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
-    f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # a full stop: planes do not move with a slightly changed lens
+    f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # to full stops, so that planes do not move with the lens
     step = _STEP * f_stop / frequency(view)
     steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))
     values = through_focus(lens, view.in_all_quadrants(), -steps * step, step, 2 * steps + 1)
