@@ -158,11 +158,16 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--wavelengths", "0.55"), "designs need three wavelengths: --wavelengths 0.65,0.55,0.47"),
         (("--field-of-view", "0.05"), "field_of_view_deg"),
         (("--object", "400"), "designs need an object at infinity: give --object inf"),
+        (("--limit", "max_trak=6"), "--limit max_trak = 6: unknown key; did you mean max_track?"),
+        (("--limit", "max_track=abc"), "--limit max_track = 'abc': expected a number"),
+        (("--output", "my lens.zmx"), "my lens.zmx: its glass catalogue would have the same name"),
+        (("--output", "mine_too.zmx"), "mine_too.agf: already exists; --force overwrites it"),
     ],
 )
 def test_what_cannot_be(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
     save(tmp_path)
+    (tmp_path / "mine_too.agf").touch()
     method = () if "--method" in arguments else ("--method", "spot")
     assert main([*COMMAND, *method, *arguments]) == 2
     assert words in capsys.readouterr().err and not (tmp_path / "better.zmx").exists()

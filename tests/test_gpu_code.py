@@ -7,8 +7,11 @@ import torch
 from designs import LEARNING_RATES, LIMITS, VIEW
 from examples import by_descents, random_images, small_network
 from pretend_gpu import CPU, GPU, OnGpu, pretend_gpu
+from torch.utils._python_dispatch import _disable_current_modes
 
+import tasklens
 from restoration import training as restoration
+from tasklens import notebook
 from tasklens.design.criteria import JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor
@@ -75,8 +78,28 @@ def supervision(device, start) -> list[float]:
     return [*loss.fields.tolist(), *gradient.tolist(), supervisor.validation_loss(start, 2.0)]
 
 
+def without_mode(function):
+    """Return a function that runs only on the CPU: torch crashes at derivatives by `jvp` on the pretended GPU."""
+
+    def called(*arguments):
+        with _disable_current_modes():
+            return function(*arguments)
+
+    return called
+
+
+def ranking(device, start) -> list[float]:
+    """Accuracies of a network through a lens and on the sharp images."""
+    images = random_images(12, 16, 3, 0)
+    pairs = [(image.float() / 255, int(label)) for image, label in zip(images.images, images.labels, strict=True)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(notebook.ranking, "figures", without_mode(notebook.ranking.figures))
+        result = tasklens.rank({"start": (start, VIEW)}, pairs, small_network(0).to(device), rays=64)
+    return [result.sharp, *result.correct["start"].to_numpy().ravel().tolist()]
+
+
 @without_gpu
-@pytest.mark.parametrize("calculation", [fine_tuning, restoring, design, supervision])
+@pytest.mark.parametrize("calculation", [fine_tuning, restoring, design, supervision, ranking])
 def test_the_code_for_gpus_gives_the_same_numbers(monkeypatch, start, calculation):
     expected = calculation(CPU, start)
     with pretend_gpu(monkeypatch) as gpu:

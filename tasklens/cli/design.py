@@ -20,7 +20,7 @@ from tasklens.cli.network_options import (
     nested,
     network_settings,
 )
-from tasklens.cli.outputs import AsJson, Force, new_file, print_json, say
+from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
@@ -109,6 +109,8 @@ def design(
     tasklens design --start mine.zmx --method image_quality --free curvature,thickness -o better.zmx
     """
     new_file(output, force, ".yaml", ".yml", ".zmx")
+    if output.suffix.lower() == ".zmx":
+        new_catalogue(output, force)
     if start is not None and (elements, diagonal) != (None, None):
         raise InputError("--elements, --diagonal: not allowed with --start, since its lens has them")
     if start is None and (free, configuration, object_distance) != (None, None, None):
@@ -159,6 +161,7 @@ def design(
     if dark:
         raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: try another --seed")
     notebook.save_lens(output, lens, view, notes)
+    say_catalogue(output, lens.media)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:
         from tasklens.notebook.verdict import verdict as judged

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, lens_command, reader
-from tasklens.cli.outputs import AsJson, Force, new_file, print_json, say
+from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
@@ -230,13 +230,12 @@ def export(
     else:
         for remark in lens_data.remarks:
             say(f"{file}: {remark}")
-    glasses = NamedGlasses.of(lens_data.lens.media, output.stem).own if output.suffix.lower() == ".zmx" else ()
-    if glasses:
-        glass_file = new_file(output.with_suffix(".agf"), force, ".agf")
+    media = lens_data.lens.media
+    if output.suffix.lower() == ".zmx" and NamedGlasses.of(media, output.stem).own:
+        new_catalogue(output, force)
     lens_files.write(output, lens_data, content)
     say(f"wrote {output}")
-    if glasses:
-        say(f"wrote {glass_file} with {', '.join(glass.name for glass in glasses)}, for OpticStudio's folder Glasscat")
+    say_catalogue(output, media)
 
 
 def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:

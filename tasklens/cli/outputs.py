@@ -3,12 +3,16 @@
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tasklens.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from tasklens.materials.material import Material
 
 Force = Annotated[bool, typer.Option("--force", help="Overwrite the output file.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
@@ -21,6 +25,24 @@ def new_file(path: Path, force: bool, *suffixes: str) -> Path:
     if path.is_dir() or (path.exists() and not force):
         raise InputError(f"{path}: already exists; --force overwrites it" if path.is_file() else f"{path}: is a folder")
     return path
+
+
+def new_catalogue(path: Path, force: bool) -> Path:
+    """Return the path of the glass catalogue that a Zemax file may need; raises InputError as `new_file` does."""
+    if " " in path.stem:
+        raise InputError(
+            f"{path}: its glass catalogue would have the same name, which cannot contain spaces; rename it"
+        )
+    return new_file(path.with_suffix(".agf"), force, ".agf")
+
+
+def say_catalogue(path: Path, media: Sequence["Material"]) -> None:
+    """Say which glasses the catalogue of a written Zemax file has, if it needed one."""
+    from tasklens.optics.io.zemax_glasses import NamedGlasses
+
+    if path.suffix.lower() == ".zmx" and (glasses := NamedGlasses.of(media, path.stem).own):
+        names = ", ".join(glass.name for glass in glasses)
+        say(f"wrote {path.with_suffix('.agf')} with {names}, for OpticStudio's folder Glasscat")
 
 
 def print_json(content: Any) -> None:

@@ -25,7 +25,7 @@ from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.study import single
 from tasklens.study.layers import laid_over
-from tasklens.study.messages import problems
+from tasklens.study.messages import in_words, problems
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
@@ -87,6 +87,10 @@ def design(
         raise InputError(
             "method: least_squares begins with random lenses; choose spot, image_quality or task for a lens of yours"
         )
+    try:
+        given = Constraints.model_validate(constraints)
+    except ValidationError as error:
+        raise InputError(in_words("constraints", error, Constraints)) from None
     spec, view = _spec(file)
     free = resolved(file.lens, free)
     if method == "spot":  # its default descent begins with flat plates
@@ -106,7 +110,7 @@ def design(
         baselines=baselines,
         network_given=user.network is not None,
     )
-    limits, remarks = own_limits(file.lens, view, Constraints.model_validate(constraints), set(constraints))
+    limits, remarks = own_limits(file.lens, view, given, set(constraints))
     plastics = tuple(dict.fromkeys(file.lens.media))
     lenses, notes = {"start": file.lens}, dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:

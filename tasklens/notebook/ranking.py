@@ -1,7 +1,7 @@
 """Ranking of lenses for a network, in notebooks: accuracies on the same photographs, with intervals and groups."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from math import atan, degrees
 from pathlib import Path
@@ -24,6 +24,7 @@ from tasklens.report import headings
 from tasklens.report import ranking as report
 from tasklens.report.figures import section_svg
 from tasklens.report.ranking import Rank
+from tasklens.runtime.devices import CPU
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_text
 
@@ -78,7 +79,8 @@ def rank(
     Args:
         lenses: lenses with their views, by name: {"mine": tasklens.load_lens("mine.zmx")}.
         images: folder of photographs, test/<class>/* or <class>/*; or a torch data set, or pairs (image, label).
-        network: a module from images (B, 3, H, W) in [0, 1] to logits; a timm network is normalised automatically.
+        network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its
+            parameters are there; a timm network is normalised automatically.
         size: side to which photographs of a folder are resized [pixels].
         limit: maximum number of photographs read from a folder.
         rays: number of rays of each field and colour.
@@ -99,9 +101,11 @@ def rank(
         raise InputError("rank: expected lenses and images")
     if dataset.labels.is_floating_point() or dataset.labels.dim() != 1 or dataset.labels.min() < 0:
         raise InputError("rank: expected labels that are numbers of classes, from 0")
-    classifier = classifiers.frozen(classifiers.Classifier(network), dataset.images)
+    device = next((parameter.device for parameter in network.parameters()), CPU)
+    dataset = replace(dataset, device=device)
     image = dataset.batch(torch.arange(1))[0]
     try:
+        classifier = classifiers.frozen(classifiers.Classifier(network).to(device), image)
         with torch.no_grad():
             answer = classifier(image)
     except RuntimeError as error:
@@ -134,7 +138,7 @@ def _correct(
         check_light(lens, view)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    camera = PsfCamera(evaluation_psf(lens, view, rays))
+    camera = PsfCamera(evaluation_psf(lens, view, rays).to(dataset.device))
     correct = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
     frame = pandas.DataFrame(evaluation.by_image(correct.int(), dataset))
     return frame.set_index(["image", "label"])
