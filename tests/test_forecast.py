@@ -1,6 +1,7 @@
 """Forecasts: durations, limits and memory of jobs, from constructed benchmark files."""
 
 import csv
+import math
 
 import pytest
 import yaml
@@ -9,6 +10,7 @@ from rules import rule_names
 
 from tasklens.pipeline import forecast
 from tasklens.pipeline.forecast import Durations, Measured
+from tasklens.study.settings import ImageSettings
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time"  # as Snakemake writes it
 
@@ -125,3 +127,12 @@ def test_the_durations_that_we_ship_are_of_our_studies():
     for row in rows:
         assert row["study"] in studies and row["rule"] in rule_names()
         assert 0 < float(row["seconds"]) <= float(row["longest_s"] or "inf") and float(row["memory_mb"] or 1) > 0
+
+
+def test_photographs_without_splits_are_counted(tmp_path):
+    """Durations of small sets of photographs are those of the studies with as large images."""
+    for k in range(4):
+        write(tmp_path / f"photos/{'ab'[k % 2]}/{k}.jpg", "")
+    images = ImageSettings(folder=tmp_path / "photos", size=64, minival=1)
+    assert forecast._training_images(images) == 4
+    assert forecast._training_images(images.model_copy(update={"folder": tmp_path / "nothing"})) == math.inf

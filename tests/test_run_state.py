@@ -299,6 +299,17 @@ def test_status_says_what_runs(place, capsys):
     assert report["progress"] == {"design/1": None}
 
 
+def test_status_of_the_points_of_a_sweep(place, capsys):
+    """The sweep itself may have no job yet."""
+    run_of(design=2).save()
+    write("results/sweep/study.yaml", Path(FOLDER, "study.yaml").read_text())
+    for point in "ab":
+        write(f"results/sweep/{point}/run.json", Path(FOLDER, "run.json").read_text())
+    assert main(["study", "status", "results/sweep", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert list(report) == ["points"] and len(report["points"]) == 2
+
+
 def test_status_of_an_ended_run(place, capsys):
     run = run_of(design=2)
     run.end("design/0", runs.DONE, 1.0)

@@ -413,6 +413,19 @@ def test_an_array_has_one_writer(tmp_path):
     assert subprocess.run(command).returncode == 0 and files.map_array(path).tolist() == [7, 7]
 
 
+def test_an_array_remains_if_the_user_interrupts(tmp_path):
+    """A conversion of photographs resumes after Ctrl-C; after an error it starts anew."""
+    for error, remains in ((KeyboardInterrupt, True), (ValueError, False)):
+        with pytest.raises(error), files.writing_array(tmp_path / "array.npy", (2,), "uint8") as array:
+            array[:] = 5
+            raise error
+        assert files.resumable_of(tmp_path / "array.npy").exists() == remains
+        if remains:
+            with files.writing_array(tmp_path / "array.npy", (2,), "uint8", begun=True) as array:
+                assert array.tolist() == [5, 5]
+            assert files.map_array(tmp_path / "array.npy").tolist() == [5, 5]
+
+
 def test_rows_keep_all_columns(tmp_path):
     """Columns in order of appearance, gaps where a row has none."""
     files.write_rows(tmp_path / "rows.csv", [{"a": 1, "b": 0.1}, {"a": 2, "c": "x,y"}])

@@ -40,6 +40,7 @@ def results(place):
             write(f"{folder}/{path}", path)
         write(f"{folder}/classifiers/reference/small.safetensors", "weights")
         write(f"{folder}/restoration/a/nafnet.safetensors", "weights")
+        write(f"{folder}/tasks/reference/pixels.safetensors", "weights")
     return place / "results"
 
 
@@ -206,6 +207,29 @@ def test_a_new_study_overwrites_nothing(place, capsys):
     assert study("new", "a", "--yes", "--force") == 0 and load("a.yaml").name == "a"
 
 
+def test_a_new_study_takes_a_network_of_three_classes(place, monkeypatch):
+    """The head of a user's own network has the classes of the folder."""
+    for path in (f"photos/{split}/{label}/{k}.jpg" for split in ("train", "test") for label in "abc" for k in range(9)):
+        write(path, "")
+    write(
+        "three_classes.py",
+        "from torch import nn\n"
+        "def net(num_classes): return nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(3, 3))\n",
+    )
+    monkeypatch.syspath_prepend(place)
+    networks, elements = ("three_classes:net",), {"singlet": ["COC"]}
+    weights = place / "any.safetensors"
+    request = new_study.StudyRequest("mine", Path("photos"), 64, networks, elements, 2.8, 68.8, 1, weights)
+    new_study.check(request, new_study.CUTS[-1])
+
+
+def test_a_new_study_that_does_not_fit_leaves_the_old_file(place, capsys, monkeypatch):
+    write("a.yaml", "mine")
+    monkeypatch.setattr(new_study, "fit", lambda *_: (new_study.CUTS[-1], 1.0))  # a forecast that is too short
+    assert "allow more time" in complaint(capsys, "new", "a", "--yes", "--force", "--minutes", "0.01")
+    assert (place / "a.yaml").read_text() == "mine"
+
+
 # ---- check, plan
 
 
@@ -249,6 +273,12 @@ def test_a_target_without_jobs_has_nothing_to_be_done(capsys):
     assert "tiny: nothing to do for ablations." in capsys.readouterr().out
 
 
+def test_a_target_of_another_study_is_reported(capsys):
+    write("study.yaml", dump(parse(tiny_study())))
+    why = complaint(capsys, "plan", "study.yaml", "--target", "results/small/report.html")
+    assert "has jobs of the study small, not tiny" in why
+
+
 def test_an_unknown_target_is_reported(capsys):
     write("study.yaml", dump(parse(tiny_study())))
     why = complaint(capsys, "plan", "study.yaml", "--target", "nothing")
@@ -276,7 +306,15 @@ def test_diff_of_equal_studies_and_of_one_without_tables(results, capsys):
     """The command also takes their files; it reports a row that only one study has."""
     assert study("diff", "results/tiny", "results/tiny") == 0
     out = capsys.readouterr().out
-    assert "The configurations are equal." in out and "The tables have the same numbers." in out
+    assert "The configurations are equal." in out and "The tables are equal." in out
+    write("results/tiny_3/study.yaml", Path("results/tiny/study.yaml").read_text())
+    write("results/tiny_3/tables/table1.csv", TABLE.format(60, 5))
+    assert study("diff", "results/tiny", "results/tiny_3") == 0
+    assert "The accuracies are equal; --all compares all columns." in capsys.readouterr().out
+    write("results/tiny_4/study.yaml", Path("results/tiny/study.yaml").read_text())
+    write("results/tiny_4/tables/table2.csv", TABLE.format(60, 5))
+    assert study("diff", "results/tiny", "results/tiny_4") == 0
+    assert "none of the paper's tables in common" in capsys.readouterr().out
     write("new.yaml", dump(parse(tiny_study() | {"name": "fresh"})))
     assert study("diff", "results/tiny", "new.yaml") == 0
     assert capsys.readouterr().out.splitlines() == ["name: tiny -> fresh", "", "No tables yet in results/fresh."]
@@ -302,8 +340,8 @@ def test_an_export_has_what_a_colleague_needs(results, capsys):
     assert load("study.yaml").name == "tiny"
     assert study("export", "results/tiny", "--weights", "--output", "all.zip") == 0
     with zipfile.ZipFile("all.zip") as archive:
-        more = {"tiny/classifiers/reference/small.safetensors", "tiny/restoration/a/nafnet.safetensors"}
-        assert set(archive.namelist()) == names | more
+        weights = "classifiers/reference/small", "restoration/a/nafnet", "tasks/reference/pixels"
+        assert set(archive.namelist()) == names | {f"tiny/{name}.safetensors" for name in weights}
 
 
 def test_export_overwrites_nothing(results, capsys):

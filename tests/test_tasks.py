@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from urllib.error import URLError
 
 import pandas
 import pytest
@@ -227,6 +228,17 @@ def test_published_weights_know_classes_by_name():
 
     (detections,) = Detection(data(1), outputs, with_masks=False).answers(Finds(), torch.zeros(1, 3, 32, 32))
     assert detections.labels.tolist() == [1, 0] and detections.scores.tolist() == pytest.approx([0.9, 0.7])
+
+
+def test_published_weights_that_cannot_be_downloaded_are_one_line(monkeypatch):
+    def refused(*arguments, **keywords):
+        raise URLError("no route to host")
+
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", refused)
+    monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", refused)
+    network = settings({"kind": "segmentation", "model": "lraspp_mobilenet_v3_large", "pretrained": True})
+    with pytest.raises(InputError, match=r"tasks\.networks\.mine: the published weights .* \(no route to host\)"):
+        task_networks.build("mine", network, 3, 64)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 import typer
@@ -12,7 +13,7 @@ from tasklens.cli.network_options import nested
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.forecast import Durations, duration, durations_of
-from tasklens.report.differences import differences
+from tasklens.report.differences import common, differences
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.study import loading
@@ -86,14 +87,15 @@ def new(
     largest, seconds = new_study.fit(request, minutes, cores)
     new_study.check(request, largest)
     for cut in new_study.CUTS[new_study.CUTS.index(largest) :]:
-        write_text(path, new_study.text(request, cut, seconds, cores, path))
-        study = loading.load(path)
-        remaining = planning.plan([path], "tables").get(study.name, {})
+        with TemporaryDirectory() as place:
+            trial = Path(place, path.name)
+            write_text(trial, new_study.text(request, cut, seconds, cores, path))
+            study = loading.load(trial)
+            remaining = planning.plan([trial], "tables").get(study.name, {})
         seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as in Snakemake and `study plan`
         if seconds <= 60 * minutes:
             break
     else:
-        path.unlink()
         raise new_study.too_long(minutes, seconds, cores)
     write_text(path, new_study.text(request, cut, seconds, cores, path))
     print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
@@ -145,6 +147,8 @@ def plan(
     config = loading.load(*files)
     studies = {study.name: study for study in [config, *loading.at_points(config)]}
     plans = planning.plan(files, target) or {config.name: {}}
+    if others := [name for name in plans if name not in studies]:
+        raise InputError(f"--target {target}: has jobs of the study {others[0]}, not {config.name}; give its file")
     if as_json:
         planned = [_figures(studies[name], jobs, cores) for name, jobs in plans.items()]
         print(json.dumps({"study": config.name, "points": planned} if config.sweep else planned[0], indent=1))
@@ -213,13 +217,14 @@ def _folder(place: Path) -> Path:
 def status(place: Place, as_json: Json = False) -> None:
     """Show running, finished and failed jobs, read from files; this also works for a study on a cluster."""
     folder = _folder(place)
-    places = [folder, *sorted(path.parent for path in folder.glob("*/run.json"))]  # with the points of a sweep
-    study_runs = [run for item in places if (run := runs.read(item)) is not None]
+    own, points = runs.read(folder), [runs.read(path.parent) for path in sorted(folder.glob("*/run.json"))]
+    study_runs = [run for run in (own, *points) if run is not None]
     if not study_runs:
         raise FileError(f"{folder}/run.json: no run of this study; `tasklens study plan` shows what remains")
     if as_json:
-        states = [_state(run) for run in study_runs]
-        print(json.dumps(states[0] | ({"points": states[1:]} if states[1:] else {}), indent=1))
+        states = {} if own is None else _state(own)
+        of_points = [_state(run) for run in points if run is not None]
+        print(json.dumps(states | ({"points": of_points} if of_points else {}), indent=1))
         return
     pairs = [(run, Durations(run.study, run.folder)) for run in study_runs]
     if len(alive := [item for item in pairs if item[0].is_alive]) > 1:
@@ -245,16 +250,21 @@ def diff(
     """Show the differences between two studies: configuration, and numbers in their tables."""
     folders = [_folder(place) for place in (old, new)]
     edits = changes.changes(_configuration(old), _configuration(new))
-    rows = [row for row in differences(*folders) if every or as_json or row.column.startswith("accuracy")]
+    every_row = differences(*folders)
+    rows = [row for row in every_row if every or as_json or row.column.startswith("accuracy")]
     if as_json:
         print(json.dumps({"changes": [asdict(c) for c in edits], "tables": [asdict(d) for d in rows]}, indent=1))
         return
     print("\n".join(map(str, edits)) or "The configurations are equal.")
     for table in dict.fromkeys(row.table for row in rows):
         print(f"\n{table}", *(f"  {row}" for row in rows if row.table == table), sep="\n")
-    if not rows:
-        missing = [str(folder) for folder in folders if not (folder / "tables").is_dir()]
-        print(f"\nNo tables yet in {', '.join(missing)}." if missing else "\nThe tables have the same numbers.")
+    if missing := [str(folder) for folder in folders if not (folder / "tables").is_dir()]:
+        sweeps = any((folder / "sweep.csv").exists() for folder in folders)
+        print(f"\nNo tables yet in {', '.join(missing)}.", *(["Compare the points of a sweep."] if sweeps else []))
+    elif not common(*folders):
+        print("\nThe studies have none of the paper's tables in common.")
+    elif not rows:
+        print("\nThe accuracies are equal; --all compares all columns." if every_row else "\nThe tables are equal.")
 
 
 def _configuration(place: Path) -> Mapping[str, Any]:

@@ -161,8 +161,12 @@ def _one(kind: str) -> str:
     return kind[:-2] if kind.endswith("lenses") else kind[:-1]
 
 
-def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: int) -> str | None:
-    """Return the error message if changed values would overwrite finished results; otherwise None."""
+def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: int, ranking: bool = False) -> str | None:
+    """Return the error message if changed values would overwrite finished results; otherwise None.
+
+    Args:
+        ranking: the study is that of a ranking, whose options the message names.
+    """
     if not overwrites.by_values:
         return None
     total = amount(overwrites.by_values, durations, cores)
@@ -170,11 +174,17 @@ def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: in
     if len(overwrites.changes) > _SHOWN:
         lines.append(f"and {len(overwrites.changes) - _SHOWN} more changed values")
     lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
+    name = f"{study.partition('/')[0]}_2"
+    keep, overwrite = (
+        (f"choose another:  --name {name}", "--overwrite")
+        if ranking
+        else (f"give the study another name in its file, or:  --config name={name}", "--config overwrite=true")
+    )
     return "\n".join(
         [
             f"These changes would overwrite finished results of the study {study}; nothing was changed:",
             *(f"  {line}" for line in lines),
-            f"Keep them, and give the study another name in its file, or:  --config name={study.partition('/')[0]}_2",
-            "Or overwrite them:  --config overwrite=true",
+            f"Keep them, and {keep}",
+            f"Or overwrite them:  {overwrite}",
         ]
     )

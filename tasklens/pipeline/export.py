@@ -7,7 +7,7 @@ from pathlib import Path
 from tasklens.runtime.files import FileError, replacing
 
 _LEFT_OUT = {"checkpoints", "images", "locks", "progress"}  # reproducible files, and files that only running jobs need
-_WEIGHTS = {"classifiers", "restoration"}
+_WEIGHTS = {"classifiers", "restoration", "tasks"}
 
 
 def files_of(folder: Path, weights: bool) -> Iterator[Path]:
@@ -49,7 +49,7 @@ tables/       tables as CSV, Markdown and LaTeX; verdicts.csv: each claim with i
 lenses/       prescription (lens.yaml), history of the design, PSFs (psf.safetensors) of every lens and seed
 metrics/      accuracies by field, and predictions by image
 benchmarks/   time and memory of every job; logs/ has their logs
-{"classifiers/  weights of every network" if weights else "The weights of networks are left out."}
+{"classifiers/, restoration/, tasks/: weights of the networks" if weights else "The weights of networks are left out."}
 
 To reproduce it:  snakemake -j2 tables --configfile study.yaml
 """

@@ -19,6 +19,7 @@ from tasklens.study import tables as paper_tables
 from tasklens.study.layers import laid_over
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.loading import parse
+from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"
@@ -237,9 +238,10 @@ def check(request: StudyRequest, cut: Cut) -> None:
     if others := [name for name in request.networks if name not in defaults]:
         from tasklens.recognition import classifiers
 
+        classes = RENDERED_CLASSES if request.folder is None else len(class_folders.training_classes(request.folder))
         for name, settings in study.classifiers.items():
             if settings.model in others:
-                classifiers.check(name, settings, request.size)
+                classifiers.check(name, settings, request.size, classes)
 
 
 _COMMENTS = {

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.error import URLError
 
 from torch import nn
 from torchvision.models import get_model, get_model_weights
@@ -42,6 +43,11 @@ def build(name: str, settings: TaskSettings, classes: int, size: int) -> nn.Modu
         if settings.pretrained:
             arguments.pop("num_classes")
         return get_model(settings.model, weights=weights, **arguments)
+    except URLError as error:
+        raise InputError(
+            f"tasks.networks.{name}: the published weights of {settings.model} are not in torch's cache, and cannot be "
+            f"downloaded ({error.reason}); put them there, or train the network (pretrained: false)"
+        ) from error
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"tasks.networks.{name}: {settings.model or settings.backbone}: {error}") from error
 

@@ -33,16 +33,18 @@ def differences(old: Path, new: Path) -> list[Difference]:
     Tables that are missing in one of the folders are left out too.
     """
     changes = []
-    for path in sorted((old / "tables").glob("table?.csv")):
-        other, table = new / "tables" / path.name, path.stem
-        if not other.exists():
-            continue
-        before, after = numbers_of(path), numbers_of(other)
+    for name in common(old, new):
+        before, after = (numbers_of(folder / "tables" / name) for folder in (old, new))
         for row, column in dict.fromkeys([*before, *after]):
             values = before.get((row, column)), after.get((row, column))
             if values[0] != values[1]:
-                changes.append(Difference(table, row, column, *values))
+                changes.append(Difference(Path(name).stem, row, column, *values))
     return changes
+
+
+def common(old: Path, new: Path) -> list[str]:
+    """Return the file names of the tables that both folders have."""
+    return sorted(path.name for path in (old / "tables").glob("table?.csv") if (new / "tables" / path.name).exists())
 
 
 def numbers_of(path: Path) -> dict[tuple[str, str], float]:

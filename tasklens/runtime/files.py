@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import socket
+import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -51,11 +52,6 @@ def positive(value: object, where: str) -> float:
     if not result > 0:
         raise FileError(f"{where}: expected a positive number, found {value!r}; correct it")
     return result
-
-
-def beside(path: Path, suffix: str) -> list[Path]:
-    """Return the files with a suffix, in small or capital letters, in the folder of a file."""
-    return sorted(file for file in path.parent.glob("*") if file.suffix.lower() == suffix)
 
 
 def read_bytes(path: Path, most: int = 100_000_000) -> bytes:
@@ -139,6 +135,8 @@ def resumable_of(path: Path) -> Path:
 def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `path` when the block ends, and removed when it raises.
 
+    A given temporary file remains if the user interrupts the block.
+
     The file is flushed to disk before it is renamed: even after a power failure it is either complete or absent.
     Temporary files left by killed processes of this machine are removed.
 
@@ -150,6 +148,7 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_abandoned(path)
+    resumable = temporary is not None
     temporary = temporary or temporary_of(path)
     try:
         yield temporary
@@ -162,7 +161,8 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error  # a failed write, for example on a full disk
     finally:
-        temporary.unlink(missing_ok=True)
+        if not (resumable and isinstance(sys.exception(), KeyboardInterrupt)):
+            temporary.unlink(missing_ok=True)
 
 
 def remove_abandoned(path: Path) -> None:

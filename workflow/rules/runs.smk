@@ -36,7 +36,10 @@ def overwritten(planned):
 def refusals(overwritten):
     """Return why this run must not start (changed values would overwrite finished results), or an empty text."""
     cores = snakemake_internals.cores(workflow)
-    texts = [changes.refusal(results, name, durations_in(name), cores) for name, results in overwritten.items()]
+    texts = [
+        changes.refusal(results, name, durations_in(name), cores, bool(study_named(name).ranking.titles))
+        for name, results in overwritten.items()
+    ]
     return "" if OVERWRITE else "\n\n".join(filter(None, texts))
 
 
