@@ -80,6 +80,8 @@ MISTAKES = [
     ("variants", {"few": {"rays": 0}}, ["variants.few", "rays", "greater than 0"]),
     ("variants", {"few": {"capture": {"outside_window": "ignore"}}}, ["variants.few", "outside_window", "veil"]),
     ("variants", {"few": {"capture": "renormalise"}}, ["variants.few.capture", "renormalise", "keys and values"]),
+    ("variants", {"few": {"capture": {"sensor": {}}}}, ["variants.few.capture", "also give `colour`"]),
+    ("variants", {"a": {"free": {"curvature": [1]}}, "b": {"free": {"curvature": [1]}}}, ["variants.b", "variant a"]),
 ]
 
 
@@ -88,6 +90,16 @@ def test_a_mistake_is_named(key, value, words):
     with pytest.raises(StudyError) as error:
         parse(with_ablation(RAYS | {key: value}))
     assert all(word in str(error.value) for word in ["ablations", "mine", *words])
+
+
+def test_variants_of_a_search_that_ends_at_a_spot_are_compared():
+    """The spot of these elements counts, also if it is given by elements."""
+    spots = {"design": "imaging2", "variants": {"same": {"spot_um": 5}}}
+    study = changed(with_ablation(RAYS | spots), "designs.imaging2.spot_um", {"singlet": 5})
+    with pytest.raises(StudyError, match=r"variants\.same: has the same values as the design itself"):
+        parse(study)
+    variant = parse(changed(study, "ablations.mine.variants.same.spot_um", 6)).variant("mine", "same")
+    assert variant.design.spot_um == 6
 
 
 def test_a_variant_that_is_called_like_a_design_is_refused():

@@ -123,6 +123,21 @@ def test_an_entry_of_a_list_is_changed_by_its_number():
         laid_over({"designs": {"mine": below}}, {"designs": {"mine": {"descents": {"2": {"steps": 3}}}}})
 
 
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ({"final": 0.02}, "final: no effect in ray space with `duration: 1` and a frozen network"),
+        ({"criterion": "spot", "centre": "chief_ray"}, "centre: no effect with `criterion: spot`"),
+        ({"criterion": "contrast", "batch_size": 3}, "batch_size: no effect with `criterion: contrast`"),
+    ],
+)
+def test_keys_without_effect_are_refused(keys, words):
+    with pytest.raises(ValidationError, match=words):
+        DescentSettings(steps=9, **keys)
+    assert DescentSettings(steps=9, final=0.02, duration=0.7).final == 0.02
+    assert DescentSettings(steps=9, final=0.02, network_learning_rate=1e-4).final == 0.02
+
+
 # ---- angles of incidence
 
 
@@ -165,6 +180,17 @@ def test_incidence_on_a_sphere_as_traced_by_hand():
     assert float(incidence_penalty(alone, view, 20.0)) == pytest.approx(float(front), rel=1e-9)
 
 
+def test_incidence_does_not_depend_on_a_stop_behind_the_surfaces():
+    """The same chief and marginal rays through a stop in front and behind: a thin plate far from focus."""
+    lens, view = wedge()
+    behind = replace(lens, stop=2, semi_diameter=lens.semi_diameter.flip(0))
+    inside = [
+        math.radians(30 - 15),
+        math.asin(0.5 / float(lens.refractive_indices((0.5893,))[2, 0])) - math.radians(15),
+    ]
+    assert float(incidence_penalty(behind, view, 15.0)) == pytest.approx(sum(e * e for e in inside), rel=1e-6)
+
+
 def test_gradient_of_the_incidence_penalty_is_that_of_differences(start):
     gradients = {}
     for name in ("curvature", "thickness", "alpha"):
@@ -203,6 +229,9 @@ def test_designs_that_begin_with_each_other_are_refused():
     study = changed(study, "designs.sharp", study["designs"]["image_error"] | {"start": ["image_error"]})
     with pytest.raises(StudyError, match="image_error would start from itself, through sharp"):
         parse(study)
+    own = changed(tiny_study(), "designs.image_error.start", "best_imaging")  # it is an imaging design itself
+    with pytest.raises(StudyError, match=r"designs\.image_error\.start: image_error would start from itself"):
+        parse(own)
 
 
 def test_least_squares_stops_at_a_spot():

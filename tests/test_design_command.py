@@ -173,6 +173,10 @@ MISTAKES = [
     (("--kernel-size", "50"), "--kernel-size = 50: expected an odd number, so that the PSF has a central pixel"),
     (("--wavelengths", "2.4,0.6,0.5"), "2.4 um of lens is outside the 0.334 to 2.325 um"),
     (("--materials", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
+    (("--classifier", "test_resnet", "--weights", "words.pth"), "method least_squares: has no network; choose task"),
+    (("--images", "photographs", "--size", "32"), "method least_squares: has no images"),
+    (("--weights", "words.pth"), "--weights, --pretrained, --outputs, --argument: only with --classifier NAME"),
+    ((*TASK, "--weights", "words.pth", "--set", "descents=5"), "designs.task.descents = 5: expected a list"),
     (("-o", "lens.txt"), "lens.txt: expected a name that ends in .yaml or .yml or .zmx"),
     (("-o", "words.yaml"), "words.yaml: already exists; --force overwrites it"),
 ]

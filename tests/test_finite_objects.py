@@ -12,6 +12,7 @@ from reference_files import reference_files
 
 import tasklens
 from tasklens.cli.app import main
+from tasklens.design.constraints import first_order_margins
 from tasklens.materials.material import model_glass
 from tasklens.materials.zemax_text import read_lines
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
@@ -20,7 +21,7 @@ from tasklens.optics.analysis.diffraction import irradiance
 from tasklens.optics.analysis.object_points import image_scale, magnification
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
-from tasklens.optics.analysis.spots import chief_points, trace_fields, trace_fields_full
+from tasklens.optics.analysis.spots import chief_points, chief_rays, trace_fields, trace_fields_full
 from tasklens.optics.analysis.wavefront import wavefront
 from tasklens.optics.io import lens_files, zemax
 from tasklens.optics.lens import Lens
@@ -28,6 +29,7 @@ from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.simulation.sensor_psfs import trace_sensor_psfs
+from tasklens.study.settings import Constraints
 
 REFERENCE = WAVELENGTHS[1]
 PUPIL = sobol_disc(128, seed=0)
@@ -89,6 +91,8 @@ def test_a_thin_doublet_by_hand():
     # A chief ray through the middle of thin lenses goes straight to the image of its object point.
     assert values["distortion_percent"][1] == pytest.approx(0, abs=1e-9)
     assert values["angle_deg"][1] == pytest.approx(math.degrees(math.atan(field)), rel=1e-12)
+    margins = first_order_margins(lens, Constraints(), view, chief_rays(lens, view))
+    assert float(margins["distortion"]) == pytest.approx(Constraints().distortion, abs=1e-9)
 
 
 @pytest.mark.parametrize("stop", [0, 2, 4])

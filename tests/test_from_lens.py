@@ -129,6 +129,12 @@ def test_the_linear_model_of_a_lens_with_its_stop_inside(triplet):
         assert float(error.norm() / predicted[:, k].norm()) < 0.1
 
 
+def test_the_primary_wavelength_of_a_file_may_be_the_longest(tmp_path):
+    """A design has red, green and blue, whichever wavelength is the file's reference."""
+    _, _, notes, _ = improve(save(tmp_path, primary=0), "spot", settings={"descents": {"0": {"steps": 1}}})
+    assert list(notes["spec"]["wavelengths_um"]) == [0.6563, 0.5876, 0.4861]
+
+
 COMMAND = ("design", "--start", "mine.zmx", "--pixel-pitch", "8", "--set", "descents.0.steps=20", "-o", "better.zmx")
 
 
@@ -159,6 +165,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--field-of-view", "0.05"), "field_of_view_deg"),
         (("--object", "400"), "designs need an object at infinity: give --object inf"),
         (("--limit", "max_trak=6"), "--limit max_trak = 6: unknown key; did you mean max_track?"),
+        (("--limit", "flat_track=3"), "--limit flat_track: only for designs from flat plates"),
         (("--limit", "max_track=abc"), "--limit max_track = 'abc': expected a number"),
         (("--output", "my lens.zmx"), "my lens.zmx: its glass catalogue would have the same name"),
         (("--output", "mine_too.zmx"), "mine_too.agf: already exists; --force overwrites it"),

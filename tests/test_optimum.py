@@ -49,6 +49,7 @@ def examine(lens, target) -> Optimum:
 def test_the_bottom_of_a_bowl_is_an_optimum(feasible):
     result = examine(feasible, feasible)
     assert result.reached and result.gain <= 1e-9
+    assert (result.error, result.images) == (0, 0)  # a loss of rays has no images and no sampling error
 
 
 def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):

@@ -18,6 +18,7 @@ from tasklens.pipeline import closing, runs
 from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import Durations
 from tasklens.pipeline.terminal import Terminal
+from tasklens.runtime.errors import InputError
 from tasklens.study.loading import at_points, dump, load, parse
 from tasklens.study.report_jobs import SweepJob
 from tasklens.study.study import StudyError
@@ -72,10 +73,11 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
         ({"spec.f_number": [[2]]}, ["sweep.spec.f_number", "expected numbers, names"]),
         ({"supervisor": ["../other"]}, ["sweep.supervisor", "'../other'"]),
         ({"name": ["a"]}, ["sweep.name", "cannot differ between points"]),
+        ({"capture.sensor.gain": [1, 16]}, ["sweep.capture.sensor.gain", "adds a sensor; also give `colour`"]),
     ],
 )
 def test_an_impossible_grid_is_refused(sweep, words):
-    with pytest.raises(StudyError) as caught:
+    with pytest.raises(InputError) as caught:
         at_points(parse(one_lens(**sweep)))
     assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value)
 

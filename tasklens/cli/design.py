@@ -126,6 +126,8 @@ def design(
         "object_distance_mm": object_distance,
     }
     network = None
+    if classifier is None and (weights or pretrained or outputs != "classes" or argument):
+        raise InputError("--weights, --pretrained, --outputs, --argument: only with --classifier NAME")
     if classifier is not None:
         network = network_settings(classifier, weights, pretrained, outputs, argument)
     specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}

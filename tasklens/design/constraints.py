@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from tasklens.materials.material import AIR
+from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields
 from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters, distortion
@@ -81,9 +82,10 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays
     off_axis = view.radii > 0
     points = torch.stack([chief.x, chief.y], -1)[:, 0, 0]
     power = view.efl * paraxial(lens, view.reference).power
+    ideal = view.fields * image_scale(lens, view)
     margins = {
         "efl_tolerance": limits.efl_tolerance - (power[None] - 1).abs(),
-        "distortion": limits.distortion - distortion(view.fields, points)[off_axis].abs(),
+        "distortion": limits.distortion - distortion(ideal, points)[off_axis].abs(),
     }
     if limits.max_chief_ray_angle_deg is not None:
         direction = (v[off_axis, 0, 0] for v in (chief.l, chief.m, chief.n))
@@ -127,14 +129,15 @@ def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:
 
     cos i = |D . (n' D' - n D)| / |n' D' - n D|
 
-    The rays are the marginal and chief rays of the middle wavelength at all fields. The stop is in front of the lens.
+    The rays are the marginal and chief rays of the middle wavelength at all fields.
     """
     indices = lens.refractive_indices((view.reference,))
     rays = launch_fields(lens, view, _INCIDENT, (view.reference,))
     total, direction = torch.zeros((), dtype=lens.dtype), torch.stack([rays.l, rays.m, rays.n])
     for i in lens.refracting_surfaces:
         shape = {name: getattr(lens, name)[: i + 1] for name in ("curvature", "conic", "alpha", "thickness", "media")}
-        next_rays = trace(replace(lens, semi_diameter=lens.semi_diameter[: i + 1], **shape), rays, indices[: i + 2])
+        front = replace(lens, stop=min(lens.stop, i), semi_diameter=lens.semi_diameter[: i + 1], **shape)
+        next_rays = trace(front, rays, indices[: i + 2])
         next_direction = torch.stack([next_rays.l, next_rays.m, next_rays.n])
         refraction = indices[i + 1] * next_direction - indices[i] * direction
         squared = refraction.square().sum(0)

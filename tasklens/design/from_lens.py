@@ -43,9 +43,7 @@ _SPOT = {
             "steps": 500,
             "step_size": 0.3,
             "momentum": 0.95,
-            "final": 0.02,
             "criterion": "spot",
-            "centre": "chief_ray",
         }
     ]
 }
@@ -91,6 +89,8 @@ def design(
         given = Constraints.model_validate(constraints)
     except ValidationError as error:
         raise InputError(in_words("constraints", error, Constraints)) from None
+    if unused := {"stop_distance", "flat_track"} & set(constraints):
+        raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
     spec, view = _spec(file)
     free = resolved(file.lens, free)
     if method == "spot":  # its default descent begins with flat plates
@@ -202,10 +202,9 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         raise InputError("designs need an object at infinity: give --object inf, which refocuses the lens")
     colours = file.view.wavelengths
     if len(colours) != 3 or sorted(colours, reverse=True) != list(colours):
-        colours = tuple(sorted(set(colours), reverse=True))
-        if len(colours) < 3:
+        if len(set(colours)) < 3:
             raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
-        colours = colours[0], file.view.reference, colours[-1]
+        colours = file.view.in_colours().wavelengths
     radius = float(paraxial(file.lens, file.view.reference).entrance_pupil_radius)
     efl = file.view.efl  # of the specification, if the file has one
     tangent = float(file.view.radii.max()) / efl

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tasklens.design.criteria import CaptureCriterion
 from tasklens.design.ray_space import HARD, RaySpace, repair
 from tasklens.design.supervision import SELECTION, Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -30,7 +31,8 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
 
     Returns:
         The largest `gain` of the steps (mean decrease of the loss, negative if all steps increase it); its standard
-        `error`, paired by image; its `step_um` and its direction `along`; the number of `images`.
+        `error`, paired by image; its `step_um` and its direction `along`; the number of `images`. A loss of rays or
+        PSFs has no images, and no error.
     """
     problem, pixels = supervisor.problem, settings.pixels[1]
     space = RaySpace(lens, problem.view, problem.limits, problem.free)
@@ -41,15 +43,15 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
     for k in range(_DIRECTIONS):
         sample = model.scale * torch.randn(len(model.scale), generator=generator, dtype=model.scale.dtype)
         steps.append((f"random direction {k + 1}", STEPS_UM[0], model.metric @ sample))
-    losses = _losses(supervisor, lens, pixels)
+    losses, captured = _losses(supervisor, lens, pixels), isinstance(supervisor.criterion, CaptureCriterion)
     gains: list[dict[str, Any]] = []
     for direction, step_um, slope in steps:
         change = model.step(slope, step_um, settings.damping, HARD)
         trial, _ = repair(space.lens(space.start + change), problem.view, problem.limits, problem.free)
         difference = losses - _losses(supervisor, trial, pixels)
-        error = float(difference.std() / len(difference) ** 0.5)
+        error = float(difference.std() / len(difference) ** 0.5) if captured else 0.0
         gains.append({"gain": float(difference.mean()), "error": error, "step_um": step_um, "along": direction})
-    return max(gains, key=lambda step: step["gain"]) | {"images": len(losses)}
+    return max(gains, key=lambda step: step["gain"]) | {"images": len(losses) if captured else 0}
 
 
 def _halves(supervisor: Supervisor) -> tuple[slice, slice]:

@@ -106,6 +106,8 @@ def designs(
         return _from_lens(
             Path(start), method, free, settings, constraints, files, section, classifier, seed, user, baselines, spec
         )
+    if free is not None:
+        raise InputError("free: only with `start`, the file of a lens")
     spots: dict[str, float] = {}
     if any(substitution.ALTERNATIVE in element for element in elements):
 

@@ -107,6 +107,7 @@ def _lens(content: Mapping) -> dict[str, str]:
     if "validation_loss" in origin:
         rows["loss of this lens on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
     if (test := optimum(content)) is not None:
-        rows[f"largest decrease of the loss by a small step within the limits, on {test.images} images"] = str(test)
+        images = f", on {test.images} images" if test.images else ""
+        rows[f"largest decrease of the loss by a small step within the limits{images}"] = str(test)
     losses = origin.get("candidate_losses", {})
     return rows | {f"loss of {name} as a candidate start": f"{loss:.4f}" for name, loss in losses.items()}

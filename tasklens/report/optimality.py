@@ -25,7 +25,7 @@ class Optimum:
         error: standard error of the gain, paired by image.
         step_um: RMS ray displacement of that step [um].
         along: direction of that step.
-        images: number of images.
+        images: number of images; 0 for a loss of rays or PSFs.
     """
 
     gain: float

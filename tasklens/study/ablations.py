@@ -40,12 +40,15 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
         name: name of the ablation.
 
     Raises:
-        ValueError: invalid changes (pydantic's ValidationError), or a `capture` that is no mapping.
+        ValueError: invalid changes (pydantic's ValidationError), a `capture` that is no mapping, or a sensor without a
+            choice of `colour`.
     """
     changes = dict(ablation.variants[variant])
     other = changes.pop("capture", None)
     if not isinstance(other, dict | None):
         raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {other!r}")
+    if other is not None:
+        capture.check_new_sensor(other, f"ablations.{name}.variants.{variant}.capture")
     design_name = ablation.name(name, variant)
     return LensEntry(
         name=f"{base.elements}-{design_name}",
@@ -67,8 +70,9 @@ def check_differences(entries: Mapping[str, LensEntry], base: Any, capture: Capt
     Raises:
         ValueError: a variant changes nothing, or equals another one; the message begins with `where`.
     """
-    names = {(base, capture): "the design itself"}
+    seen = [((base, capture), "the design itself")]
     for name, entry in entries.items():
-        other = names.setdefault((entry.design, entry.capture or capture), f"the variant {name}")
-        if other != f"the variant {name}":
-            raise ValueError(f"{where}.{name}: has the same values as {other}; change one, or remove it")
+        values = entry.design, entry.capture or capture
+        if same := [words for other, words in seen if other == values]:
+            raise ValueError(f"{where}.{name}: has the same values as {same[0]}; change one, or remove it")
+        seen.append((values, f"the variant {name}"))

@@ -93,7 +93,8 @@ def _check_ablation(study: Study, name: str) -> None:
         if design_names.count(lenses[variant].design_name) > 1:
             other = lenses[variant].design_name
             raise ValueError(f"ablations.{name}: another design is also called {other}; rename one")
-    ablations.check_differences(lenses, study.designs[ablation.design], study.capture, f"ablations.{name}.variants")
+    base = study.lens(f"{ablation.elements}-{ablation.design}").design
+    ablations.check_differences(lenses, base, study.capture, f"ablations.{name}.variants")
 
 
 def _check_networks(study: Study) -> None:
@@ -169,11 +170,19 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
             raise ValueError(
                 f"{where}.start: {name!r} cannot be the start of this design; expected one of {', '.join(choices)}"
             )
-    _check_acyclic(study, where, lens.design_name, design.starting_designs)
+    _check_acyclic(study, where, lens.design_name, design)
 
 
-def _check_acyclic(study: Study, where: str, name: str, starts: tuple[str, ...]) -> None:
-    """Check that no design starts from itself by way of other designs; raises ValueError."""
+def _starts(study: Study, design: DesignSettings) -> tuple[str, ...]:
+    """Return the designs that a design may start from, also those that `best_imaging` or `best_spot` may choose."""
+    if not isinstance(design, GradientDesignSettings):
+        return ()
+    return study.best_of.get(str(design.start), design.starting_designs)
+
+
+def _check_acyclic(study: Study, where: str, name: str, design: DesignSettings) -> None:
+    """Check that no design starts from itself, directly or by way of other designs; raises ValueError."""
+    starts = _starts(study, design)
     queue, seen = list(starts), set()
     while queue:
         other = queue.pop()
@@ -181,5 +190,4 @@ def _check_acyclic(study: Study, where: str, name: str, starts: tuple[str, ...])
             raise ValueError(f"{where}.start: {name} would start from itself, through {', '.join(starts)}")
         if other not in seen:
             seen.add(other)
-            design = study.designs.get(other)
-            queue += design.starting_designs if isinstance(design, GradientDesignSettings) else ()
+            queue += _starts(study, study.designs[other]) if other in study.designs else ()

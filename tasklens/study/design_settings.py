@@ -35,6 +35,9 @@ OPTIMIZER_KEYS = {  # keys of a descent that only one optimizer reads
 }
 
 
+_UNREAD = {"spot": ("centre", "size", "batch_size"), "contrast": ("size", "batch_size")}  # keys by criterion
+
+
 class DescentSettings(Frozen):
     """Settings of one descent: optimizer, criterion, pixels and steps."""
 
@@ -91,7 +94,11 @@ class DescentSettings(Frozen):
         description="Centre of PSFs. pinhole: the pinhole point, so that lost light drives the focal length to its "
         "value; chief_ray: the chief ray, as in all evaluation, so that distortion within its limit costs nothing.",
     )
-    final: Part = Field(0.1, description="Step size or learning rates at the end, as a fraction; cosine schedule.")
+    final: Part = Field(
+        0.1,
+        description="Learning rates at the end, as a fraction (cosine schedule); also the step size of ray space, from "
+        "`duration` on.",
+    )
     step_size: Annotated[float, Field(gt=0, le=100)] = Field(
         0.5, description="Ray space: RMS ray displacement per step [current pixels]."
     )
@@ -124,6 +131,12 @@ class DescentSettings(Frozen):
             for key in ("temperature", "network_learning_rate"):
                 if getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"{key}: only for `criterion: task`, not `{self.criterion}`")
+        for key in _UNREAD.get(self.criterion, ()):
+            if getattr(self, key) != type(self).model_fields[key].default:
+                raise ValueError(f"{key}: no effect with `criterion: {self.criterion}`")
+        default = type(self).model_fields["final"].default
+        if self.optimizer == "ray_space" and self.duration == 1 and not self.trains_network and self.final != default:
+            raise ValueError("final: no effect in ray space with `duration: 1` and a frozen network")
         return self
 
     @property

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tasklens.study.quantities import Angle, Count, Name, Positive, Steps
 from tasklens.study.settings import Frozen
@@ -35,6 +35,12 @@ class LeastSquaresSettings(Frozen):
         description="RMS spot radius at which the search ends [um], one value or one by name of elements, for a lens "
         "as sharp as another, such as one of the paper's; null: the whole budget.",
     )
+
+    @model_validator(mode="after")
+    def _a_search_that_ends_early_has_no_last_stage(self) -> "LeastSquaresSettings":
+        if self.spot_um is not None and (self.vignetting, self.linear_beyond_um) != (None, None):
+            raise ValueError("spot_um: not with `vignetting` or `linear_beyond_um`, which only a whole search reaches")
+        return self
 
     def of_elements(self, elements: str) -> "LeastSquaresSettings":
         """Return the settings for some elements, with one `spot_um`."""

@@ -167,10 +167,13 @@ def at_points(study: Study) -> list[Study]:
     """Return the study at every point of its sweep, named `{study}/{point}`; the study itself if it has none.
 
     Raises:
-        StudyError: names the point, and a key or a value that the study cannot have.
+        InputError: names the point, and a key or a value that the study cannot have.
     """
     if not study.sweep:
         return [study]
+    for key in study.sweep:
+        if key.startswith("capture.sensor") and "capture.colour" not in study.sweep:
+            study.capture.check_new_sensor({"sensor": key}, f"sweep.{key}")
     common = resolved(study) | {"sweep": {}}
     studies = []
     for name, point in points(study.sweep).items():

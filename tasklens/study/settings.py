@@ -1,6 +1,7 @@
 """Settings of a study: frozen, typed, with units, limits and defaults; no torch here."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.job import JOB
 from tasklens.study import users_code
 from tasklens.study.quantities import (
@@ -260,6 +262,15 @@ class CaptureSettings(Frozen):
     diffraction: bool = Field(
         False, description="Include diffraction in the PSFs of training and measurement; designs are geometric."
     )
+
+    def check_new_sensor(self, changes: Mapping[str, Any], where: str) -> None:
+        """Check that changes which add a sensor say what is blurred, unless these settings do; raises InputError.
+
+        The default of `colour` depends on the sensor, and has already been applied.
+        """
+        adds = self.sensor is None and changes.get("sensor") is not None
+        if adds and "colour" not in changes and "colour" not in self.model_fields_set:
+            raise InputError(f"{where}: adds a sensor; also give `colour`, linear as in a camera, or srgb")
 
     @model_validator(mode="before")
     @classmethod

@@ -52,41 +52,48 @@ def study(
 
     Raises:
         StudyError: a wrong key or value.
-        InputError: the method is unknown, or needs a network and there is none.
+        InputError: the method is unknown, needs a network and there is none, or does not use a network or images.
     """
     if method not in methods():
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
     design = laid_over(methods()[method], settings)
     designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
-    last = designs.pop(method)
-    designs |= {criterion: _by(criterion, last) for criterion in baselines} | {method: last}
     side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
-    result = parse(
-        {
-            "format": 3,
-            "name": "one",
-            "images": images or {"size": side, "train": 500, "minival": 10, "test": 10},
-            "spec": dict(spec),
-            "constraints": dict(constraints),
-            "elements": {ELEMENTS: list(elements)},
-            "materials": list(materials),
-            "designs": designs,
-            "supervisor": _NETWORK,
-            "classifiers": {_NETWORK: classifier or {"model": "none", "pretrained": True}},
-            "fine_tuning": {"epochs": 0, "learning_rate": 1e-3},
-            "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
-        }
-    )
-    if classifier is None and not network_given and any(lens.classified for lens in result.lenses.values()):
+    content = {
+        "format": 3,
+        "name": "one",
+        "images": images or {"size": side, "train": 500, "minival": 10, "test": 10},
+        "spec": dict(spec),
+        "constraints": dict(constraints),
+        "elements": {ELEMENTS: list(elements)},
+        "materials": list(materials),
+        "designs": designs,
+        "supervisor": _NETWORK,
+        "classifiers": {_NETWORK: classifier or {"model": "none", "pretrained": True}},
+        "fine_tuning": {"epochs": 0, "learning_rate": 1e-3},
+        "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
+    }
+    result = parse(content)
+    if baselines:
+        last = designs.pop(method)
+        others = {criterion: _by(criterion, last) for criterion in baselines}
+        result = parse(content | {"designs": designs | others | {method: last}})
+    given, classified = classifier is not None or network_given, any(lens.classified for lens in result.lenses.values())
+    if classified and not given:
         raise InputError(f"method {method}: needs a network: --classifier NAME --weights FILE, in Python `classifier`")
+    if given and not classified:
+        raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
+    if images is not None and not any(lens.supervised for lens in result.lenses.values()):
+        raise InputError(f"method {method}: has no images; choose another method, or give no images")
     return result
 
 
 def _by(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return a design by another criterion, with the same start, steps and images."""
-    network_keys = ("criterion", "network_learning_rate", "temperature")
+    network_keys = ("criterion", "network_learning_rate", "temperature", "batch_norm", "task")
     descents = [{k: v for k, v in descent.items() if k not in network_keys} for descent in settings["descents"]]
-    return {**settings, "descents": [descent | {"criterion": criterion} for descent in descents]}
+    kept = {key: value for key, value in settings.items() if key not in network_keys}
+    return kept | {"descents": [descent | {"criterion": criterion} for descent in descents]}
 
 
 def _with_starts(method: str, settings: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
