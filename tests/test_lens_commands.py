@@ -124,6 +124,14 @@ def test_compare_fits_a_terminal(capsys):
         assert row["worst_margin"] == yaml.safe_load(path.read_text())["worst_margin"]["value"]
 
 
+def test_margins_are_those_of_the_file_alone(capsys):
+    """Another field of view or focus has other margins, which are not known."""
+    lens = PUBLISHED / "doublet-tasklens.yaml"
+    assert "worst margin" in output_of(capsys, "show", lens, *FEW)
+    for option in (("--field-of-view", "60"), ("--focus", "20"), ("--f-number", "3.2")):
+        assert "margin" not in output_of(capsys, "show", lens, *option, *FEW)
+
+
 @pytest.mark.slow
 def test_lenses_of_one_name_are_told_apart(folder, capsys):
     text = output_of(capsys, "compare", DOUBLET, SAME, *FEW)
@@ -163,6 +171,9 @@ def test_psfs_in_three_formats_are_one(folder):
     assert arrays["wavelengths_um"].tolist() == [0.6563, 0.5893, 0.4861] and arrays["pixel_pitch_um"] == 1.8
     tensors, _ = read_tensors(folder / "psf.safetensors")
     torch.testing.assert_close(tensors["psf"], torch.from_numpy(arrays["psf"]).float(), rtol=1e-6, atol=1e-9)
+    assert run("psf", DOUBLET, "-o", "up.png", "--kernel-size", 31, "--wavelengths", "0.4861,0.5893,0.6563", *FEW) == 0
+    with Image.open("psf.png") as image, Image.open("up.png") as ascending:
+        assert (numpy.asarray(image) == numpy.asarray(ascending)).all()
     with Image.open("psf.png") as image:  # the brightest pixel of each PSF is white in one colour
         assert image.mode == "RGB" and numpy.asarray(image).max() == 255
 

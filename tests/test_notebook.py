@@ -261,6 +261,7 @@ def test_a_specification_that_cannot_be(change, words):
         tasklens.lens(COOKE, **({"field_of_view_deg": 40, "f_number": 5} | change))
 
 
+LENS = PUBLISHED / "doublet-tasklens.yaml"
 IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
 
 
@@ -272,6 +273,16 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
         (lambda lens, view: tasklens.simulate_sensor(IMAGE, lens, view, 0), "pixel_pitch_um: expected a positive"),
         (lambda lens, view: tasklens.psf(lens, view, rays=0), "rays: expected at least one"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, wavelengths_um=0.55), "wavelengths_um: expected a list"),
+        (lambda lens, view: tasklens.load_lens(LENS, wavelengths_um=0.55), "wavelengths_um: expected a list"),
+        (
+            lambda lens, view: tasklens.load_lens(LENS, object_distance_mm="500"),
+            "object_distance_mm: expected a number",
+        ),
+        (lambda lens, view: tasklens.lens([{"radius": 5, "material": 1.5, "stop": True}], 40, 5), "name of a glass"),
+        (
+            lambda lens, view: tasklens.lens([{"radius": 5, "coefficients": 1e-4}], 40, 5),
+            "coefficients: expected a list",
+        ),
         (lambda lens, view: tasklens.Camera(lens, view, free={"curvature": 1}), "free: expected surfaces by variable"),
         (lambda lens, view: tasklens.Camera(lens, view, free=["curvature"]), "free: expected surfaces by variable"),
         (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None], torch.tensor([9])), "an index from 0 to 8"),

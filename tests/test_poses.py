@@ -10,6 +10,10 @@ from examples import WAVELENGTHS, assert_close, difference, f64, random_lens, ra
 from reference_files import SHIPPED, original_of
 from reference_lenses import tabulated_lens
 
+import tasklens
+from tasklens.optics.analysis.aberrations import field_curvature
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.spots import chief_points, ray_fans
 from tasklens.optics.lens import Lens
 from tasklens.optics.pose import Pose
 from tasklens.optics.rays import Rays, launch
@@ -152,3 +156,14 @@ def test_a_lens_keeps_its_poses():
     assert torch.equal(trace(lens.detached(), start, indices).x, trace(lens, start, indices).x)
     large = trace(lens.scaled(3.0), replace(start, x=3 * start.x, y=3 * start.y), indices)
     assert_close(large.x, 3 * trace(lens, start, indices).x, 1e-13)
+
+
+def test_analyses_in_the_meridian_are_those_of_the_nominal_lens():
+    """A field turned onto +y would be another field of a tilted lens."""
+    lens, view = tasklens.load_lens(SHIPPED.parent.parent / "docs/results/headline/lenses/doublet-tasklens.yaml")
+    moved = lens.with_element_moved(1, 2, f64([0.01, 0.0]), f64([0.0, 0.01]))
+    torch.testing.assert_close(relative_illumination(moved, view), relative_illumination(lens, view), rtol=0, atol=0)
+    for one, other in zip(field_curvature(moved, view), field_curvature(lens, view), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+    assert torch.equal(ray_fans(moved, view, 5).tangential, ray_fans(lens, view, 5).tangential)
+    assert not torch.equal(chief_points(moved, view), chief_points(lens, view))

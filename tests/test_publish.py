@@ -22,6 +22,15 @@ TABLE = pandas.DataFrame(
 )
 
 
+def test_the_best_of_a_table_is_that_of_its_elements_task_and_score():
+    tasks = {"lens": ["doublet-a", "doublet-b"] * 2, "task": "masks", "score": ["ap", "ap", "ap50", "ap50"]}
+    table = pandas.DataFrame(tasks | {"tuned": [1.0, 2.0, 4.0, 3.0]})
+    assert headings.best(table, "tuned") == [False, True, True, False]
+    lenses = ["doublet-a", "doublet-b", "triplet-a", "triplet-b"]
+    tails = pandas.DataFrame({"lens": lenses, "core_radius_um": [3.0, 4.0, 2.0, 1.0]})
+    assert headings.best(tails, "core_radius_um") == [True, False, False, True]
+
+
 def test_readers_see_headings_with_units_spreads_and_dashes():
     texts = headings.texts(TABLE)
     assert texts.columns.tolist() == ["lens", "accuracy [%]", "seeds", "converged", "note", "r2", "accuracy [%], paper"]

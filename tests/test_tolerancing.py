@@ -35,6 +35,17 @@ def test_elements_are_what_lies_between_air():
                      *(f"surface decentre {i} {axis}" for i in (1, 2) for axis in "xy")]  # fmt: skip
 
 
+def test_a_stop_inside_a_glass_has_no_errors():
+    """A rod with its stop in the middle is one piece of glass, with one thickness and one index."""
+    rod = make_lens([0.1, 0.0, -0.1], [2.0, 3.0, 9.0], (COC, COC, AIR), semi_diameter=[1.0] * 3, stop=1)
+    all_errors = errors(rod, grade(surface_decentre_um=1.0, index=0.001, thickness_um=5.0, radius_percent=1.0))
+    names = ["radius 0", "radius 2", "thickness 0", "index 0", "surface decentre 2 x", "surface decentre 2 y"]
+    assert [error.name for error in all_errors] == names
+    melted = built(rod, all_errors, torch.eye(len(names), dtype=torch.float64)[3], 0.55)
+    change = melted.refractive_indices((0.55,)) - rod.refractive_indices((0.55,))
+    torch.testing.assert_close(change[:, 0], f64([0, 0.001, 0.001, 0]), rtol=1e-6, atol=1e-12)
+
+
 def test_every_kind_of_error_is_listed_once():
     all_errors = errors(doublet()[0], Grade.model_validate("precision_moulding"))
     assert len({error.name for error in all_errors}) == len(all_errors) == 4 + 8 + 2 + 2 + 4 + 8 + 8

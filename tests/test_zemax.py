@@ -202,13 +202,16 @@ def test_fields_of_old_files_and_more_than_twelve(tmp_path):
 
 def test_a_glass_that_no_catalogue_has_is_that_of_its_line(tmp_path):
     """The glass has nd and Vd of its line, with a remark; nd = Vd = 0 is refused (`MISTAKES`)."""
-    imported = read_lens(tmp_path, edit(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
-    assert imported.lens.media[0] == model_glass(1.5, 40.0, 0.0, "MINE")
-    (remark,) = imported.remarks
-    assert remark.startswith(
-        "glass MINE is in no catalogue: using a model glass with nd = 1.5 and Vd = 40, as its line says"
-    )
-    assert ". The nearest glass is " in remark
+    for dpgf, error in ((0.0, "4e-4"), (0.01, "1e-4")):
+        imported = read_lens(tmp_path, edit(("COC 0 0 1.5 40", f"MINE 0 0 1.52 40 {dpgf}")))
+        assert imported.lens.media[0] == model_glass(1.52, 40.0, dpgf, "MINE")
+        (remark,) = imported.remarks
+        assert remark.startswith(
+            "glass MINE is in no catalogue: using a model glass with nd = 1.52 and Vd = 40, as its line says"
+        )
+        assert f"its index is right to {error} in the visible. The nearest glass is " in remark
+    with pytest.raises(FileError, match="MINE"):  # 1.5 and 40 stand for any glass of a catalogue
+        read_lens(tmp_path, edit(("COC 0 0 1.5 40", "MINE 0 0 1.5 40")))
     assert read_lens(tmp_path).remarks == ()
 
 
@@ -239,6 +242,11 @@ def test_configurations(tmp_path):
     (tmp_path / "lens.zmx").write_text(text.replace("YFIE 2 2 20", "YFIE 2 2 25"))
     with pytest.raises(FileError, match=r"line \d+: YFIE: differs from configuration 1"):
         zemax.read(tmp_path / "lens.zmx", configuration=2)
+    for line in ("MAZH 0 0", "PZUP 1 1 0"):
+        (tmp_path / "lens.zmx").write_text(text.replace("  DISZ 0.8", f"  {line}\n  DISZ 0.8"))
+        zemax.read(tmp_path / "lens.zmx", configuration=1)
+        with pytest.raises(FileError, match=f"{line[:4]}: a solve, whose value is that of configuration 1"):
+            zemax.read(tmp_path / "lens.zmx", configuration=2)
     parameters = "PRAM 1 1 0.01 0\nPRAM 1 2 0.02 0\nPRAM 1 1 0.5 0\nPRAM 1 2 0.5 0\n"
     (tmp_path / "lens.zmx").write_text(text.replace("CRVT 4 1", f"{parameters}CRVT 4 1"))
     with pytest.raises(FileError, match="PRAM: differs from configuration 1"):

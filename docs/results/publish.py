@@ -8,6 +8,8 @@ import argparse
 import shutil
 from pathlib import Path
 
+from tasklens.study import loading
+
 FOLDER = Path(__file__).parent
 TABLES = ("*.csv", "*.md", "*.npz")
 OMITTED = ("answers.csv", "encircled_energy.csv", "psf_tail.fields.csv")  # of the page; verdicts.npz has all answers
@@ -27,9 +29,13 @@ def publish(results: Path, destination: Path) -> None:
 
 def publish_lenses(results: Path, destination: Path) -> None:
     """Copy the tables' lenses of the first seed as YAML and Zemax files; variants of ablations have no Zemax file."""
+    seed = loading.load(results / "study.yaml").seeds[0]
+    lenses = [path.parent for path in results.glob(f"lenses/*/seed{seed}/*.zmx")]
+    if not lenses:
+        raise SystemExit(f"{results}/lenses: no Zemax files of seed {seed}; the published lenses remain")
     shutil.rmtree(destination, ignore_errors=True)
     destination.mkdir()
-    for folder in (path.parent for path in results.glob("lenses/*/seed0/*.zmx")):
+    for folder in lenses:
         shutil.copyfile(folder / "lens.yaml", destination / f"{folder.parent.name}.yaml")
         for path in (*folder.glob("*.zmx"), *folder.glob("*.agf")):
             shutil.copyfile(path, destination / path.name)

@@ -223,9 +223,9 @@ def export(
         view = reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
         if field_of_view is not None:
             lens_data = replace(lens_data, fields=None)
-            if "spec" in content:  # figures are those of other fields
-                content = {**content, "spec": {**content["spec"], "fields_mm": view.fields.tolist()}}
-                content.pop("figures", None)
+            if "spec" in content:
+                spec = {"fields_mm": view.fields.tolist(), "field_of_view_deg": field_of_view}
+                content = lens_files.without_figures(content) | {"spec": content["spec"] | spec}
         lens_data = prescription.with_use(lens_data, view)
     else:
         for remark in lens_data.remarks:

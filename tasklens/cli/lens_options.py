@@ -85,11 +85,14 @@ def reader(
 
 def _with_image_moved(file: "LensFile", shift: float) -> "LensFile":
     """Return a lens with its image plane `shift` micrometres further away; raises InputError."""
+    from tasklens.optics.io import lens_files
+
     if not math.isfinite(shift):
         raise InputError(f"--focus {shift}: expected a number of micrometres, such as -10")
     thickness = file.lens.thickness.clone()
     thickness[-1] += 1e-3 * shift
-    return replace(file, lens=replace(file.lens, thickness=thickness))
+    lens = replace(file.lens, thickness=thickness)
+    return replace(file, lens=lens, content=lens_files.without_figures(file.content))
 
 
 def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:

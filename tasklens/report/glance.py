@@ -55,11 +55,10 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
     """
     order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
     fields = list(dict.fromkeys((order[0], order[len(order) // 2], order[-1])))
+    pieces = [i for i in lens.refracting_surfaces if lens.media[i] != AIR]
     data: dict[str, Any] = {
-        "materials": [
-            short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and not is_plate(lens, i)
-        ],
-        "plates": [short_name(medium) for i, medium in enumerate(lens.media) if medium != AIR and is_plate(lens, i)],
+        "materials": [short_name(lens.media[i]) for i in pieces if not is_plate(lens, i)],
+        "plates": [short_name(lens.media[i]) for i in pieces if is_plate(lens, i)],
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm", "image_distance_mm", "airy_radius_um")},
         "fields": {key: [figures[key][field] for field in fields] for key in _FIELDS},
     }

@@ -13,7 +13,7 @@ STD, PAPER = "_std", "_paper"
 GAP = "–"
 _NO_LENS = "no lens"  # row of sharp images
 _LEAST_P = 0.001  # smaller p-values are shown as such
-_GROUPS = ("elements", "classifier")  # within which the best value is marked
+_GROUPS = ("elements", "classifier", "task", "score")  # within which the best value is marked
 
 
 class Heading(NamedTuple):
@@ -72,13 +72,14 @@ HEADINGS = {
     "worst_margin": Heading(
         "worst margin",
         *("", "+.3f"),
-        meaning="Distance to the nearest limit, in its own unit (mm, or a fraction); negative: violated",
+        meaning="Distance to the nearest limit, in its own unit (mm, rad, or none); negative: violated",
     ),
     "failed": Heading(
         "failed",
         *("%", ".0f"),
         factor=100.0,
-        meaning="Share of seeds with more than half of the light outside the window, or half of the accuracy lost",
+        meaning="Share of seeds with more than half of the light outside the window, or half of the accuracy above "
+        "chance lost",
     ),
     "parameters_m": Heading("parameters", "M", ".1f"),
     "lenses_tried": Heading("evaluations", "", ".0f"),
@@ -187,11 +188,13 @@ def texts(table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def best(table: pandas.DataFrame, name: str) -> Sequence[bool]:
-    """Return by row whether its rounded value is the best of its elements and classifier; a single row has no best."""
+    """Return by row whether its rounded value is the best of its elements, classifier and score, if it has rivals."""
     column = heading(name)
     if not column.best or name.endswith(PAPER) or not pandas.api.types.is_numeric_dtype(table[name]):
         return [False] * len(table)
     keys = [table[key].fillna("") for key in _GROUPS if key in table]
+    if "elements" not in table and "lens" in table:
+        keys.append(table["lens"].str.partition("-")[0])
     values = table[name].round(int(column.digits.strip("+.f")))
     groups = values.groupby(keys) if keys else values.groupby([0] * len(table))
     return ((values == groups.transform(column.best)) & (groups.transform("count") > 1)).tolist()

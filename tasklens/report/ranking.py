@@ -26,6 +26,7 @@ from tasklens.study.names import SHARP
 from tasklens.study.ranking import RankingJob
 
 SIGNIFICANCE = 0.05
+_ROUNDING = 1e-9  # of accuracies [%]: resampled means of equal values differ in the last digits
 _FIELD = "field_of_view_deg"  # key of a specification
 _SCALE = 5.0  # step of the axis of accuracies on the page [%]
 _NOTE = """\
@@ -71,10 +72,11 @@ def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
         predictions.same_images(correct[names[0]], correct[name], f"{names[0]} and {name}")
     values = 100 * numpy.stack([correct[name].mean(axis=1).to_numpy() for name in names], 1)
     means, observed = resampled_means(values), values.mean(0)
-    groups = _groups(means)
+    groups = _groups(means, len(values))
     ranks = []
     for k, name in enumerate(names):
-        behind = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
+        low, high = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
+        behind = max(low, -100.0), min(high, 100.0)
         by_field = tuple(predictions.accuracy_by_field(correct[name]))
         low, high = _interval(means[:, k], len(values))
         accuracy = observed[k], max(low, 0.0), min(high, 100.0)
@@ -87,13 +89,17 @@ def _interval(means: numpy.ndarray, images: int) -> tuple[float, float]:
 
     If all photographs agree, they show only that less than 1 - 0.025^(1 / images) of others differ.
     """
-    if numpy.ptp(means) > 0:
+    if numpy.ptp(means) > _ROUNDING:
         return interval(means)
-    most = 100 * (1 - 0.025 ** (1 / images))
-    return float(means[0] - most), float(means[0] + most)
+    return float(means[0] - _most(images)), float(means[0] + _most(images))
 
 
-def _groups(means: numpy.ndarray) -> list[int]:
+def _most(images: int) -> float:
+    """Return the largest percentage of photographs that may differ from some that all agree, at 97.5 %."""
+    return 100 * (1 - 0.025 ** (1 / images))
+
+
+def _groups(means: numpy.ndarray, images: int) -> list[int]:
     """Return the group of each lens from resampled means (R, L) in the order of the accuracies."""
     groups: list[int] = []
     while len(groups) < means.shape[1]:
@@ -103,7 +109,8 @@ def _groups(means: numpy.ndarray) -> list[int]:
         end = means.shape[1]
         if lenses > 1:
             least = studentized_range.isf(SIGNIFICANCE, lenses, math.inf) / math.sqrt(2)
-            less = (behind.mean(0) > least * behind.std(0)).nonzero()[0]
+            spread = behind.std(0)
+            less = (behind.mean(0) > numpy.where(spread > _ROUNDING, least * spread, _most(images))).nonzero()[0]
             end = first + 1 + less[0] if len(less) else end
         groups += [groups[-1] + 1 if groups else 1] * (end - first)
     return groups
@@ -135,8 +142,7 @@ def _and(names: Sequence[str]) -> str:
 def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]) -> str | None:
     """Say which lenses the sieve by the MTF left out, and whether a better lens may be among them; None without one.
 
-    A lens is above the order of the MTF by as much as its accuracy exceeds the largest one of all measured lenses with
-    no more MTF.
+    A surprise is a lens of lower MTF that is more accurate than one of higher MTF.
     """
     if not sieved or len(ranks) < 3:
         return None
@@ -145,14 +151,18 @@ def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]
     for rank in order[1:]:
         surprise = max(surprise, best - rank.accuracy)
         best = max(best, rank.accuracy)
-    correlation = float(spearmanr([mtf[rank.lens] for rank in ranks], [rank.accuracy for rank in ranks]).statistic)
+    accuracies = [rank.accuracy for rank in ranks]
+    follows = "all have one accuracy"
+    if len(set(accuracies)) > 1:
+        correlation = spearmanr([mtf[rank.lens] for rank in ranks], accuracies).statistic
+        follows = f"accuracy follows the MTF with a rank correlation of {correlation:.2f}"
     needed = ranks[0].accuracy - order[0].accuracy
     least = max(mtf[name] for name in sieved)
     hope = "would be a surprise" if needed > surprise else "cannot be excluded"
     count = "1 lens" if len(sieved) == 1 else f"{len(sieved)} lenses"
     return (
-        f"Not measured: {count} with a mean MTF of at most {least:.2f}. Among the measured lenses, accuracy follows "
-        f"the MTF with a rank correlation of {correlation:.2f}; a lens with a lower MTF was better by at most "
+        f"Not measured: {count} with a mean MTF of at most {least:.2f}. Among the measured lenses, {follows}; "
+        f"a lens with a lower MTF was better by at most "
         f"{surprise:.1f} points. The measured lens with the lowest MTF is {needed:.1f} points behind the first, so a "
         f"better lens among those not measured {hope}."
     )

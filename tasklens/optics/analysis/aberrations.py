@@ -4,7 +4,7 @@ Sign conventions: a single positive lens has S_I, S_IV and C_I > 0 (undercorrect
 terms refer to the paraxial image plane and to the largest field of the view, rotated onto +y.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -103,6 +103,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
 
     Source: Coddington 1829; Welford, Aberrations of Optical Systems (1986), chapter 9.
     """
+    lens = replace(lens, pose=None)
     start, image, rays_behind = chief_rays_full(lens, view.in_meridian())
     arrives = image.valid[:, 0, 0]
     index = lens.refractive_indices((view.reference,))[:, 0]

@@ -14,6 +14,8 @@ from tasklens.optics.view import View
 def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 64) -> Tensor:
     """Compute the illuminance (F,) of fields relative to the axis, at the middle wavelength; zero for a lost field.
 
+    Of the nominal lens, without shifts and tilts.
+
     E / E0 = A / A0,  A = integral over the pupil of |d(l, m) / d(px, py)| over the valid rays
 
     A is the area of the bundle in the plane of the direction cosines behind the lens, without vignetted rays. It does
@@ -26,7 +28,7 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
         rings, arms: pupil points on the half pupil. With the defaults, the error is at rounding for a smooth bundle,
             and a few 1e-3 for a vignetted one.
     """
-    turned = view.in_reference().in_meridian()
+    lens, turned = replace(lens, pose=None), view.in_reference().in_meridian()
     with_axis = replace(turned, fields=torch.cat([torch.zeros_like(turned.fields[:1]), turned.fields]))
     points, weights = gauss_quadrature(rings, arms)  # half pupil x > 0: fields on y are symmetric in x
 

@@ -4,7 +4,7 @@ Lost rays are NaN in a spot diagram and left out of an RMS. Energies are fractio
 apertures, as in a PSF (`passing`): vignetted rays are left out, and other lost rays are outside every radius.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -128,8 +128,11 @@ class RayFans:
 
 
 def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
-    """Compute fans of `count` rays: errors from the chief ray of the middle wavelength; NaN for a lost ray."""
-    turned = view.in_meridian()
+    """Compute fans of `count` rays: errors from the chief ray of the middle wavelength; NaN for a lost ray.
+
+    Of the nominal lens, without shifts and tilts.
+    """
+    lens, turned = replace(lens, pose=None), view.in_meridian()
     pupil = torch.linspace(-1, 1, count, dtype=torch.float64)
     zero = torch.zeros_like(pupil)
     points = torch.cat([torch.stack([zero, pupil], -1), torch.stack([pupil, zero], -1)])

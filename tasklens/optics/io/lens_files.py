@@ -1,7 +1,7 @@
 """Lens files, our YAML and Zemax's .zmx, with the specification that figures need."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from tasklens.study.settings import Spec
 _RAYS = 1024  # per field and colour, for the focus
 _RIM = 64  # marginal rays on the axis
 _CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
+_COMPUTED = ("figures", "margins", "worst_margin", "local_optimum")  # keys of a lens file for its own specification
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,8 @@ def read(
     """
     if object_distance_mm is not None:
         check_distance(object_distance_mm)
+    if not isinstance(wavelengths_um, Iterable | None):
+        raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
     source, content = read_prescription(path, catalogues, configuration)
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
@@ -84,6 +87,8 @@ def read(
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
         changes = _validated(changes)
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
+        if changes or wavelengths or object_distance_mm is not None:
+            content = without_figures(content)
         if "spec" in content:
             lens_file = _specified(source, content, changes, wavelengths, 1 / distance, str(path))
         else:
@@ -98,6 +103,11 @@ def read(
         raise FileError(f"{path}: {error}") from None
 
 
+def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of a lens file without what was computed for its own specification."""
+    return {key: value for key, value in content.items() if key not in _COMPUTED}
+
+
 def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return changed values of `Spec`, converted to numbers; raises InputError."""
     for key in changes:
@@ -110,8 +120,10 @@ def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
     return {key: getattr(spec, key) for key in changes}
 
 
-def check_distance(distance: float) -> None:
+def check_distance(distance: Any) -> None:
     """Raise InputError if an object is not in front of the lens [mm]."""
+    if not isinstance(distance, int | float):
+        raise InputError(f"object_distance_mm: expected a number, got {distance!r}")
     if not (distance > 0 and 1 / distance < math.inf):
         raise InputError(
             f"object distance {distance:g} (--object, in Python object_distance_mm): expected millimetres in front of "

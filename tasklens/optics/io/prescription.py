@@ -224,7 +224,8 @@ def _use(content: Mapping, name: str) -> dict:
         values["aperture"] = kind, positive(value, f"{name}: aperture: {kind}")
     if "fields" in values:
         kind, points = values["fields"]
-        if not isinstance(points, list) or not all(isinstance(point, list) and len(point) == 2 for point in points):
+        pairs = isinstance(points, list) and all(isinstance(point, list) and len(point) == 2 for point in points)
+        if not pairs or not points:
             raise FileError(f"{name}: fields: expected a list of [x, y], found {points!r}")
         values["fields"] = kind, tuple(tuple(number(v, f"{name}: fields") for v in point) for point in points)
     if "wavelengths_um" in content:

@@ -1,7 +1,7 @@
 """A lens defined in Python, surface by surface."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -80,6 +80,8 @@ def _row(surface: Mapping[str, Any], index: int, last: bool) -> dict[str, Any]:
         raise InputError(f"{where}: radius: expected a number other than 0, such as inf for a plane")
     curvature = 1 / _real(surface, "radius", where) if "radius" in surface else _real(surface, "curvature", where)
     coefficients = surface.get("coefficients", ())
+    if not isinstance(coefficients, Iterable) or isinstance(coefficients, str):
+        raise InputError(f"{where}: coefficients: expected a list, of r^2, r^4 .., got {coefficients!r}")
     return {
         "curvature": curvature,
         "thickness": _real(surface, "thickness", where, 0.0),
@@ -104,4 +106,6 @@ def _real(surface: Mapping[str, Any], key: str, where: str, default: float = 0.0
 def _medium(material: Material | str | None, library: Library) -> Material:
     if material is None or material == AIR.name:
         return AIR
+    if not isinstance(material, str | Material):
+        raise InputError(f"material: expected the name of a glass, or a material, got {material!r}")
     return library.glass(material) if isinstance(material, str) else material

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tasklens.materials.zemax_text import Line
-from tasklens.optics.io.zemax_keywords import check_configuration, keywords
+from tasklens.optics.io.zemax_keywords import SOLVES, check_configuration, keywords
 from tasklens.optics.io.zemax_surfaces import Block
 from tasklens.runtime.files import FileError
 
@@ -47,6 +47,9 @@ def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequ
     for row in rows:
         if len(row.words) < 3 or row.words[1] == str(current):
             check_configuration(row)
+    differ = any(row.words[2] != operands[saved].get(key, row).words[2] for key, row in operands[current].items())
+    if differ:
+        _check_solves(blocks, saved)
     for key, row in operands[current].items():
         block = blocks[key[1]] if key[1] < len(blocks) else None
         if block is None or key[0] not in _WORDS:
@@ -71,6 +74,17 @@ def _operands(rows: Sequence[Line], configuration: int) -> dict[tuple[str, int, 
             operands[*key, before[key]] = row
             before[key] += 1
     return operands
+
+
+def _check_solves(blocks: Sequence[Block], saved: int) -> None:
+    """Check that no value of a surface is solved: the file has only the solutions of the saved configuration."""
+    solved = [line for block in blocks for keyword, line in block.lines.items() if keyword in SOLVES]
+    curvatures = [block.lines["CURV"] for block in blocks if "CURV" in block.lines]
+    solved += [line for line in curvatures if len(line.words) > 1 and line.integer(1) > 1]  # 1 is a variable
+    if solved:
+        raise solved[0].error(
+            f"a solve, whose value is that of configuration {saved}; save the file in the other configuration in Zemax"
+        )
 
 
 def _set(block: Block, row: Line) -> None:

@@ -20,6 +20,9 @@ _KINDS = ("STANDARD", "EVENASPH", "XASPHERE", "ODDASPHE", "XOSPHERE")
 _HEAD = 2  # number of values of an extended asphere before its coefficients
 
 
+_NO_DATA = 1.5, 40.0  # nd and Vd that OpticStudio writes for any glass of a catalogue
+
+
 @dataclass(frozen=True)
 class Block:
     """The lines of one surface: the last one of each keyword, and numbered lines (PARM, XDAT) by their number."""
@@ -176,7 +179,7 @@ def _medium(block: Block, before: list[Material], library: Library, remarks: lis
 
     GLAS: a name, a solve (0 none, 1 model, 2 picked up from the surface in the next number, 3 substitution, 4 offset),
     nd, Vd, dPgF. The name of a model glass is only a label, but may also be a name in a catalogue. A glass that is in
-    no catalogue is a model glass too, if its line has nd and Vd.
+    no catalogue is a model glass too, if its line has its own nd and Vd.
     """
     if "GLAS" not in block.lines:
         return AIR
@@ -200,15 +203,16 @@ def _medium(block: Block, before: list[Material], library: Library, remarks: lis
     try:
         return library.glass(name)
     except UnknownGlassError as error:
-        nd, vd = (line.number(i) if len(line.words) > i else 0.0 for i in (3, 4))
-        if nd <= 1 or vd <= 0:
+        nd, vd, dpgf = (line.number(i) if len(line.words) > i else 0.0 for i in (3, 4, 5))
+        if nd <= 1 or vd <= 0 or (nd, vd) == _NO_DATA:
             raise line.error(str(error)) from None
         closest = nearest(nd, vd)
         remarks.append(
             f"glass {name} is in no catalogue: using a model glass with nd = {nd:g} and Vd = {vd:g}, as its line says; "
-            f"its index is right to 1e-4 in the visible. The nearest glass is {closest.zemax} (--catalogue)"
+            f"for nine of ten glasses, its index is right to {'1e-4' if dpgf else '4e-4'} in the visible. The nearest "
+            f"glass is {closest.zemax} (--catalogue)"
         )
-        return model_glass(nd, vd, 0.0, name)
+        return model_glass(nd, vd, dpgf, name)
 
 
 def to_lines(lens: Lens, index: int, comment: str, radius: float, names: Mapping[Material, str]) -> list[str]:

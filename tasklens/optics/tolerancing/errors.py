@@ -1,7 +1,8 @@
 """Manufacturing errors of a lens, and the lens with these errors.
 
 An element is a body between air; a cemented group is one element. The first surface of an element is its seat: it moves
-with the element, and the errors of the other surfaces are relative to it. The stop and the image plane do not move.
+with the element, and the errors of the other surfaces are relative to it. The image plane and a stop in air do not
+move. A plane stop inside a glass has no errors. Rays are aimed at the nominal stop.
 """
 
 import math
@@ -74,21 +75,21 @@ def errors(lens: Lens, grade: Grade) -> list[Error]:
         result.extend(Error(kind, surface, part, tolerance, unit, scale) for part in parts if tolerance > 0)
 
     for first, last in elements(lens):
-        inside = range(first, last)
+        surfaces = [i for i in lens.refracting_surfaces if first <= i <= last]
         if first:
             add("air_space", first - 1, grade.air_space_um, "um", 1e-3)
-        for i in range(first, last + 1):
+        for i in surfaces:
             add("radius", i, grade.radius_percent, "%", 1e-2)  # of flat surfaces too: designs begin flat
             if grade.irregularity_fringes:
                 radius = _radius(lens, i)
                 form_um = 1e3 * grade.irregularity_fringes * _FRINGE_MM * 2 * radius / _TEST_DIAMETER_MM
                 height_um = form_um / math.sqrt(len(_FORMS))
                 result += [Error("form", i, str(order), height_um, "um", 1e-3, radius) for order in _FORMS]
-        for i in inside:
+        for i in surfaces[:-1]:
             add("thickness", i, grade.thickness_um, "um", 1e-3)
             add("index", i, grade.index, "", 1.0)
             add("dispersion", i, grade.dispersion_percent, "%", 1e-2)
-        for i in range(first + 1, last + 1):
+        for i in surfaces[1:]:
             add("surface_decentre", i, grade.surface_decentre_um, "um", 1e-3, "xy")
             add("surface_tilt", i, grade.surface_tilt_mrad, "mrad", 1e-3, "xy")
         add("element_decentre", first, grade.element_decentre_um, "um", 1e-3, "xy")
@@ -130,13 +131,15 @@ def built(lens: Lens, error_list: Sequence[Error], fractions: Tensor, reference:
     def pair(kind: str) -> Tensor:
         return torch.stack([total(kind, "x"), total(kind, "y")], -1)
 
+    refracting = lens.refracting_surfaces  # a medium behind any other surface belongs to the same piece of glass
+    piece = [max((k for k in refracting if k <= i), default=i) for i in range(len(lens.media))]
     forms = [(error, values[k]) for k, error in enumerate(error_list) if error.kind == "form"]
     lens_built = replace(
         lens,
         curvature=lens.curvature / (1 + total("radius")),
         alpha=_with_form(lens, forms),
         thickness=lens.thickness + total("thickness") + total("air_space"),
-        melt=Melt(total("index"), total("dispersion"), reference),
+        melt=Melt(total("index")[piece], total("dispersion")[piece], reference),
     )
     decentre, tilt = pair("surface_decentre"), pair("surface_tilt")
     for i in sorted({error.surface for error in error_list if error.kind.startswith("surface")}):

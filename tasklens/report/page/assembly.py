@@ -25,7 +25,7 @@ _CAPTIONS = {
     "table3": "Table 3: task-driven against end-to-end design",
     "table4": "Table 4: after image restoration",
     "verdicts": "Verdicts on the paper's claims",
-    "psf_tail": "Tails of the PSFs: core (50 % of the light about the chief ray) and light outside it",
+    "psf_tail": "Tails of the PSFs: core (50 % of the light about the chief ray) and light outside three core radii",
     "effort": "Effort of each design: lens evaluations, and minutes on one core",
     "regimes": "Where it pays: task-driven lens minus the best imaging lens",
     "tolerances": "Built lenses: what each design loses in manufacture",

@@ -116,7 +116,7 @@ def accuracy_by_field(elements: str, by_seed: pandas.DataFrame) -> Chart | None:
 
 
 def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[str]) -> Chart | None:
-    """Chart differences with their intervals, one below the other; right of zero the first lens of a pair is better."""
+    """Chart differences with their intervals, one below the other."""
     rows = table.assign(label=list(labels)).dropna(subset=["difference"])
     if rows.empty:
         return None
