@@ -210,11 +210,12 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
 def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     """Tables, answers and the lenses of the first seed, also of the points of a sweep; a page by hand remains."""
     contents = {"tables/table1.csv": "new", "tables/answers.csv": "", "effort.md": "", "answer.svg": ""}
-    contents |= {f"lenses/doublet-a/seed{seed}/{name}": str(seed) for seed in (0, 1) for name in ("lens.yaml", "a.zmx")}
+    contents |= {f"lenses/doublet-a/seed{seed}/{name}": str(seed) for seed in (1, 0) for name in ("lens.yaml", "a.zmx")}
     contents |= {
         "gain=2/tables/table1.csv": "point",
         "elements=doublet/tables/table1.csv": "",
-        "lenses/a_variant/seed0/lens.yaml": "",
+        "lenses/a_variant/seed1/lens.yaml": "",
+        "study.yaml": "seeds: [1, 0]",
         "report.html": "",
     }
     before = {"published/known/README.md": "page", "published/known/old.csv": ""}
@@ -230,7 +231,11 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     names = {str(path.relative_to(tmp_path / "published/known")) for path in files}
     tables = {"table1.csv", "effort.md", "answer.svg", "gain=2/table1.csv"}
     assert names == {"README.md", "lenses/doublet-a.yaml", "lenses/a.zmx"} | tables
-    assert (tmp_path / "published/known/lenses/doublet-a.yaml").read_text() == "0"
+    assert (tmp_path / "published/known/lenses/doublet-a.yaml").read_text() == "1"
+    (tmp_path / "results/known/study.yaml").write_text("seeds: [2]")
+    with pytest.raises(SystemExit, match="no Zemax files of seed 2; the published lenses remain"):
+        publish.main()
+    assert (tmp_path / "published/known/lenses/doublet-a.yaml").exists()
     monkeypatch.setattr("sys.argv", ["publish.py", "unknown"])
     with pytest.raises(SystemExit):
         publish.main()

@@ -8,7 +8,7 @@ import argparse
 import shutil
 from pathlib import Path
 
-from tasklens.study import loading
+import yaml
 
 FOLDER = Path(__file__).parent
 TABLES = ("*.csv", "*.md", "*.npz")
@@ -29,7 +29,7 @@ def publish(results: Path, destination: Path) -> None:
 
 def publish_lenses(results: Path, destination: Path) -> None:
     """Copy the tables' lenses of the first seed as YAML and Zemax files; variants of ablations have no Zemax file."""
-    seed = loading.load(results / "study.yaml").seeds[0]
+    seed = yaml.safe_load((results / "study.yaml").read_text())["seeds"][0]
     lenses = [path.parent for path in results.glob(f"lenses/*/seed{seed}/*.zmx")]
     if not lenses:
         raise SystemExit(f"{results}/lenses: no Zemax files of seed {seed}; the published lenses remain")
