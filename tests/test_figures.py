@@ -4,13 +4,14 @@ import math
 from dataclasses import replace
 
 import pytest
+from examples import f64
 from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 
 from tasklens.optics.analysis import datasheet
 from tasklens.optics.analysis.spots import evaluation_psf
-from tasklens.optics.view import view_of_spec
+from tasklens.optics.view import View, view_of_spec
 from tasklens.report import figures
 from tasklens.report.scale_bar import scale_bar
 from tasklens.study.settings import Spec
@@ -106,3 +107,12 @@ def test_scale_bars_of_lenses_in_one_figure_agree(panel):
     large = figures.panel_of("large", lens, view, panel.psf, panel.figures)
     small, alone, both = (bars_of(figures.drawn(panels)) for panels in ([panel], [large], [panel, large]))
     assert sorted(both) == sorted([*small, *small]) and set(alone) != set(small)
+
+
+@pytest.mark.parametrize(
+    "heights, names",
+    [([0.0], {0: "axis"}), ([1.0, 0.0], {1: "axis", 0: "corner"}), ([0, 2, 1], {0: "axis", 2: "middle", 1: "corner"})],
+)
+def test_fields_are_named_by_their_distance_from_the_axis(heights, names):
+    view = View(f64([[0.0, height] for height in heights]), 2.9, (0.6, 0.55, 0.5), 1.8, 11)
+    assert figures.shown_fields(view) == names and list(figures.shown_fields(view)) == list(names)

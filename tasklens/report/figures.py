@@ -30,7 +30,6 @@ from tasklens.report.along_field import along_field
 from tasklens.report.cross_section import cross_section
 from tasklens.runtime.files import replacing
 
-_NAMES = ("axis", "middle", "corner")
 _COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
@@ -77,7 +76,8 @@ class Panel:
 def shown_fields(view: View) -> dict[int, str]:
     """Return the names by index of the fields nearest to the axis, in the middle, and in the corner."""
     order = view.radii.argsort(stable=True).tolist()
-    return dict(zip(dict.fromkeys((order[0], order[len(order) // 2], order[-1])), _NAMES, strict=False))
+    names = {order[0]: "axis", order[len(order) // 2]: "middle", order[-1]: "corner"}
+    return names | {order[0]: "axis"}
 
 
 def panel(title: str, path: Path, psf: Path) -> Panel:
