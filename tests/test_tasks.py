@@ -248,6 +248,7 @@ def test_published_weights_that_cannot_be_downloaded_are_one_line(monkeypatch):
         {"kind": "segmentation", "backbone": "resnet18"},
         {"kind": "detection", "backbone": "resnet18", "model": "fasterrcnn_resnet50_fpn"},
         {"kind": "detection", "backbone": "resnet18", "pretrained": True},
+        {"kind": "detection", "model": "fasterrcnn_resnet50_fpn", "channels": 32},
         {"kind": "depth", "model": "any"},
     ],
 )

@@ -57,6 +57,8 @@ class TaskSettings(Frozen):
             raise ValueError("model: segmentation needs a whole network, such as lraspp_mobilenet_v3_large")
         if self.pretrained and self.model is None:
             raise ValueError("pretrained: a small detector has no published weights")
+        if self.model is not None and self.channels != type(self).model_fields["channels"].default:
+            raise ValueError("channels: only for a small detector on `backbone`; a whole network has its own")
         return self
 
 
