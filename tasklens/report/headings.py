@@ -192,9 +192,9 @@ def best(table: pandas.DataFrame, name: str) -> Sequence[bool]:
     column = heading(name)
     if not column.best or name.endswith(PAPER) or not pandas.api.types.is_numeric_dtype(table[name]):
         return [False] * len(table)
-    keys = [table[key].fillna("") for key in _GROUPS if key in table]
     if "elements" not in table and "lens" in table:
-        keys.append(table["lens"].str.partition("-")[0])
+        table = table.assign(elements=table["lens"].fillna("").str.partition("-")[0])
+    keys = [table[key].fillna("") for key in _GROUPS if key in table]
     values = table[name].round(int(column.digits.strip("+.f")))
     groups = values.groupby(keys) if keys else values.groupby([0] * len(table))
     return ((values == groups.transform(column.best)) & (groups.transform("count") > 1)).tolist()

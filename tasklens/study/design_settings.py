@@ -123,19 +123,18 @@ class DescentSettings(Frozen):
 
     @model_validator(mode="after")
     def _all_keys_are_read(self) -> "DescentSettings":
+        changed = {key for key, field in type(self).model_fields.items() if getattr(self, key) != field.default}
         for optimizer, keys in OPTIMIZER_KEYS.items():
             for key in keys:
-                if optimizer != self.optimizer and getattr(self, key) != type(self).model_fields[key].default:
+                if optimizer != self.optimizer and key in changed:
                     raise ValueError(f"{key}: only for `optimizer: {optimizer}`, not `{self.optimizer}`")
-        if self.criterion != "task":
-            for key in ("temperature", "network_learning_rate"):
-                if getattr(self, key) != type(self).model_fields[key].default:
-                    raise ValueError(f"{key}: only for `criterion: task`, not `{self.criterion}`")
+        for key in ("temperature", "network_learning_rate"):
+            if self.criterion != "task" and key in changed:
+                raise ValueError(f"{key}: only for `criterion: task`, not `{self.criterion}`")
         for key in _UNREAD.get(self.criterion, ()):
-            if getattr(self, key) != type(self).model_fields[key].default:
+            if key in changed:
                 raise ValueError(f"{key}: no effect with `criterion: {self.criterion}`")
-        default = type(self).model_fields["final"].default
-        if self.optimizer == "ray_space" and self.duration == 1 and not self.trains_network and self.final != default:
+        if "final" in changed and self.optimizer == "ray_space" and self.duration == 1 and not self.trains_network:
             raise ValueError("final: no effect in ray space with `duration: 1` and a frozen network")
         return self
 
