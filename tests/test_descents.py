@@ -138,6 +138,12 @@ def test_keys_without_effect_are_refused(keys, words):
     assert DescentSettings(steps=9, final=0.02, network_learning_rate=1e-4).final == 0.02
 
 
+def test_a_search_that_ends_at_a_spot_has_no_vignetting():
+    for key, value in (("vignetting", 0.3), ("linear_beyond_um", 2.0)):
+        with pytest.raises(ValidationError, match="spot_um: not with `vignetting` or `linear_beyond_um`"):
+            LeastSquaresSettings(method="least_squares", spot_um=5, **{key: value})
+
+
 # ---- angles of incidence
 
 

@@ -16,6 +16,7 @@ from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import write_tensors
+from tasklens.study import single
 from tasklens.study.settings import TrainingSettings
 
 QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
@@ -190,3 +191,11 @@ def test_a_mistake_is_one_line_before_the_first_step(photographs, capsys, argume
     (line,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("reading photographs")]
     assert line.startswith("tasklens: ") and words in line and len(line) < 500
     assert not (photographs / "new.yaml").exists() and (photographs / "words.yaml").read_text() == "mine"
+
+
+def test_baselines_do_not_have_the_keys_of_a_network():
+    """They have no network whose batch norms could use the statistics of a batch."""
+    arguments = ("task", ("COC",), {}, {"batch_norm": "batch"}, {}, (), None, {"model": "resnet18", "pretrained": True})
+    study = single.study(*arguments, baselines=("correlation",))
+    assert study.designs["task"].batch_norm == "batch" and study.designs["correlation"].batch_norm == "stored"
+    assert [descent.criterion for descent in study.designs["correlation"].descents] == ["correlation"]

@@ -290,6 +290,7 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
         (lambda lens, view: tasklens.rank([(lens, view)], [(IMAGE, 0)], NETWORK), "expected lenses by name"),
         (lambda lens, view: tasklens.rank({"a": (lens, view)}, [(IMAGE, -1)], NETWORK), "numbers of classes"),
         (lambda lens, view: tasklens.design_lens("spot", start=(lens, view)), "start: expected the path"),
+        (lambda lens, view: tasklens.design_lens("spot", free={"curvature": None}), "free: only with `start`"),
     ],
 )
 def test_arguments_that_cannot_be_used(doublet, call, words):
