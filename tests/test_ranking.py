@@ -334,6 +334,7 @@ class Answers(torch.nn.Module):
         (Answers(lambda images: (images.mean((2, 3)), None)), "returns a tuple; expected a tensor of logits"),
         (Answers(lambda images: {"logits": images}), "returns a dict"),
         (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(7, 2)), r"fails for images \(3, 32, 32\): .*mat1"),
+        (torch.nn.Sequential(torch.nn.Conv2d(3, 2, 3), torch.nn.BatchNorm2d(5)), r"fails for images \(3, 32, 32\): "),
         (Answers(lambda images: torch.nan * images.mean((2, 3))), "logits that are not finite"),
     ],
 )

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
@@ -249,14 +250,15 @@ def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrit
     snakefile = ROOT / "Snakefile"
     if not snakefile.is_file():
         raise InputError(f"{snakefile}: {NOT_INSTALLED}")
-    folder = Path("results", str(content["name"]))
-    path = folder / "ranking.yaml"
-    write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--cores", str(cores), *targets]
-    command += ["--configfile", str(path), *(["--config", "overwrite=true"] if overwrite else [])]
-    if status := subprocess.run(command).returncode:
+    with TemporaryDirectory() as folder:  # the run writes study.yaml, unless it is refused
+        path = Path(folder, "ranking.yaml")
+        write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
+        command += ["--configfile", str(path), *(["--config", "overwrite=true"] if overwrite else [])]
+        status = subprocess.run(command).returncode
+    if status:
         raise SystemExit(status)
-    return folder
+    return Path("results", str(content["name"]))
 
 
 def first_lenses(folder: Path, titles: Mapping[str, str], count: int) -> list[str]:
