@@ -4,7 +4,8 @@ import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["NUMBA_NUM_THREADS"] = "1"  # otherwise parallel code of Optiland resets torch to two threads, and they wait
-os.environ["CUDA_VISIBLE_DEVICES"] = ""
+if "TASKLENS_TEST_GPU" not in os.environ:
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 import numpy
 import pytest

@@ -1,6 +1,7 @@
 """The rules of the workflow in this process: what a job of a study reads, and the job itself."""
 
 import itertools
+import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -135,7 +136,12 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
 
 def slices(mapping: dict) -> dict[tuple, list[str]]:
     """Settings that Snakemake compares, for every job of a study and each seed."""
+    return _slices(json.dumps(mapping))
+
+
+@cache
+def _slices(study: str) -> dict[tuple, list[str]]:
     settings: dict[tuple, list[str]] = {}
-    for key, one_job in every_job(parse(mapping)):
+    for key, one_job in every_job(parse(json.loads(study))):
         settings.setdefault(key, []).append(one_job.settings)
     return settings

@@ -70,7 +70,7 @@ def assert_on_stop(lens: Lens, rays: Rays, points: torch.Tensor, wavelengths: tu
 
 @pytest.mark.parametrize("points", [FEW, MANY], ids=["few", "many"])
 @pytest.mark.parametrize("path", INNER_STOPS, ids=lambda path: path.stem)
-def test_rays_meet_the_stop_where_they_shall(path, points):
+def test_rays_hit_the_stop_at_their_pupil_points(path, points):
     """On the axis, at 0.7 and at the full field, in three colours, within 1e-12 mm."""
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
     rays = launch_fields(lens, view, points)
@@ -342,5 +342,5 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
     torch.testing.assert_close(illumination, expected, rtol=0, atol=4e-3 if clipped else 1e-3)
 
 
-def test_it_tells_a_stop_inside():
+def test_an_inner_stop_is_recognised():
     assert aiming.stop_is_inside(cooke_triplet()) and not aiming.stop_is_inside(random_lens(0))

@@ -71,8 +71,8 @@ def find_overwrites():
     return find
 
 
-def refusal_lines(overwrites, tmp_path, cores: int = 1) -> list[str]:
-    text = refusal(overwrites, "tiny", Durations("tiny", str(tmp_path)), cores)
+def refusal_lines(overwrites, tmp_path, cores: int = 1, ranking: bool = False) -> list[str]:
+    text = refusal(overwrites, "tiny", Durations("tiny", str(tmp_path)), cores, ranking)
     return [] if text is None else text.splitlines()
 
 
@@ -111,6 +111,8 @@ def test_a_changed_value_overwrites_what_reads_it(find_overwrites, tmp_path):
     # two lenses of 5 minutes on two cores; each measured by the supervisor and by two other networks
     assert line == "  spec.f_number: 2.8 -> 2.0: 2 lenses, 6 classifiers again, 5 min"
     assert "--config name=tiny_2" in ways[0] and "--config overwrite=true" in ways[1]
+    *_, keep, overwrite = refusal_lines(find_overwrites(after, only=only), tmp_path, ranking=True)
+    assert "--name tiny_2" in keep and overwrite.endswith("--overwrite")
 
 
 def test_several_changed_values_are_reported_together(find_overwrites, tmp_path):

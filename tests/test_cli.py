@@ -69,11 +69,6 @@ def lenses(workplace):
     return workplace
 
 
-def test_check_says_what_a_study_holds(workplace, capsys):
-    assert main(["study", "check", "--no-weights", "study.yaml"]) == 0
-    assert "tiny: 6 lenses, 2 classifiers, seeds [0]" in capsys.readouterr().out
-
-
 def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     """It frees no memory at exit, but its output to a pipe is complete."""
     program = [sys.executable, "-m", "tasklens.cli"]
@@ -85,7 +80,6 @@ def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     assert done.returncode == 2 and "bake" in done.stderr
 
 
-@pytest.mark.slow
 def test_every_design_leaves_a_readable_lens(lenses):
     """A prescription with its spec, origin, figures and margins, and a history of finite numbers."""
     for name in tiny_study()["designs"]:
@@ -113,14 +107,6 @@ def test_design_from_imaging_begins_with_the_better_lens(lenses):
     accuracies = {name: sum(values(metrics(name), "minival_accuracy")) for name in baselines}
     start = lens_content("singlet-end_to_end_from_imaging")["origin"]["start"]
     assert accuracies[start] == max(accuracies.values())
-
-
-def test_a_design_is_repeatable_to_the_last_byte(lenses):
-    for name in ("imaging1", "tasklens"):
-        files = [lens_path(f"singlet-{name}", file) for file in ("lens.yaml", "history.csv")]
-        before = [path.read_bytes() for path in files]
-        design(name)
-        assert [path.read_bytes() for path in files] == before
 
 
 def test_psf_file_says_what_it_holds(lenses):
@@ -158,12 +144,13 @@ def test_restoration_and_drawings(lenses):
 
 
 @pytest.mark.slow
-def test_an_imported_lens_goes_the_same_way(lenses, capsys):
+def test_an_imported_lens_goes_the_same_way(tmp_path, monkeypatch, capsys):
     """From its file to its PSF and figure; `check` reports unusable lenses before any job."""
-    prescription.write(lenses / "theirs.yaml", Prescription(cooke_triplet()), {})
+    monkeypatch.chdir(tmp_path)
+    prescription.write(tmp_path / "theirs.yaml", Prescription(cooke_triplet()), {})
     entry = {"elements": "triplet", "file": "theirs.yaml"}
     study = changed(tiny_study(), "imported.cooke", entry)
-    path = lenses / "imported.yaml"
+    path = tmp_path / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
     for rule in ("design", "certificate", "drawing"):
         finish(rule, load(path), lens="triplet-cooke", seed=0)
@@ -196,34 +183,6 @@ def test_analyse_needs_a_field_and_a_number_of_rays(lenses, capsys):
         assert main(["lens", "analyse", "bare.yaml", "--rays", wrong]) == 2
 
 
-@pytest.mark.parametrize(
-    "keys, value, words",
-    [
-        (["spec", "pixel_pitch_um"], 0, ["pixel_pitch_um", "positive", "found 0"]),
-        (["spec", "pixel_pitch_um"], -1.8, ["pixel_pitch_um", "positive", "-1.8"]),
-        (["spec", "kernel_size"], 10, ["kernel_size", "odd", "10"]),
-        (["spec", "efl_mm"], 0.0, ["efl_mm", "positive", "0.0"]),
-        (["surfaces", 0, "semi_diameter"], 0.0, ["surface 0", "semi_diameter", "stop", "0.0"]),
-        (["surfaces", 0, "semi_diameter"], None, ["surface 0", "semi_diameter", "stop", "inf"]),
-        (["materials", "COC", "coefficients", 0], -1.0, ["COC", "no index"]),
-        (["materials", "COC", "coefficients", 0], 0.5, ["COC", "index 0.7", "um", "at least 1"]),
-    ],
-)
-def test_nonsense_in_a_lens_file_is_refused(lenses, capsys, keys, value, words):
-    """`analyse` prints no table and does not exit with 0: one message names the file, the key and the value."""
-    content = lens_content("singlet-imaging1")
-    entry = content
-    for key in keys[:-1]:
-        entry = entry[key]
-    entry[keys[-1]] = value
-    (lenses / "nonsense.yaml").write_text(yaml.safe_dump(content))
-    capsys.readouterr()
-    assert main(["lens", "analyse", "nonsense.yaml", "--rays", "64"]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and len(printed.err.splitlines()) == 1
-    assert all(word in printed.err for word in ["tasklens: nonsense.yaml: ", *words]), printed.err
-
-
 def test_a_training_that_is_not_finite_is_a_message_too(workplace):
     study = changed(
         tiny_study(), "fine_tuning", {"epochs": 20, "learning_rate": 10, "weight_decay": 100, "batch_size": 20}
@@ -231,14 +190,6 @@ def test_a_training_that_is_not_finite_is_a_message_too(workplace):
     with pytest.raises(FloatingPointError, match=r"^fine-tune: .*lower its learning_rate$") as caught:
         finish("fine_tune", parse(study), lens="sharp", measured_name="small", seed=0)
     assert user_error(caught.value) == str(caught.value)
-
-
-def test_a_wrong_study_is_a_message_too(workplace, capsys):
-    (workplace / "wrong.yaml").write_text(yaml.safe_dump(changed(tiny_study(), "spec.kernel_size", 50)))
-    assert main(["study", "check", "wrong.yaml"]) == 2
-    assert "spec.kernel_size = 50" in capsys.readouterr().err
-    assert main(["study", "check", "absent.yaml"]) == 2
-    assert "absent.yaml" in capsys.readouterr().err
 
 
 def test_a_broken_lens_file_is_a_message_too(workplace):

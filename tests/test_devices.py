@@ -90,7 +90,7 @@ def test_the_number_of_jobs_per_gpu_is_checked(monkeypatch, value):
         devices.claim()
 
 
-def test_locks_are_nobody_elses(monkeypatch, tmp_path):
+def test_locks_are_private_to_the_user(monkeypatch, tmp_path):
     """Locks are in the user's home, whatever TMPDIR is, even under an umask that shuts out the user's other jobs."""
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("TMPDIR", str(tmp_path / "mine"))

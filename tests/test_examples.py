@@ -58,6 +58,11 @@ def test_the_task_driven_example_makes_a_lens(monkeypatch, tmp_path, capsys):
 
 
 NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
+LAST = {  # file that the last cell writes
+    "which_lens": "ranking.html",
+    "own_network": "own_network.html",
+    "trace_and_differentiate": "triplet.zmx",
+}
 
 
 def cells(notebook: Path) -> list[str]:
@@ -79,10 +84,8 @@ def test_a_notebook_runs_without_the_repository(notebook, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") >= 3 and "Warning" not in done.stderr
-    last = {"which_lens": "ranking.html", "own_network": "own_network.html", "trace_and_differentiate": "triplet.zmx"}
-    assert (tmp_path / last[notebook.stem]).exists()
+    assert (tmp_path / LAST[notebook.stem]).exists()
 
 
 def test_there_are_notebooks():
-    assert [path.stem for path in NOTEBOOKS] == ["own_network", "trace_and_differentiate", "which_lens"]
-    assert all(cells(path) for path in NOTEBOOKS)
+    assert {path.stem for path in NOTEBOOKS} == set(LAST)

@@ -22,7 +22,7 @@ from tasklens.study.names import split
 from tasklens.study.study import TABLES
 from tasklens.study.tables import verification
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("finished")]  # one process makes the study
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
 STUDY = parse(TINY)
 
@@ -74,10 +74,6 @@ def test_predictions_are_kept(finished):
     means = [100 * sum(int(row[f"field{k}"]) for row in rows) / 20 for k in range(9)]
     assert means == pytest.approx(accuracies(measured_path("metrics", "singlet-imaging1")))
     assert list(read_rows(measured_path("predictions", "sharp"))[0]) == ["image", "label", "field0"]
-
-
-def test_checkpoints_of_finished_jobs_are_gone(finished):
-    assert not list(finished.glob("results/verified/checkpoints/*"))
 
 
 def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_else(finished, capsys):

@@ -193,7 +193,7 @@ def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_ray_that_is_none_changes_no_other(bad):
+def test_an_invalid_ray_changes_no_other(bad):
     """An invalid ray is lost at once, stays finite, and does not change the stop or other rays."""
     lens = make_lens([0.0, 0.5], [0.5, 1.0], ("air", "COC"), semi_diameter=[0.4, math.inf])
     n = torch.ones(1, 200, dtype=torch.float64)

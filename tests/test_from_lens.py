@@ -63,6 +63,13 @@ def test_a_lens_of_spheres_in_glass_gets_sharper(triplet):
     assert float(lens.thickness[6]) != 30.0 and float(lens.thickness[7]) == 1.0  # the cover glass stays
 
 
+def test_clear_apertures_of_a_lens_stay(triplet):
+    """The given one clips as before; surfaces without one get what the rays need."""
+    given = replace(triplet.lens, semi_diameter=triplet.lens.semi_diameter.index_fill(0, torch.tensor(0), 8.0))
+    lens, *_ = improve(replace(triplet, lens=given), "spot", settings={"descents": {"0": {"steps": 1}}})
+    assert float(lens.semi_diameter[0]) == 8.0 and lens.semi_diameter.isfinite().all()
+
+
 def test_only_what_is_free_changes(triplet):
     lens, _, _, _ = improve(triplet, "spot", {"curvature": [0, 6], "thickness": [8]}, constraints={"max_slope": 2.0})
     moved = (lens.curvature != triplet.lens.curvature).nonzero()[:, 0].tolist()
@@ -171,7 +178,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--output", "mine_too.zmx"), "mine_too.agf: already exists; --force overwrites it"),
     ],
 )
-def test_what_cannot_be(tmp_path, monkeypatch, capsys, arguments, words):
+def test_impossible_options_are_refused(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
     save(tmp_path)
     (tmp_path / "mine_too.agf").touch()

@@ -38,7 +38,7 @@ from tasklens.study.study import StudyError
 resource = pytest.importorskip("resource")  # not on Windows
 
 TIMES = int(os.environ.get("TASKLENS_FUZZ", "0"))
-SECONDS, BYTES = 2.0, 2**28  # limits on computing time and new memory, for one file
+SECONDS, BYTES = 5.0, 2**28  # limits on computing time and new memory, for one file
 MOST_POINTS = 4  # points of a sweep that are parsed
 
 

@@ -301,6 +301,13 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
 # ---- what a rule declares
 
 
+def test_a_failed_job_gets_twice_the_memory_and_time():
+    """Its estimates hold only for the first attempt."""
+    needs = workflow().get_rule("design").resources
+    first, second = ({key: needs[key]({}, attempt) for key in ("mem_mb", "runtime")} for attempt in (1, 2))
+    assert second == {key: 2 * value for key, value in first.items()} and min(first.values()) > 0
+
+
 @pytest.mark.parametrize("name", rule_names())
 def test_a_rule_is_declared_in_one_piece(name):
     """It has a sentence, a typed function with the names of its files, and all wildcards in every file and its log."""

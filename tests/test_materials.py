@@ -223,12 +223,6 @@ def test_unknown_plastic_and_wavelength_outside_the_fit_raise():
         Material("odd", "schott", (-1, 0, 0, 0, 0, 0), (0.4, 0.8)).refractive_index(0.5)
 
 
-def test_a_material_can_be_a_key():
-    assert {builtin("COC"): 1}[builtin("COC")] == 1
-    with pytest.raises(AttributeError):
-        builtin("COC").name = "X"
-
-
 @pytest.mark.parametrize(
     "coefficients, shown",
     [

@@ -145,7 +145,7 @@ def test_hyperboloid_focuses_in_refraction():
     assert_close(at_focus.path, focus, 4e-15)
 
 
-def test_fates_at_one_surface():
+def test_statuses_of_rays_at_one_surface():
     """Missed: stays. Outside: on the surface. Reflected: on the surface and not turned. Lost before: not touched."""
     ball = Surface(1.0, semi_diameter=0.9)
     start = parallel_rays([0.5, 1.5, 0.95, 0.8])

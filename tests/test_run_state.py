@@ -264,7 +264,7 @@ def test_a_finished_study_says_where_its_results_are(snakemake, capsys):
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {"handler": "SomeOtherHandler"}])
-def test_who_wants_other_words_gets_no_lines_of_ours(place, capsys, options):
+def test_quiet_or_another_logger_prints_no_lines_of_ours(place, capsys, options):
     """With `--quiet` or another logger; the state is still saved."""
     snakemake = Snakemake(**options)
     snakemake.begin()

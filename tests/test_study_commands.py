@@ -59,7 +59,7 @@ def complaint(capsys, *words: str) -> str:
 # ---- new
 
 
-def test_a_new_study_has_what_was_wished(place, capsys):
+def test_a_new_study_follows_its_options(place, capsys):
     """Options alone make a study file that loads; the command prints the next step."""
     options = "--networks vit,resnet --elements singlet,mine=COC+OKP4 --f-number 2.2 --field-of-view 50 --seeds 2"
     assert study("new", "wide", *options.split(), "--minutes", "600", "--yes") == 0
@@ -188,12 +188,12 @@ def test_an_impossible_option_is_reported(place, capsys, options, words):
     assert list(place.iterdir()) == []
 
 
-def test_a_name_is_a_name(capsys):
+def test_an_invalid_name_is_refused(capsys):
     assert "name = 'My study'" in complaint(capsys, "new", "My study", "--yes")
 
 
 @pytest.mark.parametrize("command", [["new", "a", "--yes"], ["plan", "a.yaml"]])
-def test_there_is_a_core(capsys, command):
+def test_zero_cores_are_refused(capsys, command):
     assert study(*command, "--cores", "0") == 2
     assert "Traceback" not in capsys.readouterr().err
 
@@ -288,7 +288,7 @@ def test_an_unknown_target_is_reported(capsys):
 # ---- diff
 
 
-def test_diff_tells_values_and_what_they_did(results, capsys):
+def test_diff_lists_changed_values_and_results(results, capsys):
     """Changes of the configuration come first, then accuracies of the tables or all columns, except the paper's."""
     assert study("diff", "results/tiny", "results/tiny_2") == 0
     lines = capsys.readouterr().out.splitlines()

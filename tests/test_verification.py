@@ -94,7 +94,7 @@ def failures(study) -> list[str]:
     return [str(failure) for failure in verify(study).failures]
 
 
-def test_a_study_that_keeps_its_word(study):
+def test_a_study_without_errors_passes(study):
     """Two lenses; sharp images and both lenses with two classifiers, and both restored."""
     findings = verify(study)
     assert not findings.failures and not findings.unconstrained
@@ -171,7 +171,7 @@ def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
     assert failures(study) == []
 
 
-def test_of_whom_an_optimum_is_asked():
+def test_which_lenses_must_be_local_optima():
     """Constrained lenses designed by captures or PSFs: neither by spots, nor by least squares, nor imported ones."""
     lenses = tables.verification(parse(with_imported())).supervised
     assert lenses == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")

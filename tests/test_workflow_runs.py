@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import time
 
@@ -24,6 +23,11 @@ def one_lens() -> dict:
 STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
 
 
+def of_one_run(test):
+    """Mark a slow test of the finished run, which one process of pytest makes."""
+    return pytest.mark.slow(pytest.mark.xdist_group("workflow_runs")(test))
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """Table 1 of one lens, from a real run."""
@@ -31,12 +35,13 @@ def finished(tmp_path_factory):
     process = snakemake(folder, one_lens(), "table1")
     assert process.returncode == 0, process.stdout + process.stderr
     assert "Study tiny: 6 jobs" in process.stdout and "results/tiny/tables/table1.md" in process.stdout
+    assert "Building DAG" not in process.stderr
     ends = [line.split()[0] for line in process.stderr.splitlines() if "/6  " in line]
     assert ends == [f"{k}/6" for k in range(1, 7)], process.stderr
     return folder
 
 
-@pytest.mark.slow
+@of_one_run
 def test_a_finished_table_has_nothing_to_be_done(finished):
     """The run wrote the study with every default, the table, and is complete."""
     assert load(finished / "results/tiny/study.yaml") == parse(one_lens())
@@ -45,7 +50,7 @@ def test_a_finished_table_has_nothing_to_be_done(finished):
     assert plan(finished, one_lens(), "table1") == {}
 
 
-@pytest.mark.slow
+@of_one_run
 def test_durations_of_finished_jobs_are_known(finished):
     """A benchmark file for every job, from which the next forecast, time limits and memory are made."""
     files = sorted((finished / "results/tiny/benchmarks").rglob("*.tsv"))
@@ -59,7 +64,7 @@ def test_durations_of_finished_jobs_are_known(finished):
     assert f"runtime={durations.limit_minutes('design')}," in output
 
 
-@pytest.mark.slow
+@of_one_run
 def test_a_dry_run_changes_nothing(finished):
     """Planning another value must not change the study that a run in progress reads."""
     before = (finished / "results/tiny/study.yaml").read_text()
@@ -67,7 +72,7 @@ def test_a_dry_run_changes_nothing(finished):
     assert (finished / "results/tiny/study.yaml").read_text() == before
 
 
-@pytest.mark.slow
+@of_one_run
 def test_finished_results_are_not_overwritten_without_consent(finished):
     """A dry run asks too; a further seed needs no consent; no file changes, and the last run's state stays."""
     faster = changed(one_lens(), "spec.f_number", 2.0)
@@ -90,7 +95,7 @@ def test_finished_results_are_not_overwritten_without_consent(finished):
     assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(paths)
 
 
-@pytest.mark.slow
+@of_one_run
 def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     """No job is left to plan; with another value, the plan has the reruns; `status` has the last run's jobs."""
     monkeypatch.chdir(finished)
@@ -107,19 +112,12 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     assert "6 of 6 jobs done" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@of_one_run
 @pytest.mark.parametrize(
     "key, value, rerun",
     [
-        ("tables", ["table1"], {}),
         ("restoration.steps", 9, {}),
-        ("designs.tasklens", tiny_study()["designs"]["tasklens"], {"design": 1, "fine_tune": 1, "table": 1}),
         ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "table": 1}),
-        ("capture.outside_window", "renormalise", {"fine_tune": 1, "table": 1}),
-        ("evaluation_rays", 128, {"design": 1, "fine_tune": 1, "table": 1}),
-        ("constraints.max_track", 4.3, {"design": 1, "fine_tune": 1, "table": 1}),
-        ("constraints.flat_track", 1.2, {"design": 1, "fine_tune": 1, "table": 1}),
-        ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2, "table": 1}),
         ("images.seed", 4, {"images": 1, "reference": 1, "fine_tune": 2, "table": 1}),
     ],
     ids=lambda v: v if isinstance(v, str) else "",
@@ -171,40 +169,6 @@ def test_a_failing_job_leaves_no_output(tmp_path):
     assert any(line.startswith(f"FAILED  images: tasklens: {bad}") for line in lines), lines
     left = [path for path in (tmp_path / "results/tiny/images").rglob("*") if path.is_file()]
     assert {path.suffix for path in left} <= {".lock"}  # of the writer, empty
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on(tmp_path):
-    """A run killed during a long design leaves neither lens nor history; after unlocking, the design runs again.
-
-    It does so even if one of its two files exists.
-    """
-    study = changed(one_lens(), "designs.imaging1.descents.0.steps", 1_000_000)
-    target, log = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml", tmp_path / "results/tiny/logs/design"
-    process = subprocess.Popen(
-        command(tmp_path, study, target),
-        cwd=tmp_path,
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        deadline = time.monotonic() + 60
-        while not any("step 1/" in path.read_text() for path in log.glob("*.log")):
-            assert process.poll() is None and time.monotonic() < deadline
-            time.sleep(0.2)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    assert not [path for path in (tmp_path / "results/tiny/lenses").rglob("*") if path.is_file()]
-    assert plan(tmp_path, study, target) == {"design": 1}
-    (tmp_path / target).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / target).write_text("half")
-    study = one_lens()
-    assert forked(tmp_path, study, "--unlock")[0] == 0
-    second_run = snakemake(tmp_path, study, target)
-    assert second_run.returncode == 0, second_run.stderr
-    assert yaml.safe_load((tmp_path / target).read_text())["margins"]
 
 
 @pytest.mark.slow
