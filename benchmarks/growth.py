@@ -86,7 +86,7 @@ def fine_tuning(steps: int, tiny: bool, checkpoint: Checkpoint) -> None:
     psf = torch.rand(9, 3, 51, 51)
     pipeline = CapturePipeline(PsfCamera(psf / psf.sum((-2, -1), keepdim=True)))
     training = TrainingSettings(epochs=steps * batch / len(dataset), learning_rate=1e-5, batch_size=batch)
-    fit({"network": network}, dataset, training, 0, "fine-tuning", pipeline.one_field, checkpoint)
+    fit(network, dataset, training, 0, "fine-tuning", pipeline.one_field, checkpoint)
 
 
 def work(job: Callable[[int, bool, Checkpoint], None], minutes: float, tiny: bool) -> None:

@@ -47,7 +47,7 @@ def main(steps=300):
     plates, view = flat((builtin("COC"), builtin("OKP4")), Spec(), LIMITS), view_of_spec(Spec())
     dataset = ImageDataset(*scenes.render(2000, 64, seed=0), scenes.CLASSES)
     network = timm.create_model("test_resnet", num_classes=len(dataset.classes))
-    training.fit({"network": network}, dataset, TrainingSettings(epochs=6, learning_rate=3e-3), 0, "network")
+    training.fit(network, dataset, TrainingSettings(epochs=6, learning_rate=3e-3), 0, "network")
     network.requires_grad_(False)
     batches = [dataset.batch(torch.randint(len(dataset), (8,))) for _ in range(steps)]
     for step, (lens, loss) in enumerate(descend(plates, view, network, batches)):

@@ -164,7 +164,7 @@ def trained_network(seed: int, **settings) -> nn.Module:
     """The small network after training on random images of three classes."""
     network = small_network(0)
     settings = TrainingSettings(**({"epochs": 4, "learning_rate": 1e-2, "batch_size": 10} | settings))
-    fit({"network": network}, random_images(60, 16, 3, seed=1), settings, seed, "test")
+    fit(network, random_images(60, 16, 3, seed=1), settings, seed, "test")
     return network
 
 

@@ -212,8 +212,8 @@ def test_published_weights_reproduce_their_accuracy():
     images = torch.stack([folders.read(file, 224) for file in result.files])
     dataset = data.ImageDataset(images, result.labels, result.classes)
     classifier = classifiers.build(settings, result.classes).eval()
-    result = evaluation.evaluate([classifier], dataset, evaluation.CapturePipeline())
-    assert float(result.correct[0].double().mean()) == pytest.approx(0.990, abs=0.0041)
+    result = evaluation.evaluate(classifier, dataset, evaluation.CapturePipeline())
+    assert float(result.correct.double().mean()) == pytest.approx(0.990, abs=0.0041)
     rows = evaluation.zero_shot(classifier, result)
     assert [row["metric"] for row in rows] == ["zero_shot_accuracy"]
     assert rows[0]["value"] == pytest.approx(75.6, abs=0.41)

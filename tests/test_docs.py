@@ -87,7 +87,7 @@ def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
     images = random_images(120, 40, 2, seed=0)
     write_photographs(tmp_path / "photographs", images, ("cat", "dog"))
     network = Classifier(timm.create_model("resnet18", num_classes=2))
-    fit({"network": network}, images, TrainingSettings(epochs=2, learning_rate=1e-3, batch_size=12), 0, "test")
+    fit(network, images, TrainingSettings(epochs=2, learning_rate=1e-3, batch_size=12), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", network.network.state_dict(), {})
     lines = [line for block in blocks(ROOT / "docs/how-to.md", "text") for line in block.splitlines()]
     commands = [(line, quick) for line in lines for start, quick in QUICK.items() if line.startswith(start)]

@@ -22,10 +22,10 @@ class Brightness(nn.Module):
         return -(images.mean((1, 2, 3))[:, None] - torch.tensor([0.1, 0.5, 0.9])).abs()
 
 
-def measure(classifiers, splits, pipeline):
-    """Metrics and predictions of classifiers without training."""
-    results = {name: evaluation.evaluate(classifiers, images, pipeline) for name, images in splits.items()}
-    return evaluation.measure(classifiers, splits["test"], **results, captured=pipeline.camera is not None)
+def measure(classifier, test, minival, pipeline) -> list[dict]:
+    """Metrics of a classifier without training."""
+    results = [evaluation.evaluate(classifier, images, pipeline) for images in (test, minival)]
+    return evaluation.measure(classifier, test, *results, captured=pipeline.camera is not None)
 
 
 def grey_images(values, labels) -> data.ImageDataset:
@@ -36,13 +36,10 @@ def grey_images(values, labels) -> data.ImageDataset:
 def test_evaluation_against_a_hand_count():
     """Four of five grey images are sorted as labelled; without a camera there is one field and infinite PSNR."""
     dataset = grey_images([10, 130, 240, 20, 120], [0, 1, 2, 2, 1])
-    result = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline())
-    assert result.correct.tolist() == [[[True, True, True, False, True]]]
+    result = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline())
+    assert result.correct.tolist() == [[True, True, True, False, True]]
     assert result.psnr_db.shape == (1, 5)
-    ((rows, predictions_by_image),) = measure(
-        [Brightness()], {"test": dataset, "minival": dataset.take(torch.tensor([3, 4]))}, evaluation.CapturePipeline()
-    )
-    assert [row["field0"] for row in predictions_by_image] == [1, 1, 1, 0, 1]
+    rows = measure(Brightness(), dataset, dataset.take(torch.tensor([3, 4])), evaluation.CapturePipeline())
     result = {(row["field"], row["metric"]): row["value"] for row in rows}
     assert result.pop((0, "accuracy")) == pytest.approx(80)
     assert result.pop((0, "minival_accuracy")) == pytest.approx(50)
@@ -68,7 +65,7 @@ class Dimming(PsfCamera):
 def test_losses_by_hand():
     """Logits are minus the distances from 0.1, 0.5 and 0.9; field 1 halves the light. 90 images take two batches."""
     dataset = grey_images([51, 204] * 45, [0, 2] * 45)
-    losses = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5]))).losses[0]
+    losses = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5]))).losses
     assert losses.shape == (2, 90)
     for field, values in enumerate([(0.2, 0.8), (0.1, 0.4)]):
         for image, (value, label) in enumerate(zip(values, (0, 2), strict=True)):
@@ -83,15 +80,13 @@ def test_losses_by_hand():
 def test_every_field_is_evaluated_on_every_image():
     """Field 1 halves the light: there 240 is classified as medium, and 120 as dark."""
     dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    result = evaluation.evaluate([Brightness()], dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
-    assert result.correct.shape == (1, 2, 90) and result.psnr_db.shape == (2, 90)
-    assert result.correct[0].double().mean(1).tolist() == pytest.approx([1, 1 / 3])
+    result = evaluation.evaluate(Brightness(), dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    assert result.correct.shape == (2, 90) and result.psnr_db.shape == (2, 90)
+    assert result.correct.double().mean(1).tolist() == pytest.approx([1, 1 / 3])
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(result.psnr_db[1, :3], expected, rtol=0, atol=1e-3)
-    ((rows, predictions_by_image),) = measure(
-        [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([1.0, 0.5]))
-    )
-    assert predictions_by_image[:3] == [
+    rows = measure(Brightness(), dataset, dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
+    assert evaluation.by_image(result.correct.int(), dataset)[:3] == [
         {"image": 0, "label": "dark", "field0": 1, "field1": 1},
         {"image": 1, "label": "bright", "field0": 1, "field1": 0},
         {"image": 2, "label": "medium", "field0": 1, "field1": 0},
@@ -99,25 +94,6 @@ def test_every_field_is_evaluated_on_every_image():
     assert [row["field"] for row in rows if row["metric"] == "psnr_db"] == [0, 1]
     worst = [row["value"] for row in rows if row["metric"] == "worst_psnr_db"]  # the brightest of 90 images
     assert worst[1] == pytest.approx(float(expected[1]), abs=1e-3) and len(worst) == 2
-
-
-def test_classifiers_are_measured_on_the_same_captures(monkeypatch):
-    """Same results as alone, but each batch is rendered once for both."""
-    dataset = grey_images([10, 240, 120] * 30, [0, 2, 1] * 30)
-    pipeline = evaluation.CapturePipeline(Dimming([1.0, 0.5]))
-    splits = {"test": dataset, "minival": dataset.take(torch.arange(6))}
-
-    class Contrary(Brightness):
-        def forward(self, images):
-            return -super().forward(images)
-
-    classifiers = [Brightness(), Contrary()]
-    alone = [measure([classifier], splits, pipeline)[0] for classifier in classifiers]
-    rendered = []
-    grid = pipeline.camera.grid
-    monkeypatch.setattr(pipeline.camera, "grid", lambda images, _: rendered.append(len(images)) or grid(images))
-    assert measure(classifiers, splits, pipeline) == alone and alone[0] != alone[1]
-    assert rendered == [64, 26, 6]
 
 
 def test_restoration_stands_between_camera_and_classifier():
@@ -129,7 +105,7 @@ def test_restoration_stands_between_camera_and_classifier():
 
     dataset = grey_images([10, 240, 120], [0, 2, 1])
     pipeline = evaluation.CapturePipeline(Dimming([0.5, 0.5]), Double())
-    result = evaluation.evaluate([Brightness()], dataset, pipeline)
+    result = evaluation.evaluate(Brightness(), dataset, pipeline)
     assert result.correct.all() and (result.psnr_db > 80).all()
     restored = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
     torch.testing.assert_close(restored, dataset.images.float() / 255, rtol=0, atol=1e-6)
@@ -147,9 +123,7 @@ def test_training_sees_a_random_field_per_image():
 def test_the_worst_images_are_one_in_a_hundred():
     """Of 250 images of as many greys, halved in brightness, the three brightest lose most."""
     dataset = grey_images(list(range(1, 251)), [0] * 250)
-    ((rows, _),) = measure(
-        [Brightness()], {"test": dataset, "minival": dataset}, evaluation.CapturePipeline(Dimming([0.5]))
-    )
+    rows = measure(Brightness(), dataset, dataset, evaluation.CapturePipeline(Dimming([0.5])))
     psnr = next(row["value"] for row in rows if row["metric"] == "worst_psnr_db")
     expected = -20 * torch.log10(torch.tensor([124.0, 124.5, 125.0]) / 255)
     assert psnr == pytest.approx(float(expected.mean()), abs=1e-3)
@@ -159,5 +133,5 @@ def test_evaluation_changes_nothing():
     """Neither batch statistics nor weights move while a classifier is measured."""
     network = trained_network(0)
     before = copy.deepcopy(network.state_dict())
-    evaluation.evaluate([network], random_images(20, 16, 3, seed=2), evaluation.CapturePipeline())
+    evaluation.evaluate(network, random_images(20, 16, 3, seed=2), evaluation.CapturePipeline())
     assert all(torch.equal(v, before[k]) for k, v in network.state_dict().items())

@@ -45,8 +45,8 @@ def fine_tuning(device, start) -> list[float]:
     """Accuracies and losses of a network that is trained and measured on captures."""
     network, pipeline = small_network(0).to(device), CapturePipeline(camera(device))
     settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10)
-    training.fit({"network": network}, data(device), settings, 0, "test", pipeline.one_field)
-    tensors = vars(evaluation.evaluate([network], data(device), pipeline)).values()
+    training.fit(network, data(device), settings, 0, "test", pipeline.one_field)
+    tensors = vars(evaluation.evaluate(network, data(device), pipeline)).values()
     assert {tensor.device for tensor in tensors} == {CPU}  # results come back to the CPU for writing
     return [value for tensor in tensors for value in tensor.flatten().float().tolist()]
 

@@ -34,7 +34,7 @@ def images():
 def network(images):
     torch.manual_seed(0)
     classifier = small_network(0)
-    fit({"network": classifier}, images, TrainingSettings(epochs=6, learning_rate=1e-2, batch_size=10), 0, "test")
+    fit(classifier, images, TrainingSettings(epochs=6, learning_rate=1e-2, batch_size=10), 0, "test")
     classifier.zero_grad()
     return classifier
 
@@ -162,7 +162,7 @@ def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
     """It has as many outputs as these images have classes."""
     torch.manual_seed(0)
     classifier = Classifier(timm.create_model("test_resnet", num_classes=3))
-    fit({"network": classifier}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
+    fit(classifier, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
     by_name = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
     lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, classifier=by_name, settings=QUICK, **SPEC)

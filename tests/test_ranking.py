@@ -23,6 +23,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_tensors
 from tasklens.study.settings import TrainingSettings
 
+pytestmark = pytest.mark.xdist_group("ranking")  # one process trains the network
 TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
 
 
@@ -135,7 +136,7 @@ def folder(tmp_path_factory):
     write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
     torch.manual_seed(0)
     network = Classifier(timm.create_model("test_resnet", num_classes=3))
-    fit({"network": network}, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
+    fit(network, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
     write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
     (folder / "lenses").mkdir()
     for name, lens in {

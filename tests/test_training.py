@@ -19,28 +19,10 @@ def test_training_is_deterministic():
     assert not torch.equal(first["0.weight"], other["0.weight"])
 
 
-def test_networks_that_train_together_end_as_if_alone():
-    """Equal to the last bit: all networks see the same captures, each simulated once."""
-    dataset, settings = random_images(60, 16, 3, seed=1), TrainingSettings(epochs=2, learning_rate=1e-2, batch_size=10)
-    captured = []
-
-    def capture(images: torch.Tensor, generator: torch.Generator, share: slice) -> torch.Tensor:
-        captured.append(len(images))
-        return images[share] * torch.rand(len(images), 1, 1, 1, generator=generator)[share]
-
-    together = {str(seed): small_network(seed) for seed in (0, 1)}
-    training.fit(together, dataset, settings, 3, "test", capture)
-    assert captured == 12 * [10]
-    for seed in (0, 1):
-        alone = small_network(seed)
-        training.fit({"alone": alone}, dataset, settings, 3, "test", capture)
-        assert all(torch.equal(value, alone.state_dict()[k]) for k, value in together[str(seed)].state_dict().items())
-
-
 def test_training_learns_and_ends_in_eval():
     network = trained_network(0, epochs=20)
     assert not network.training
-    correct = evaluation.evaluate([network], random_images(60, 16, 3, seed=2), evaluation.CapturePipeline()).correct
+    correct = evaluation.evaluate(network, random_images(60, 16, 3, seed=2), evaluation.CapturePipeline()).correct
     assert correct.double().mean() > 0.9
 
 
@@ -53,16 +35,10 @@ def test_what_the_classifier_sees_is_what_it_learns_from():
         ranges.append((float(images.min()), float(images.max())))
         return 0 * images[share]
 
-    training.fit(
-        {"network": network},
-        dataset,
-        TrainingSettings(epochs=20, learning_rate=1e-2, batch_size=10),
-        0,
-        "test",
-        capture,
-    )
+    settings = TrainingSettings(epochs=20, learning_rate=1e-2, batch_size=10)
+    training.fit(network, dataset, settings, 0, "test", capture)
     assert len(ranges) == 120 and all(0 <= low < high <= 1 for low, high in ranges)
-    correct = evaluation.evaluate([network], dataset, evaluation.CapturePipeline()).correct
+    correct = evaluation.evaluate(network, dataset, evaluation.CapturePipeline()).correct
     assert correct.double().mean() < 0.5
 
 
@@ -81,23 +57,16 @@ def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path)
             random_images(50, 16, 3, seed=1),
             TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=10),
         )
-        training.fit({"network": small_network(0)}, dataset, settings, 0, "test", capture, checkpoint)
+        training.fit(small_network(0), dataset, settings, 0, "test", capture, checkpoint)
     assert checkpoint.records.get("test", {}).get("step", 0) == bad - 1
 
 
 def test_weights_that_are_not_finite_in_the_end_are_no_result():
     network = small_network(0)
     network[0].weight.register_hook(lambda gradient: gradient * torch.nan)
-    with pytest.raises(FloatingPointError, match="weights of network stopped being finite"):
+    with pytest.raises(FloatingPointError, match="weights stopped being finite"):
         settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=60)
-        training.fit({"network": network}, random_images(60, 16, 3, seed=1), settings, 0, "test")
-
-
-def test_weight_decay_spares_vectors():
-    groups = training.parameter_groups(small_network(0), 0.05)
-    decay = {p.ndim > 1: group["weight_decay"] for group in groups for p in group["params"]}
-    assert decay == {True: 0.05, False: 0.0}
-    assert sum(len(group["params"]) for group in groups) == len(list(small_network(0).parameters()))
+        training.fit(network, random_images(60, 16, 3, seed=1), settings, 0, "test")
 
 
 def test_rate_rises_linearly_and_falls_on_a_cosine():

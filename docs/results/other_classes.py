@@ -45,7 +45,7 @@ def answers(study: Study, results: Path, folder: Path, keys: list[Key]) -> Mappi
                 path = results / "lenses" / lens / f"seed{seed}" / f"{name}.safetensors"
                 camera = PsfCamera.of(study.capture_of(lens), *psf_files.read(path))
             pipeline = evaluation.CapturePipeline(camera)
-            correct = evaluation.evaluate([network], photographs, pipeline, f"{lens}, seed {seed}").correct[0]
+            correct = evaluation.evaluate(network, photographs, pipeline, f"{lens}, seed {seed}").correct
             frames[lens, classifier, seed] = pandas.DataFrame(correct.T.int().numpy(), index=index)
     return frames
 

@@ -50,7 +50,8 @@ class Production:
     def accuracy(self, lens: Lens, images: Images) -> tuple[Tensor, float]:
         """Return the accuracy (F,) of each field [%], and the mean cross-entropy."""
         pipeline = CapturePipeline(self.camera(evaluation_psf(lens, self.view, _RAYS)))
-        correct, losses = classify(self.classifier, pipeline, *images)
+        sharp, labels = images
+        correct, _, losses = classify(self.classifier, pipeline.all_fields(sharp), labels)
         return 100 * correct.double().mean(-1), float(losses.mean())
 
     def measure(self, lens: Lens, images: Images) -> dict[str, Any]:

@@ -38,7 +38,6 @@ def fine_tune(
         restoration: weights of the restoration network; None for unrestored captures.
         reference: weights of the classifier that was trained on the sharp images.
     """
-    name = settings.columns["classifier"]
     with process_group() as group:
         training_images, selection, images = (
             dataset.read(*split, device=group.device) for split in (train, minival, test)
@@ -47,13 +46,13 @@ def fine_tune(
         pipeline = _capture_pipeline(settings, psf, restoration, group.device)
         if group.is_first:
             initial_network = classifiers.frozen(network, images.images)
-            before = evaluation.evaluate([initial_network], selection, pipeline, "minival, before training", checkpoint)
+            before = evaluation.evaluate(initial_network, selection, pipeline, "minival, before training", checkpoint)
             zero_shot, on_test = [], None
             if not settings.training.epochs or network.has_more_outputs:
-                on_test = evaluation.evaluate([initial_network], images, pipeline, "test, before training", checkpoint)
+                on_test = evaluation.evaluate(initial_network, images, pipeline, "test, before training", checkpoint)
                 zero_shot = evaluation.zero_shot(network, on_test)
         training.fit(
-            {name: network},
+            network,
             training_images,
             settings.training,
             settings.seed,
@@ -66,14 +65,13 @@ def fine_tune(
         return
     final_network, after = classifiers.frozen(network, images.images), before
     if settings.training.epochs or on_test is None:
-        on_test = evaluation.evaluate([final_network], images, pipeline, "test", checkpoint)
-        after = evaluation.evaluate([final_network], selection, pipeline, "minival", checkpoint)
-    results = evaluation.measure([network], images, on_test, after, pipeline.camera is not None)
-    ((rows, answers),) = results
+        on_test = evaluation.evaluate(final_network, images, pipeline, "test", checkpoint)
+        after = evaluation.evaluate(final_network, selection, pipeline, "minival", checkpoint)
+    rows = evaluation.measure(network, images, on_test, after, pipeline.camera is not None)
     write_tensors(weights, network.network.state_dict(), {"model": settings.classifier.model})
-    write_rows(frozen, evaluation.by_image(before.losses[0], selection))
+    write_rows(frozen, evaluation.by_image(before.losses, selection))
     write_rows(metrics, [settings.columns | row for row in zero_shot + rows])
-    write_rows(predictions, answers)
+    write_rows(predictions, evaluation.by_image(on_test.correct.int(), images))
 
 
 def reproduce(
@@ -91,7 +89,7 @@ def reproduce(
     network = classifiers.build(settings.classifier, images.classes, weights).to(device)
     classifier = classifiers.frozen(network, images.images)
     pipeline = _capture_pipeline(settings, psf, restoration, device)
-    correct = evaluation.evaluate([classifier], images, pipeline, "test", checkpoint).correct[0]
+    correct = evaluation.evaluate(classifier, images, pipeline, "test", checkpoint).correct
     write_rows(predictions, evaluation.by_image(correct.int(), images))
 
 

@@ -33,9 +33,7 @@ def run(
     torch.manual_seed(settings.seed)
     classifier = classifiers.build(settings, train.classes).to(device)
     if settings.training is not None:
-        training.fit(
-            {settings.model: classifier}, train, settings.training, settings.seed, "reference", checkpoint=checkpoint
-        )
+        training.fit(classifier, train, settings.training, settings.seed, "reference", checkpoint=checkpoint)
     elif len(train) >= _ENOUGH:
         order = torch.randperm(len(train), generator=torch.Generator().manual_seed(0))[:_SHARP]
         print(sharp.recognised(classifiers.frozen(classifier, train.images), train.take(order)), file=sys.stderr)

@@ -25,7 +25,7 @@ def train(settings: TaskTrainingJob, images: Sequence[Path], weights: Path, chec
     )
     task = object_tasks.make(settings.name, settings.network, dataset)
     sharp, label = dataset.as_images(), f"training of {settings.name}"
-    training.fit({settings.name: network}, sharp, settings.network.training, 0, label, checkpoint=checkpoint, task=task)
+    training.fit(network, sharp, settings.network.training, 0, label, checkpoint=checkpoint, task=task)
     write_tensors(weights, network.state_dict(), {"task": settings.name})
 
 
@@ -55,7 +55,7 @@ def fine_tune(
     test = test_images.as_images()
     rows = [row | {"tuned": False} for row in scores(network, test_task, test, pipeline)]
     training.fit(
-        {settings.name: network},
+        network,
         training_images.as_images(),
         settings.network.fine_tuning,
         settings.seed,

@@ -117,7 +117,7 @@ def rank(
         )
     if not answer.isfinite().all():
         raise InputError("rank: the network returns logits that are not finite")
-    sharp = float(100 * evaluation.evaluate([classifier], dataset, CapturePipeline()).correct.double().mean())
+    sharp = float(100 * evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
     correct = {name: _correct(classifier, dataset, lens, view, rays, name) for name, (lens, view) in lenses.items()}
     ranks = report.ranked(correct)
     rows, drawings = [], {}
@@ -139,6 +139,6 @@ def _correct(
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     camera = PsfCamera(evaluation_psf(lens, view, rays).to(dataset.device))
-    correct = evaluation.evaluate([classifier], dataset, CapturePipeline(camera), name).correct[0]
+    correct = evaluation.evaluate(classifier, dataset, CapturePipeline(camera), name).correct
     frame = pandas.DataFrame(evaluation.by_image(correct.int(), dataset))
     return frame.set_index(["image", "label"])

@@ -53,12 +53,12 @@ class CapturePipeline:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Predictions of C classifiers for N images at F fields.
+    """Predictions of a classifier for N images at F fields.
 
     Attributes:
-        correct: (C, F, N) whether the classification is correct, bool.
-        among_all: (C, F, N) whether it is correct among all outputs of the network, used or not, bool.
-        losses: (C, F, N) cross-entropies.
+        correct: (F, N) whether the classification is correct, bool.
+        among_all: (F, N) whether it is correct among all outputs of the network, used or not, bool.
+        losses: (F, N) cross-entropies.
         psnr_db: (F, N) PSNR of the captures [dB].
     """
 
@@ -70,16 +70,16 @@ class Evaluation:
 
 @torch.no_grad()
 def evaluate(
-    classifiers: Sequence[Callable[[Tensor], Tensor]],
+    classifier: Callable[[Tensor], Tensor],
     dataset: ImageDataset,
     pipeline: CapturePipeline,
     label: str = "evaluation",
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Evaluation:
-    """Classify all images at all fields; all classifiers share the same captures.
+    """Classify all images at all fields.
 
     Args:
-        classifiers: functions from images (B, 3, H, W) to logits (B, C).
+        classifier: function from images (B, 3, H, W) to logits (B, C).
         label: label of progress lines, and name of the part of the checkpoint.
         checkpoint: checkpoint of the job.
     """
@@ -92,9 +92,8 @@ def evaluate(
     for step, indices in enumerate(batches[part.step :], part.step + 1):
         images, labels = dataset.batch(indices)
         captures = pipeline.all_fields(images, step)
-        answers = zip(*(_answers(item, captures, labels) for item in classifiers), strict=True)
-        correct, among_all, losses = (torch.stack(item).cpu() for item in answers)
-        evaluations.append(Evaluation(correct, among_all, losses, psnr(captures, images).cpu()))
+        answers = (*classify(classifier, captures, labels), psnr(captures, images))
+        evaluations.append(Evaluation(*(answer.cpu() for answer in answers)))
         progress(step)
         if checkpoint.due():
             evaluations = [_joined(evaluations)]
@@ -104,7 +103,8 @@ def evaluate(
     return result
 
 
-def _answers(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, ...]:
+@torch.no_grad()
+def classify(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Classify captures (F, B, 3, H, W) with labels (B,).
 
     Returns:
@@ -139,21 +139,8 @@ def zero_shot(classifier: Classifier, untrained: Evaluation) -> list[dict]:
     """
     if not classifier.has_more_outputs:
         return []
-    values = (100 * untrained.among_all[0].double().mean(-1)).tolist()
+    values = (100 * untrained.among_all.double().mean(-1)).tolist()
     return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
-
-
-@torch.no_grad()
-def classify(
-    classifier: Callable[[Tensor], Tensor], pipeline: CapturePipeline, images: Tensor, labels: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Classify images (N, 3, H, W) with labels (N,) at F fields.
-
-    Returns:
-        Whether each image is classified correctly, (F, N) bool, and the cross-entropy (F, N).
-    """
-    correct, _, losses = _answers(classifier, pipeline.all_fields(images), labels)
-    return correct.cpu(), losses.cpu()
 
 
 @torch.no_grad()
@@ -194,41 +181,32 @@ def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
 
 
 def measure(
-    classifiers: Sequence[Classifier], dataset: ImageDataset, test: Evaluation, minival: Evaluation, captured: bool
-) -> list[tuple[list[dict], list[dict]]]:
-    """Return the accuracies of classifiers and the PSNR, as means and by image.
+    classifier: Classifier, dataset: ImageDataset, test: Evaluation, minival: Evaluation, captured: bool
+) -> list[dict]:
+    """Return the accuracy of a classifier and the PSNR of its images.
 
     Args:
         dataset: test images.
-        test, minival: evaluations of the classifiers on test and minival images.
+        test, minival: evaluations of the classifier on test and minival images.
         captured: whether a camera captured the images; without one there is no PSNR.
 
     Returns:
-        For each classifier, rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and
-        of the worst 1 %, per field; parameters [millions], and `chance`, the accuracy of guessing [%]. Also the rows
-        of `by_image` for the test images: 1 if classified correctly, else 0.
+        Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of the worst 1 %, per
+        field; parameters [millions], and `chance`, the accuracy of guessing [%].
     """
-    results = []
-    for classifier, correct, minival_correct in zip(classifiers, test.correct, minival.correct, strict=True):
-        rows = _metrics(correct, minival_correct, test.psnr_db if captured else None)
-        answers = dataset.classes if classifier.outputs is None else classifier.outputs
-        totals = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
-        rows += [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]
-        results.append((rows, by_image(correct.int(), dataset)))
-    return results
-
-
-def _metrics(correct: Tensor, minival_correct: Tensor, psnr_db: Tensor | None) -> list[dict]:
-    """Return rows of metrics by field from correct test images, correct minival images, and PSNR, each (F, N)."""
     columns = {
-        "accuracy": 100 * correct.double().mean(-1),
-        "minival_accuracy": 100 * minival_correct.double().mean(-1),
+        "accuracy": 100 * test.correct.double().mean(-1),
+        "minival_accuracy": 100 * minival.correct.double().mean(-1),
     }
-    if psnr_db is not None:
-        columns["psnr_db"] = psnr_db.double().mean(-1)
-        columns["worst_psnr_db"] = psnr_db.double().sort(-1).values[:, : math.ceil(_WORST * psnr_db.shape[-1])].mean(-1)
-    return [
+    if captured:
+        sorted_psnr = test.psnr_db.double().sort(-1).values
+        columns["psnr_db"] = test.psnr_db.double().mean(-1)
+        columns["worst_psnr_db"] = sorted_psnr[:, : math.ceil(_WORST * sorted_psnr.shape[-1])].mean(-1)
+    rows: list[dict] = [
         {"field": field, "metric": metric, "value": value}
         for metric, values in columns.items()
         for field, value in enumerate(values.tolist())
     ]
+    answers = dataset.classes if classifier.outputs is None else classifier.outputs
+    totals = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
+    return rows + [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]
