@@ -36,69 +36,6 @@ def test_all_mistakes_are_reported_at_once():
     assert "spec.kernel_size = 50" in str(error.value) and "images.sise = 3" in str(error.value)
 
 
-# key of format 1 or 2, a value that it had, what the message must name instead
-RENAMED = [
-    ("spec.kernel", 11, "kernel_size"),
-    ("specs", {"singlet": {"kernel": 11}}, "kernel_size"),
-    ("capture.outside", "veil", "outside_window"),
-    ("outside", {"phone": {"elements": "quadruplet", "file": str(PLASTICS)}}, "imported"),
-    ("minutes", {"images": 0.1}, "gone"),
-    ("fine_tuning.rate", 1e-3, "learning_rate"),
-    ("fine_tuning.batch", 20, "batch_size"),
-    ("restoration.rate", 1e-3, "learning_rate"),
-    ("restoration.batch", 4, "batch_size"),
-    ("classifiers.small.training.rate", 1e-3, "learning_rate"),
-    ("designs.tasklens.candidates", ["imaging2"], "`start`, a list of designs"),
-    ("designs.tasklens.restarts", 2, "`lenses` of the first of `descents`"),
-    ("designs.tasklens.restart", {"steps": 2, "pixels": [20, 5]}, "the first of `descents`"),
-    ("designs.tasklens.refinement", {"steps": 2, "pixels": [5, 1]}, "one of `descents`"),
-    ("designs.tasklens.finish", {"steps": 2, "pixels": [1, 1]}, "the last of `descents`"),
-    ("designs.tasklens.polish", {"steps": 2}, "`optimizer: adamw` and a `network_learning_rate`"),
-    ("designs.tasklens.network_learning_rate", 1e-4, "a key of each of `descents`"),
-    ("designs.tasklens.descents.0.stride", 0.5, "step_size"),
-    ("designs.tasklens.descents.3.network_rate", 1e-5, "network_learning_rate"),
-    ("designs.imaging1.descents.0.rates", "ours", "learning_rates"),
-    ("designs.end_to_end_from_imaging.descents.0.learning_rates.final", 0.05, "`final` of the descent"),
-    ("designs.end_to_end_from_flat.descents.0.images", 2, "batch_size"),
-    ("designs.end_to_end_from_flat.descents.0.rates", "paper", "learning_rates"),
-    ("designs.end_to_end_from_flat.descents.0.cold_start", {"stop_scale": 0.3}, "`stop_scale`"),
-    ("ablations.mine", {"elements": "singlet", "design": "imaging1",
-                        "variants": {"a": {"descents": {"0": {"rates": "paper"}}}}}, "learning_rates"),
-]  # fmt: skip
-
-
-LATE = ("specs", "ablations.mine")  # checked if everything else is right
-
-
-@pytest.mark.parametrize("key, value, now", RENAMED, ids=[key for key, *_ in RENAMED])
-def test_a_key_of_an_older_format_names_the_one_of_today(key, value, now):
-    """One line names the old key, in addition to other mistakes."""
-    study = changed(tiny_study(), key, value)
-    with pytest.raises(StudyError) as error:
-        parse(study if key in LATE else changed(study, "images.sise", 3))
-    (line,) = (line for line in str(error.value).splitlines() if "is a key of an older format" in line)
-    old = {"specs": "kernel", "ablations.mine": "rates"}.get(key, key.rpartition(".")[2])
-    assert all(part in line for part in key.split("."))
-    assert now in line.partition(f"`{old}` is a key of an older format; it is now ")[2]
-    assert ("images.sise = 3" in str(error.value)) == (key not in LATE)
-
-
-def test_a_study_of_an_older_format_hears_of_all_its_keys_at_once():
-    """At any depth, with the format; a key that is both renamed and wrong has a line for each."""
-    study, keys = changed(tiny_study(), "format", 1), 0
-    for key, value, _ in RENAMED:
-        if key not in LATE:
-            study, keys = changed(study, key, value), keys + 1
-    with pytest.raises(StudyError) as error:
-        parse(changed(study, "spec.kernel", 50))
-    message = str(error.value)
-    assert "format = 1: expected 3" in message
-    assert "spec.kernel = 50: `kernel` is a key of an older format" in message
-    assert "spec.kernel_size = 50: expected an odd" in message
-    assert message.count("is a key of an older format") == keys
-    assert len(message.splitlines()) == 1 + keys + 2 and "unknown key" not in message
-
-
 @pytest.mark.parametrize(
     "start, others, words",
     [
@@ -243,12 +180,6 @@ def test_the_resolved_study_is_the_same_study(tmp_path):
     (tmp_path / "study.yaml").write_text(dump(study))
     assert load(tmp_path / "study.yaml") == study
     assert "evaluation_rays" in dump(study) and "max_slope" in dump(study)
-
-
-def test_a_study_cannot_be_changed():
-    study = parse(tiny_study())
-    with pytest.raises(Exception, match="frozen"):
-        study.images.size = 32
 
 
 def test_specification_of_the_paper():

@@ -86,7 +86,6 @@ def test_a_study_file_without_a_format_is_refused(beside_config):
     "key, value, words",
     [
         ("spec.kernle", 51, ["spec.kernle", "51"]),
-        ("spec.kernel", 51, ["spec.kernel = 51", "an older format; it is now kernel_size"]),
         ("elements.doublet", ["GLASS"], ["GLASS", "doublet"]),
         ("imported.phone", {"elements": "quadruplet", "file": "no/phone.zmx"}, ["imported.phone.file", "no/phone.zmx"]),
     ],

@@ -29,7 +29,6 @@ _PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts
 _PERTURBATION_EVALUATIONS = 12
 _VIGNETTINGS = 4  # times that an aperture is set again, each followed by `_STRICT_EVALUATIONS`
 _SHAPE = ("curvature", "thickness", "alpha")  # tensors of a lens that a design changes
-_FINISH_EVALUATIONS = 400  # with the linear cost, beyond the budget
 _NEARLY_KEPT_UM = 50.0  # residual of limits at which a repair changes the lens little
 _BISECTIONS = 30  # bisections of a step that ends below `spot_um`
 _SEARCH_ANGLES = 0.06  # weight of chief ray angles in the search, 1 um/degree; with 1, doublets end 1.3 um worse
@@ -110,8 +109,7 @@ class _Search:
         limits = limits.model_copy(update={"max_chief_ray_angle_deg": angle})
         options = problem.view, limits, settings.reference, settings.corner_weight
         self.merit = Merit(*options, angle_weight=_SEARCH_ANGLES)
-        finish = partial(Merit, *options, settings.linear_beyond_um)
-        self.finish, self.strict = finish(angle_weight=_SEARCH_ANGLES), finish(per_mm=_STRICT * VIOLATION_UM_PER_MM)
+        self.strict = Merit(*options, per_mm=_STRICT * VIOLATION_UM_PER_MM)
         self.orders = [f"alpha_{order}" for order in ORDERS if order <= settings.highest_order]
         self.progress = Progress("least squares", settings.evaluations)
         self.evaluations = itertools.count(1)
@@ -201,9 +199,6 @@ def design(
     for k, (fraction, share) in enumerate(_PERTURBATIONS):
         candidates = search.best(f"perturbations {k + 1}", candidates, fraction, share, search.hop)
     _, start, lens = min(candidates, key=lambda candidate: candidate[:2])
-    if settings.linear_beyond_um is not None:
-        lens, error = search.improve(lens, search.finish, _STAGES[-1][1], _FINISH_EVALUATIONS)
-        search.history.append({"stage": "linear cost", "start": start, "rms_um": error})
     rows = search.history
     if settings.vignetting is not None:
         lens, error = search.vignette(lens)

@@ -34,8 +34,6 @@ class Merit:
     Args:
         reference: reference point of the rays' errors in y.
         corner_weight: weight of the corner field, geometric from 1 on the axis.
-        linear_beyond_um: error e0 beyond which the cost of a ray grows linearly [um], r = e / (1 + |e|^2 / e0^2)^(1/4)
-            for its error e: distant rays matter less, and a sharp core matters more. None: r = e.
         per_mm: residual per mm of violation, or per unit of a violation without a unit [um/mm].
         angle_weight: factor on the residuals of chief ray angles.
         rim: number of marginal rays from the top to the bottom of the pupil, which give the radii that light uses.
@@ -47,7 +45,6 @@ class Merit:
         limits: Constraints,
         reference: Literal["pinhole", "centroid", "chief_ray"] = "pinhole",
         corner_weight: float = 1.0,
-        linear_beyond_um: float | None = None,
         per_mm: float = VIOLATION_UM_PER_MM,
         angle_weight: float = 1.0,
         rim: int = 3,
@@ -56,7 +53,6 @@ class Merit:
         fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
         self.view, self.limits = replace(view, fields=fields), limits
         self.reference = reference
-        self.linear_beyond = None if linear_beyond_um is None else 1e-3 * linear_beyond_um  # [mm]
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
@@ -96,12 +92,7 @@ class Merit:
         rays, traces, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
         valid = rays.valid[..., : len(self.weight)]
         x, y = self._errors(rays.x, rays.y, valid, change=False)
-        attenuation = torch.ones(())
-        if self.linear_beyond is not None:
-            attenuation = (1 + (x**2 + y**2) / self.linear_beyond**2) ** -0.25
-        errors = [
-            torch.where(valid, 1e3 * self.share * error * attenuation, _LOST_RAY_UM * self.share) for error in (x, y)
-        ]
+        errors = [torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share) for error in (x, y)]
         outermost = [_outermost(surface_rays) for surface_rays in traces]
         chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
         radii = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
@@ -113,9 +104,6 @@ class Merit:
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
             ex, ey = self._errors(dx, dy, valid, change=True)
-            if self.linear_beyond is not None:
-                radial = (x * ex + y * ey) / 2 * (attenuation**2 / self.linear_beyond) ** 2
-                ex, ey = (ex - x * radial) * attenuation, (ey - y * radial) * attenuation
             rows = [torch.where(valid, 1e3 * self.share * change, 0.0).flatten(1) for change in (ex, ey)]
             chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dl, dm, dn)], 1)
             aperture = [

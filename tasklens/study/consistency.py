@@ -10,7 +10,7 @@ from tasklens.study.design_settings import (
     GradientDesignSettings,
 )
 from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.lens_entries import LensEntry
+from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.messages import in_words
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.study import Study
@@ -153,6 +153,11 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
                 f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} and at most images.size = "
                 f"{study.images.size}, got {size}"
             )
+    if isinstance(design, ImportedLens) and kernel_size // 2 >= study.images.size:
+        raise ValueError(
+            f"imported.{lens.design_name}: half of its kernel_size = {kernel_size} must be less than images.size = "
+            f"{study.images.size}, since borders are reflected"
+        )
     if not isinstance(design, GradientDesignSettings):
         return
     feasibility.check_step(f"{where}.batch_size", design.batch_size, study.images.size)

@@ -20,7 +20,6 @@ from tasklens.study.quantities import (
     Small,
     Steps,
 )
-from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 from tasklens.study.tolerance_settings import Grade
 
@@ -40,16 +39,6 @@ _UNREAD = {"spot": ("centre", "size", "batch_size"), "contrast": ("size", "batch
 
 class DescentSettings(Frozen):
     """Settings of one descent: optimizer, criterion, pixels and steps."""
-
-    _renamed = renamed(
-        {
-            "images": "batch_size",
-            "rates": "learning_rates",
-            "network_rate": "network_learning_rate",
-            "stride": "step_size",
-            "cold_start": "`pixels`, `duration`, `stop_scale` and `stop_duration` of the descent",
-        }
-    )
 
     steps: Steps = Field(description="Number of steps.")
     lenses: Small = Field(
@@ -160,18 +149,6 @@ def _start(value: Any) -> Any:
 class GradientDesignSettings(Frozen):
     """Settings of a design by descents: each but the first begins with the best lenses of the one before it."""
 
-    _renamed = renamed(
-        {
-            "candidates": "`start`, a list of designs",
-            "restarts": "`lenses` of the first of `descents`",
-            "restart": "the first of `descents`",
-            "refinement": "one of `descents`",
-            "finish": "the last of `descents`",
-            "polish": "the last of `descents`, with `optimizer: adamw` and a `network_learning_rate`",
-            "network_learning_rate": "a key of each of `descents`",
-        }
-    )
-
     method: Literal["descents"] = Field("descents", description="Design by descents.")
     start: Annotated[Literal["flat", "best_imaging", "best_spot"] | tuple[str, ...], BeforeValidator(_start)] = Field(
         "flat",
@@ -248,21 +225,10 @@ class GradientDesignSettings(Frozen):
         return bool(first) and first[0].trains_network and not self.starting_designs
 
 
-_FORMAT_2 = {  # replacements of the methods of format 2
-    "task": "a `start` and `descents` of `criterion: task`",
-    "joint_ray_space": "a `start` and `descents` with a `network_learning_rate`",
-    "image_quality": "a `start` and `descents` of `criterion: image_error`, log_image_error, correlation or contrast",
-    "end_to_end": "a `start` and one of `descents` with `optimizer: adamw` and a `network_learning_rate`",
-    "spot": "one of `descents` with `optimizer: adamw, criterion: spot`",
-}
-
-
 def _this_format(value: Any) -> Any:
     if not isinstance(value, dict | GradientDesignSettings | LeastSquaresSettings):
         raise ValueError("expected keys and values")
     method = value.get("method", "descents") if isinstance(value, dict) else value.method
-    if isinstance(method, str) and method in _FORMAT_2:
-        raise ValueError(f"method: {method}: since format 3 this is {_FORMAT_2[method]}; see config/config.yaml")
     if method not in ("descents", "least_squares"):
         suffix = f", got {method!r}" if isinstance(method, str) else ""
         raise ValueError(f"method: expected descents (the default) or least_squares{suffix}")

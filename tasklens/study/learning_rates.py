@@ -5,7 +5,6 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from tasklens.study.quantities import Fraction, LearningRate
-from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
@@ -16,8 +15,6 @@ PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from fla
 
 class LearningRates(Frozen):
     """Learning rates of AdamW for the lens; a study may also name one of `PRESETS`."""
-
-    _renamed = renamed({"final": "`final` of the descent"})
 
     curvature: LearningRate = Field(1e-4, description="Learning rate of curvatures [1/mm].")
     thickness: LearningRate = Field(1e-4, description="Learning rate of thicknesses [mm].")

@@ -20,11 +20,6 @@ class LeastSquaresSettings(Frozen):
     max_chief_ray_angle_deg: Angle | None = Field(
         None, description="Largest chief ray angle on the sensor [degrees]; null: no limit."
     )
-    linear_beyond_um: Positive | None = Field(
-        None,
-        description="Error above which the cost of a ray grows linearly in a last stage [um], for a sharper core with "
-        "more haze than the smallest RMS spot has; null: no such stage.",
-    )
     vignetting: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None,
         description="Largest fraction of the light of a field that the clear aperture of one surface may stop to make "
@@ -38,8 +33,8 @@ class LeastSquaresSettings(Frozen):
 
     @model_validator(mode="after")
     def _a_search_that_ends_early_has_no_last_stage(self) -> "LeastSquaresSettings":
-        if self.spot_um is not None and (self.vignetting, self.linear_beyond_um) != (None, None):
-            raise ValueError("spot_um: not with `vignetting` or `linear_beyond_um`, which only a whole search reaches")
+        if self.spot_um is not None and self.vignetting is not None:
+            raise ValueError("spot_um: not with `vignetting`, which only a whole search reaches")
         return self
 
     def of_elements(self, elements: str) -> "LeastSquaresSettings":

@@ -84,14 +84,14 @@ class CapturesJob(Frozen):
     Attributes:
         captures: settings of captures by lens.
         measured: (lens, measured name) of the networks.
-        supervised: lenses (or SHARP) with predictions of the supervisor, by which the images are chosen.
+        supervised: measured names of the supervisor by lens (or SHARP), whose predictions choose the images.
     """
 
     captures: dict[str, CaptureSettings]
     restoration: RestorationSettings | None
     classifiers: dict[str, ClassifierSettings]
     measured: tuple[tuple[str, str], ...]
-    supervised: tuple[str, ...]
+    supervised: dict[str, str]
 
     @classmethod
     def of(cls, study: Study) -> "CapturesJob":
@@ -99,12 +99,16 @@ class CapturesJob(Frozen):
         contents = paper_tables.verification(study)
         used = dict.fromkeys(names.split(name)[0] for _, name in contents.measured)
         restored = any(names.split(name)[1] for _, name in contents.measured)
+        supervised: dict[str, str] = {}  # unrestored captures come first, where they are measured
+        for lens, name in sorted(contents.measured, key=lambda key: names.split(key[1])[1]):
+            if names.split(name)[0] == study.supervisor:
+                supervised.setdefault(lens, name)
         return cls(
             captures={lens: study.capture_of(lens) for lens in contents.lenses},
             restoration=study.restoration if restored else None,
             classifiers={name: study.network(name) for name in used},
             measured=contents.measured,
-            supervised=tuple(lens for lens, name in contents.measured if name == study.supervisor),
+            supervised=supervised,
         )
 
     @property

@@ -5,14 +5,11 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from tasklens.study.quantities import Batch, LearningRate, Small, Steps, Whole
-from tasklens.study.renamed import renamed
 from tasklens.study.settings import Frozen
 
 
 class RestorationSettings(Frozen):
     """Settings of NAFNet and its training; the default size is that of Yang et al. 2024, section 5.3."""
-
-    _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
 
     width: Annotated[Whole, Field(gt=0, le=4096)] = Field(
         32, description="Channels at full resolution; each encoder level doubles them."

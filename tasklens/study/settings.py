@@ -32,7 +32,6 @@ from tasklens.study.quantities import (
     Small,
     Whole,
 )
-from tasklens.study.renamed import renamed
 
 
 class Frozen(BaseModel):
@@ -51,8 +50,6 @@ class Frozen(BaseModel):
 
 class Spec(Frozen):
     """Specification of lenses; the defaults are those of Yang et al. 2024, sections 3.3 and 4."""
-
-    _renamed = renamed({"kernel": "kernel_size"})
 
     diagonal_mm: Length = Field(4.0, description="Diagonal of the sensor [mm].")
     aspect: tuple[Small, Small] = Field((16, 9), description="Width to height of the sensor.")
@@ -169,8 +166,6 @@ class ImageSettings(Frozen):
 class TrainingSettings(Frozen):
     """Settings of AdamW with linear warm-up and cosine schedule; biases and norms have no weight decay."""
 
-    _renamed = renamed({"rate": "learning_rate", "batch": "batch_size"})
-
     epochs: float = Field(
         ge=0,
         le=10_000,
@@ -241,8 +236,6 @@ class SensorSettings(Frozen):
 
 class CaptureSettings(Frozen):
     """Settings of captures: light outside the PSF window, colour values that are convolved, diffraction, the sensor."""
-
-    _renamed = renamed({"outside": "outside_window"})
 
     outside_window: Literal["veil", "renormalise"] = Field(
         "veil",

@@ -58,7 +58,8 @@ def study(
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
     design = laid_over(methods()[method], settings)
     designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
-    side = max(_SIDE, 2 * (int(spec.get("kernel_size") or 0) // 2 + 1))
+    kernel_size = spec.get("kernel_size")
+    side = max(_SIDE, kernel_size + 1 if isinstance(kernel_size, int) else 0)
     content = {
         "format": 3,
         "name": "one",

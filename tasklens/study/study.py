@@ -20,7 +20,6 @@ from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.messages import in_words
 from tasklens.study.quantities import Name, Rays, Seed, StudyName
 from tasklens.study.ranking_settings import RankingSettings
-from tasklens.study.renamed import renamed
 from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import (
     CaptureSettings,
@@ -50,13 +49,6 @@ class Study(Frozen):
     of files (YAML or AGF) or as definitions; only the definitions of the plastics in `elements` are stored, so that a
     resolved study needs no other file.
     """
-
-    _renamed = renamed(
-        {
-            "outside": "imported",
-            "minutes": "gone: the forecast is computed from the benchmarks of finished jobs; remove it",
-        }
-    )
 
     format: Literal[3] = Field(description="Version of the keys of a study file.")
     name: StudyName = Field(description="Name of the study; results are in results/<name>.")
