@@ -224,7 +224,8 @@ def export(
         if field_of_view is not None:
             lens_data = replace(lens_data, fields=None)
             if "spec" in content:
-                spec = {"fields_mm": view.fields.tolist(), "field_of_view_deg": field_of_view}
+                diagonal = 2 * float(view.radii.max())
+                spec = {"fields_mm": view.fields.tolist(), "field_of_view_deg": field_of_view, "diagonal_mm": diagonal}
                 content = lens_files.without_figures(content) | {"spec": content["spec"] | spec}
         lens_data = prescription.with_use(lens_data, view)
     else:

@@ -103,9 +103,12 @@ def designs(
     if start is not None:
         if not isinstance(start, str | Path):
             raise InputError("start: expected the path of a lens file; `tasklens.save_lens` writes one")
-        return _from_lens(
-            Path(start), method, free, settings, constraints, files, section, classifier, seed, user, baselines, spec
+        file = lens_files.read(Path(start), [*map(Path, materials), *users_files()], **spec)
+        result = from_lens.design(
+            file, method, free, settings or {}, constraints or {}, section, classifier, seed, user, baselines
         )
+        result.notes["origin"]["start"] = str(Path(start))
+        return result
     if free is not None:
         raise InputError("free: only with `start`, the file of a lens")
     spots: dict[str, float] = {}
@@ -187,26 +190,3 @@ def unused_images(folder: Path, size: int) -> ImageDataset:
             "fifth of <class>/*, or test/<class>/*); add some, or use --no-verdict"
         )
     return images
-
-
-def _from_lens(
-    start: Path,
-    method: str,
-    free: Mapping[str, Sequence[int] | None] | None,
-    settings: Mapping[str, Any] | None,
-    constraints: Mapping[str, Any] | None,
-    catalogues: Sequence[str],
-    images: Mapping[str, Any] | None,
-    classifier: Mapping[str, Any] | None,
-    seed: int,
-    user: Supervisors,
-    baselines: Sequence[str],
-    spec: Mapping[str, Any],
-) -> Designs:
-    """Improve the lens of a file."""
-    file = lens_files.read(start, [*(Path(path) for path in catalogues), *users_files()], **spec)
-    result = from_lens.design(
-        file, method, free, settings or {}, constraints or {}, images, classifier, seed, user, baselines
-    )
-    result.notes["origin"] |= {"start": str(start)}
-    return result

@@ -76,14 +76,6 @@ class UsersTask(Task):
             raise InputError(f"loss: expected a tensor, one number or one for each image, got {losses!r}")
         return losses.reshape(len(losses), -1).mean(-1) if losses.dim() else losses.expand(len(captures))
 
-    def answers(self, network: nn.Module, captures: Tensor) -> Sequence[Tensor]:
-        """Return the answers of the network."""
-        return list(network(captures).detach().cpu())
-
-    def scores(self, answers: Sequence[Tensor], labels: Tensor) -> Mapping[str, float]:
-        """Return the loss."""
-        return {"loss": float(self.function(torch.stack(list(answers)), labels.cpu()).mean())}
-
 
 def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Supervisors:
     """Return the supervisors of the designs of a study; a network is first tried on sharp images.

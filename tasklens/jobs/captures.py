@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from safetensors.numpy import save_file
 from timm.data import ImageNetInfo
 from torch import Tensor
 
@@ -15,7 +14,7 @@ from tasklens.recognition import classifiers, dataset
 from tasklens.recognition.classifiers import Classifier
 from tasklens.report.chosen_images import choose
 from tasklens.runtime.devices import claim
-from tasklens.runtime.files import replacing, write_rows
+from tasklens.runtime.files import write_rows, write_tensors
 from tasklens.study import names
 from tasklens.study.names import SHARP
 from tasklens.study.report_jobs import CapturesJob
@@ -69,13 +68,8 @@ def run(
                 keys |= {"restored": restored, "classifier": name, "answer": answer, "probability": probability}
                 rows.append(keys | {"psnr_db": None if lens == SHARP else quality[k][f]})
     write_rows(answers, rows)
-    tensors = {names.measured(*key): _bytes(capture) for key, capture in captures.items()}
-    with replacing(images) as temporary:
-        save_file({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, temporary)
-
-
-def _bytes(images: Tensor) -> Tensor:
-    return (255 * images).round().clamp(0, 255).byte().contiguous()
+    levels = {names.measured(*key): (255 * capture).round().clamp(0, 255).byte() for key, capture in captures.items()}
+    write_tensors(images, levels, {})
 
 
 @torch.no_grad()

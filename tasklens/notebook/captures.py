@@ -68,8 +68,8 @@ def simulate(
     view = view.in_colours()
     check_light(lens, view)
     grid = psf(lens, view, rays, diffraction)
-    camera = PsfCamera(grid, outside_window, colour, sensor, relative_illumination(lens.detached(), view))
-    return camera.grid(source[None])[:, 0]
+    illumination = None if sensor is None else relative_illumination(lens.detached(), view)
+    return PsfCamera(grid, outside_window, colour, sensor, illumination).grid(source[None])[:, 0]
 
 
 def simulate_sensor(

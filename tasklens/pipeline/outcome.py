@@ -1,13 +1,12 @@
 """Short description of the result of a finished job, read from its files."""
 
-import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 
 from tasklens.report.verification import ROUNDING
-from tasklens.runtime.files import read_yaml
+from tasklens.runtime.files import read_table, read_yaml
 from tasklens.study.names import SHARP
 
 
@@ -17,12 +16,15 @@ def outcome(rule: str, outputs: Sequence[str], log: Path) -> str:
     if rule == "design":
         return _lens(paths[".yaml"])
     if rule == "production":
-        return _built(paths[".csv"])
+        design, *built = read_table(paths[".csv"])["accuracy"]
+        return f"accuracy {design:.1f} %, of built lenses {mean(built):.1f} %"
     if rule == "task_fine_tune":
-        return _scores(paths[".csv"])
+        rows = read_table(paths[".csv"])
+        scores = rows[rows["tuned"]].groupby("metric", sort=False)["value"].mean()
+        return ", ".join(f"{name} {value:.1f} %" for name, value in scores.items())
     if rule == "fine_tune":
-        sharp = f"/{SHARP}/" in str(paths[".csv"])
-        return f"accuracy {_accuracy(paths['.csv']):.1f} %" + (" on the sharp images" if sharp else "")
+        accuracy = read_table(paths[".csv"]).groupby("metric")["value"].mean()["accuracy"]
+        return f"accuracy {accuracy:.1f} %" + (" on the sharp images" if f"/{SHARP}/" in str(paths[".csv"]) else "")
     document = paths.get(".md") or paths.get(".html") or paths.get(".png")
     return str(document) if document else _last_line(log)
 
@@ -35,25 +37,6 @@ def _lens(path: Path) -> str:
     if content["worst_margin"]["value"] < -ROUNDING and content["origin"]["method"] != "file":
         words.append(f"violates {content['worst_margin']['limit']}")
     return ", ".join(words)
-
-
-def _built(path: Path) -> str:
-    with open(path, newline="") as file:
-        design, *accuracies = (float(row["accuracy"]) for row in csv.DictReader(file))
-    return f"accuracy {design:.1f} %, of built lenses {mean(accuracies):.1f} %"
-
-
-def _scores(path: Path) -> str:
-    with open(path, newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["tuned"] == "True"]
-    metrics = dict.fromkeys(row["metric"] for row in rows)
-    means = {name: mean(float(row["value"]) for row in rows if row["metric"] == name) for name in metrics}
-    return ", ".join(f"{name} {value:.1f} %" for name, value in means.items())
-
-
-def _accuracy(path: Path) -> float:
-    with open(path, newline="") as file:
-        return mean(float(row["value"]) for row in csv.DictReader(file) if row["metric"] == "accuracy")
 
 
 def _last_line(log: Path) -> str:

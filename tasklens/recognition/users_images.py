@@ -28,13 +28,15 @@ def of_pairs(pairs: Any) -> ImageDataset:
         try:
             image, label = pair
             images.append((255 * image_tensor(image)).round().byte())
+            labels.append(torch.as_tensor(label))
         except (InputError, TypeError, ValueError) as error:
             raise InputError(f"images: number {number}: expected a pair (image, label): {error}") from None
-        labels.append(torch.as_tensor(label))
     if not images:
         raise InputError("images: expected pairs (image, label), got none")
     if len(sizes := {tuple(image.shape) for image in images}) > 1:
         raise InputError(f"images: expected one size, got {', '.join(map(str, sorted(sizes)))}; resize them")
+    if len(shapes := {tuple(label.shape) for label in labels}) > 1:
+        raise InputError(f"images: expected labels of one shape, got {', '.join(map(str, sorted(shapes)))}")
     numbers = torch.stack(labels)
     names = getattr(pairs, "classes", None)
     if names is None:

@@ -10,7 +10,6 @@ import pandas
 from tasklens.optics.io import lens_digest
 from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
 from tasklens.report import predictions
-from tasklens.report.optimality import Gap, gap
 from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.study.claims import Claim, Claims
 
@@ -98,10 +97,10 @@ class Measurements:
             raise damaged(path, "a loss is missing")
         return losses
 
-    def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> Gap:
-        """Return the optimality gap of a lens compared with other lenses."""
-        losses = {name: self.frozen_losses(name, classifier, seed) for name in (lens, *others)}
-        return gap(losses.pop(lens), losses)
+    def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> float:
+        """Return the mean loss of the frozen classifier through a lens minus the least one through other lenses."""
+        own, *rest = (float(self.frozen_losses(name, classifier, seed).mean()) for name in (lens, *others))
+        return own - min(rest)
 
     def strongest_baseline(self, claim: Claim, seed: int) -> str:
         """Return the baseline of a claim with the best minival accuracy for this seed; "" without baselines.

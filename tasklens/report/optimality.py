@@ -5,12 +5,9 @@ have a larger loss than another lens of the same elements. This difference is it
 classifier on the minival images before any fine-tuning.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-
-import pandas
 
 _ERRORS = 2.0  # paired standard errors within which losses count as equal
 _NEGLIGIBLE = 0.002  # gains up to this count as none; losses are about 1
@@ -47,25 +44,3 @@ def optimum(content: Mapping[str, Any]) -> Optimum | None:
     """Return the test for a local optimum in a lens file; None for designs without captures or PSFs."""
     test = content.get("local_optimum")
     return None if test is None else Optimum(**test)
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Optimality gap of a lens.
-
-    Attributes:
-        nearest: name of the other lens with the least mean loss.
-        difference: mean loss minus that of `nearest`; negative if the lens is the best.
-        error: standard error of the difference, paired by image.
-    """
-
-    nearest: str
-    difference: float
-    error: float
-
-
-def gap(loss: pandas.Series, others: Mapping[str, pandas.Series]) -> Gap:
-    """Compute the gap between the losses of a lens (a value per image) and those of `others` with the least mean."""
-    nearest = min(others, key=lambda name: float(others[name].mean()))
-    difference = loss - others[nearest]
-    return Gap(nearest, float(difference.mean()), float(difference.std(ddof=1)) / math.sqrt(len(difference)))

@@ -85,7 +85,7 @@ def _frozen_values(
     values = {"frozen_loss": float(measured.frozen_losses(lens, classifier, seed).mean())}
     others = [other for other in others if (other, classifier, seed) in measured.frozen]
     if others:
-        values["gap"] = measured.optimality_gap(lens, others, classifier, seed).difference
+        values["gap"] = measured.optimality_gap(lens, others, classifier, seed)
     return values
 
 

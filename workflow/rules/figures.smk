@@ -131,7 +131,7 @@ rule captures:
         weights=of_first_seed(rules.fine_tune.output.weights, lambda study: report_jobs.CapturesJob.of(study).measured),
         correct=of_first_seed(
             rules.fine_tune.output.predictions,
-            lambda study: [(lens, study.supervisor) for lens in report_jobs.CapturesJob.of(study).supervised],
+            lambda study: report_jobs.CapturesJob.of(study).supervised.items(),
         ),
     output:
         images="results/{study}/figures/captures.safetensors",

@@ -47,32 +47,20 @@ def shown(captures_file: Path, answers_file: Path, supervisor: str) -> list[Show
     arrays = load_file(captures_file)
     texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
     answers = read_table(answers_file, keep_default_na=False, dtype=texts)
+    images = answers[["image", "label"]].drop_duplicates().to_numpy().tolist()  # in the order of the arrays
     answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
-    images = answers[["image", "label"]].drop_duplicates()
-    images = images.set_index("image").loc[list(dict.fromkeys(_in_order(answers_file)))]
     entries = []
-    for position, (image, label) in enumerate(images["label"].items()):
-        image_rows = answers[answers["image"] == image]
+    for position, (image, label) in enumerate(images):
         captures = {}
-        for lens, restored in dict.fromkeys(zip(image_rows["lens"], _truth(image_rows["restored"]), strict=True)):
-            rows = image_rows[(image_rows["lens"] == lens) & (_truth(image_rows["restored"]) == restored)]
-            array = arrays[measured(lens, restored)][position]
-            captures[lens, restored] = [
-                _tile(array[k], lens, field, str(label), rows[rows["field"] == field])
-                for k, field in enumerate(dict.fromkeys(rows["field"]))
+        for (lens, restored), rows in answers[answers["image"] == image].groupby(["lens", "restored"], sort=False):
+            array = arrays[measured(str(lens), bool(restored))][position]
+            captures[str(lens), bool(restored)] = [
+                _tile(array[k], str(lens), str(field), label, of_field)
+                for k, (field, of_field) in enumerate(rows.groupby("field", sort=False))
             ]
-        sharp = captures.pop((SHARP, False), None)
-        tile = sharp[0] if sharp else _tile(arrays[SHARP][position, 0], SHARP, "", str(label), image_rows[:0])
-        entries.append(Shown(int(str(image)), str(label), tile, captures))
+        (sharp,) = captures.pop((SHARP, False))
+        entries.append(Shown(image, label, sharp, captures))
     return entries
-
-
-def _in_order(path: Path) -> list[int]:
-    return read_table(path, usecols=["image"])["image"].tolist()
-
-
-def _truth(column: pandas.Series) -> pandas.Series:
-    return column.astype(str) == "True"
 
 
 def _tile(array: numpy.ndarray, lens: str, field: str, label: str, rows: pandas.DataFrame) -> Tile:
