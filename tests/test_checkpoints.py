@@ -19,7 +19,7 @@ from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
 from tasklens.runtime import job as runtime_job
 from tasklens.runtime.checkpoints import Checkpoint
-from tasklens.runtime.files import FileError, read_tensors
+from tasklens.runtime.files import FileError, read_tensors, remove_abandoned
 from tasklens.study.loading import parse
 from tasklens.study.settings import TrainingSettings
 
@@ -176,7 +176,7 @@ def test_a_process_that_is_killed_while_it_writes_leaves_no_partial_file(tmp_pat
     process.wait()
     half = tmp_path / f".job.pt.{socket.gethostname()}-{process.pid}.part"
     half.write_bytes(b"half")
-    Checkpoint(tmp_path / "job.pt").remove()
+    remove_abandoned(tmp_path / "job.pt")
     assert not half.exists()
 
 

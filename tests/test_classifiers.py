@@ -329,6 +329,8 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
     torch.testing.assert_close(classifiers.build(settings, names(3)).eval()(images), network(images), rtol=0, atol=1e-6)
     with pytest.raises(FileError, match="no weights for own_networks:small with 4 outputs"):
         classifiers.build(settings, names(4))
+    with pytest.raises(ValueError, match="pretrained: only for networks of timm"):
+        ClassifierSettings(model="own_networks:small", pretrained=True)
     before = settings.model_dump_json()
     (tmp_path / "own_networks.py").write_text(OWN + "\n# changed")
     assert settings.model_dump_json() != before
@@ -345,7 +347,7 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
 )
 def test_a_function_that_makes_no_classifier_is_refused(own_module, function, words):
     with pytest.raises(InputError, match=rf"classifiers\.mine: own_networks:{function}: .*{words}"):
-        classifiers.check("mine", ClassifierSettings(model=f"own_networks:{function}", pretrained=True), 32)
+        classifiers.check("mine", ClassifierSettings(model=f"own_networks:{function}"), 32)
 
 
 def test_weights_with_the_head_of_imagenet(tmp_path):

@@ -20,6 +20,7 @@ from tasklens.study import built_lenses, claims, tables
 from tasklens.study.lens_entries import LensDesign
 from tasklens.study.loading import dump, load, parse
 from tasklens.study.names import SHARP
+from tasklens.study.report_jobs import CapturesJob
 from tasklens.study.study import TABLES, Study, StudyError
 
 ROOT = Path(__file__).parents[1]
@@ -92,6 +93,20 @@ def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value,
     changed_jobs = {job for job in before if before[job] != after[job]}
     assert changed_jobs - {("report_page",)} == {job for job in before if reads(job)} != set()
     assert ("report_page",) in changed_jobs  # it shows the whole configuration
+
+
+def test_captures_of_a_study_of_restored_captures_alone():
+    """Images are chosen by the answers that this study has."""
+    chosen = CapturesJob.of(parse(tiny_study() | {"tables": ["table4"]})).supervised
+    assert chosen[SHARP] == "small" and chosen["singlet-imaging1"] == "small-restored"
+    assert set(CapturesJob.of(parse(tiny_study())).supervised.values()) == {"small"}
+
+
+def test_psfs_of_an_imported_lens_fit_the_images():
+    """By its own specification, or by that of elements that no design has."""
+    for key, value in (("imported.phone.spec", {"kernel_size": 41}), ("specs", {"quadruplet": {"kernel_size": 41}})):
+        with pytest.raises(StudyError, match=r"imported\.phone: half of its kernel_size = 41 must be less than"):
+            parse(changed(with_imported(), key, value))
 
 
 def test_diffraction_changes_no_design():

@@ -143,11 +143,18 @@ def test_wrong_pairs_are_refused(network):
     for data, words in (
         ([good, (torch.rand(3, 30, 30), 1)], "images: expected one size"),
         ([good, (torch.rand(1, 32, 32), 1)], "images: number 1: expected a pair"),
+        ([good, (torch.rand(3, 32, 32), "cat")], "images: number 1: expected a pair"),
+        ([good, (torch.rand(3, 32, 32), [0, 1])], "images: expected labels of one shape"),
         ([], "got none"),
         (7, "images: expected a folder, or pairs"),
     ):
         with pytest.raises(InputError, match=words):
             tasklens.design_lens("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
+
+
+def test_a_window_that_is_no_number_is_refused():
+    with pytest.raises(InputError, match=r"spec\.kernel_size = 'wide': expected a whole number"):
+        tasklens.design_lens("spot", ["COC"], kernel_size="wide")
 
 
 def test_a_network_of_timm_keeps_its_normalisation(images):

@@ -18,22 +18,21 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite the output file.
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 
 
-def new_file(path: Path, force: bool, *suffixes: str) -> Path:
-    """Return the path of an output; raises InputError if it exists or has none of the suffixes."""
+def new_file(path: Path, force: bool, *suffixes: str) -> None:
+    """Check the path of an output; raises InputError if it exists or has none of the suffixes."""
     if path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
     if path.is_dir() or (path.exists() and not force):
         raise InputError(f"{path}: already exists; --force overwrites it" if path.is_file() else f"{path}: is a folder")
-    return path
 
 
-def new_catalogue(path: Path, force: bool) -> Path:
-    """Return the path of the glass catalogue that a Zemax file may need; raises InputError as `new_file` does."""
+def new_catalogue(path: Path, force: bool) -> None:
+    """Check the path of the glass catalogue that a Zemax file may need; raises InputError as `new_file` does."""
     if " " in path.stem:
         raise InputError(
             f"{path}: its glass catalogue would have the same name, which cannot contain spaces; rename it"
         )
-    return new_file(path.with_suffix(".agf"), force, ".agf")
+    new_file(path.with_suffix(".agf"), force, ".agf")
 
 
 def say_catalogue(path: Path, media: Sequence["Material"]) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from tasklens.cli.network_options import nested
+from tasklens.cli.outputs import AsJson, Force, new_file
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.forecast import Durations, duration, durations_of
@@ -23,7 +24,6 @@ app = typer.Typer(no_args_is_help=True)
 
 Files = Annotated[list[Path], typer.Argument(help="Study files; each overrides those before it.", show_default=False)]
 Place = Annotated[Path, typer.Argument(help="Study file, or its results folder.", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @app.command()
@@ -52,12 +52,11 @@ def new(
         bool, typer.Option("--yes", "-y", help="Ask no questions; take defaults for missing options.")
     ] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Study file; by default NAME.yaml.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    force: Force = False,
 ) -> None:
     """Write a commented study file that fits a time budget, from answers or options."""
     path = output or Path(f"{name}.yaml")
-    if path.exists() and not force:
-        raise FileError(f"{path}: already exists; --force overwrites it, --output names another file")
+    new_file(path, force, ".yaml", ".yml")
 
     def asked(value: Any, question: str, default: Any) -> Any:
         return value if value is not None else default if yes else typer.prompt(question, default=default)
@@ -141,7 +140,7 @@ def plan(
     files: Files,
     target: Annotated[str, typer.Option(help="Target of the workflow.")] = "tables",
     cores: Annotated[int, typer.Option(min=1, help="Number of cores to plan for.")] = 2,
-    as_json: Json = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show the remaining jobs with their time, memory and disk space; nothing is run or written."""
     config = loading.load(*files)
@@ -214,7 +213,7 @@ def _folder(place: Path) -> Path:
 
 
 @app.command()
-def status(place: Place, as_json: Json = False) -> None:
+def status(place: Place, as_json: AsJson = False) -> None:
     """Show running, finished and failed jobs, read from files; this also works for a study on a cluster."""
     folder = _folder(place)
     own, points = runs.read(folder), [runs.read(path.parent) for path in sorted(folder.glob("*/run.json"))]
@@ -245,7 +244,7 @@ def diff(
     old: Place,
     new: Place,
     every: Annotated[bool, typer.Option("--all", help="Compare all columns, not only accuracies.")] = False,
-    as_json: Json = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show the differences between two studies: configuration, and numbers in their tables."""
     folders = [_folder(place) for place in (old, new)]
@@ -276,12 +275,11 @@ def export(
     place: Place,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Zip file; by default <name>.zip.")] = None,
     weights: Annotated[bool, typer.Option("--weights", help="Include the weights of all networks.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    force: Force = False,
 ) -> None:
     """Export a study to one zip file for a colleague: everything except images, checkpoints and weights."""
     folder = _folder(place)
     path = output or Path(f"{folder.resolve().name}.zip")
-    if path.exists() and not force:
-        raise FileError(f"{path}: already exists; --force overwrites it, --output names another file")
+    new_file(path, force, ".zip")
     count = exporting.export(folder, path, weights)
     print(f"{path}: {count} files, {path.stat().st_size / 1e6:.1f} MB")

@@ -55,7 +55,8 @@ def write_agf(path: Path, materials: Iterable[Material]) -> None:
     """
     lines = ["CC written by TaskLens; indices relative to air"]
     for material in materials:
-        check_name(material.name)
+        if " " in material.name or material.name in ("MIRROR", BLANK):
+            raise FileError(f"Zemax cannot have a glass called {material.name!r}; rename it")
         if len(material.source.splitlines()) > 1:
             raise FileError(f"{material.name}: its source has several lines; a Zemax catalogue has room for one")
         nd, vd = material.abbe()
@@ -65,12 +66,6 @@ def write_agf(path: Path, materials: Iterable[Material]) -> None:
         lines += [f"LD {' '.join(map(decimal, material.range_um))}"]
     with replacing(path) as temporary:
         temporary.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
-
-
-def check_name(name: str) -> None:
-    """Raise FileError if Zemax cannot have a glass of this name."""
-    if " " in name or name in ("MIRROR", BLANK):
-        raise FileError(f"Zemax cannot have a glass called {name!r}; rename it")
 
 
 def read_agf(path: Path) -> tuple[dict[str, Material], dict[str, FileError]]:

@@ -132,7 +132,7 @@ def _screened(
         "catalogues": [*map(str, catalogues)],
         "spec": lens_spec,
     }
-    spec = Spec.model_validate(sensor.model_dump(exclude=set(Spec.model_computed_fields)) | lens_spec)
+    spec = Spec.model_validate(sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
     if not (light := lit(lens, view)).all():

@@ -1,7 +1,7 @@
 """Cross-section of a lens in the plane of the diagonal, with rays of several fields."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace_full
 from tasklens.optics.view import View
+from tasklens.report.curves import FIELD_COLOURS
 from tasklens.report.scale_bar import scale_bar
 
 _RAYS = 9  # of a field
@@ -28,7 +29,6 @@ def cross_section(
     lens: Lens,
     view: View,
     field_names: Mapping[int, str],
-    colours: Sequence[str],
     narrowest_mm: float = math.inf,
 ) -> None:
     """Draw elements, stop, sensor and a ray fan for each field of `field_names`; the scale bar fits `narrowest_mm`."""
@@ -54,7 +54,7 @@ def cross_section(
             axes.fill(z, torch.cat([-end, h0, end, end, h1.flip(0), -end]), **_ELEMENT)
             middle = float(vertices[i] + lens.thickness[i] / 2)
             names.append((middle, short_name(medium)))
-    _rays(axes, lens, view, field_names, colours)
+    _rays(axes, lens, view, field_names)
     image_z = float(vertices[-1] + lens.thickness[-1])
     half = float(view.radii.max())
     axes.plot([image_z] * 2, [-half, half], color="black", lw=2.5)
@@ -69,7 +69,7 @@ def cross_section(
     scale_bar(axes, "mm", narrowest=narrowest_mm)
 
 
-def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str], colours: Sequence[str]) -> None:
+def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str]) -> None:
     """Draw a fan of rays for each field, turned into the plane of the drawing."""
     vertices = lens.vertices
     radius = view.radii[list(field_names)]
@@ -85,7 +85,7 @@ def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str], co
     z = torch.stack([front, *z_surfaces, torch.full_like(front, float(vertices[-1] + lens.thickness[-1]))])
     y = torch.stack([y_front, *y_surfaces, image.y[:, 0]])
     angles = torch.rad2deg(torch.atan(radius / view.efl)).tolist()
-    for k, (name, colour) in enumerate(zip(field_names.values(), colours, strict=False)):
+    for k, (name, colour) in enumerate(zip(field_names.values(), FIELD_COLOURS, strict=False)):
         valid = image.valid[k, 0]
         lost = int((~valid).sum())
         label = f"{name}, {angles[k]:.2g}°" + (f" ({lost} of {len(valid)} rays lost)" if lost else "")

@@ -1,6 +1,6 @@
 """Curves of a lens: ray fans, MTF and encircled energy."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from tasklens.optics.view import View
 from tasklens.report.along_field import AlongField
 
 # In the order of a specification: red, green, blue.
+FIELD_COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of axis, middle and corner
 BY_WAVELENGTH = (
     {"color": "#CC3311", "ls": "-"},
     {"color": "#228833", "ls": "--"},
@@ -47,14 +48,12 @@ def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, field_names: M
     part.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=8, frameon=False)
 
 
-def mtf(
-    axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mapping[int, str], colours: Sequence[str]
-) -> None:
+def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mapping[int, str]) -> None:
     """Draw the geometric MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey."""
     nyquist, cutoff = figures["nyquist_per_mm"], figures["diffraction_cutoff_per_mm"]
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
     tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
-    for k, ((field, name), colour) in enumerate(zip(field_names.items(), colours, strict=False)):
+    for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
@@ -65,14 +64,12 @@ def mtf(
     _finish(axes)
 
 
-def encircled(
-    axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: Mapping[int, str], colours: Sequence[str]
-) -> None:
+def encircled(axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: Mapping[int, str]) -> None:
     """Draw the share of the light within a radius of the chief ray's image point."""
     low, high = (torch.tensor(radius).log10().item() for radius in _RADII_UM)
     radii = torch.logspace(low, high, 81, dtype=torch.float64)
     energy = encircled_energy(rays, centre, radii / 1e3)
-    for k, ((field, name), colour) in enumerate(zip(field_names.items(), colours, strict=False)):
+    for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
         axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
     axes.axhline(0.5, color="grey", lw=0.6)
     axes.axvline(view.pixel_pitch, color="grey", lw=1, ls=":", label="a pixel")
@@ -100,12 +97,11 @@ def mtf_by_focus(
     figures: Mapping,
     frequency: float,
     field_names: Mapping[int, str],
-    colours: Sequence[str],
 ) -> None:
     """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
     half = _DEPTH * view.pixel_pitch * figures["f_number"]
     shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
-    for (field, name), colour in zip(field_names.items(), colours, strict=False):
+    for (field, name), colour in zip(field_names.items(), FIELD_COLOURS, strict=False):
         values = []
         for shift in (shifts / 1e3).tolist():
             shifted_rays = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)

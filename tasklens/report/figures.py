@@ -30,7 +30,6 @@ from tasklens.report.along_field import along_field
 from tasklens.report.cross_section import cross_section
 from tasklens.runtime.files import replacing
 
-_COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of these fields
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
 _RIM = 1.02  # drawn radius of a surface, as a multiple of the radius that light uses
@@ -154,7 +153,7 @@ def section_svg(lens: Lens, view: View) -> str:
     figure, text = Figure(figsize=(7, 4), layout="constrained"), io.StringIO()
     used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
-    cross_section(figure.subplots(), lens, view, shown_fields(view), _COLOURS)
+    cross_section(figure.subplots(), lens, view, shown_fields(view))
     with matplotlib.rc_context(vector_files.STYLE):
         figure.savefig(text, format="svg", metadata=vector_files.METADATA["svg"])
     return text.getvalue()
@@ -162,7 +161,7 @@ def section_svg(lens: Lens, view: View) -> str:
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the cross-section with rays."""
-    cross_section(part.subplots(), panel.lens, panel.view, panel.shown, _COLOURS, panel.narrowest_mm)
+    cross_section(part.subplots(), panel.lens, panel.view, panel.shown, panel.narrowest_mm)
 
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
@@ -178,8 +177,8 @@ def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
 def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw MTF and encircled energy of axis, middle and corner."""
     mtf, energy = part.subplots(1, 2)
-    curves.mtf(mtf, panel.rays, panel.view, panel.figures, panel.shown, _COLOURS)
-    curves.encircled(energy, panel.rays, panel.centre, panel.view, panel.shown, _COLOURS)
+    curves.mtf(mtf, panel.rays, panel.view, panel.figures, panel.shown)
+    curves.encircled(energy, panel.rays, panel.centre, panel.view, panel.shown)
 
 
 def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
@@ -188,7 +187,7 @@ def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
     view, frequency = panel.view, panel.figures["nyquist_per_mm"] / 2
     along = along_field(panel.lens, view)
     curves.mtf_by_field(by_field, along, frequency)
-    curves.mtf_by_focus(by_focus, panel.rays, view, panel.figures, frequency, panel.shown, _COLOURS)
+    curves.mtf_by_focus(by_focus, panel.rays, view, panel.figures, frequency, panel.shown)
     curves.focus_by_field(curvature, along)
     curves.distortion_by_field(distortion, along)
 

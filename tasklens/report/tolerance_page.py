@@ -13,7 +13,7 @@ POINTS = (1.0, 3.0)  # largest losses of accuracy with which a built lens passes
 _SHOWN = 10  # errors with the largest displacement
 
 
-def distribution(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def distribution(rows: Sequence[Mapping[Any, Any]]) -> dict[str, float]:
     """Summarise built lenses: accuracies [%], loss [points], yields [%], spots [um], MTF, and number of failures.
 
     Args:

@@ -11,7 +11,7 @@ from tasklens.report.bootstrap import holm, interval, p_value, resampled_means, 
 from tasklens.report.publish import markdown, publish
 from tasklens.report.tolerance_page import distribution
 from tasklens.report.verdicts import FAILS, HOLDS, verdict
-from tasklens.runtime.files import read_table
+from tasklens.runtime.files import read_table, write_text
 from tasklens.study.built_lenses import BuiltContents
 
 _NOTE = """\
@@ -39,8 +39,7 @@ def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
     """
     distributions: dict[str, list[dict[str, float]]] = {}
     for (lens, _), path in lenses.items():
-        rows = [{str(k): v for k, v in row.items()} for row in read_table(path).to_dict("records")]
-        distributions.setdefault(lens, []).append(distribution(rows))
+        distributions.setdefault(lens, []).append(distribution(read_table(path).to_dict("records")))
     table = []
     for lens, by_seed in distributions.items():
         frame = pandas.DataFrame(by_seed)
@@ -102,4 +101,4 @@ def make(settings: BuiltContents, built_lenses: Sequence[Path], csv: Path, md: P
     if len(comparison):
         note += f"\n\n{_QUESTION.format(over=over)}\n\n{markdown(headings.texts(comparison))}"
     publish(csv, md, "Built lenses", rows, note)
-    comparison.to_csv(compared_csv, index=False)
+    write_text(compared_csv, comparison.to_csv(index=False))

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from tasklens.runtime.devices import random_state, set_random_state
-from tasklens.runtime.files import FileError, damaged, remove_abandoned, replacing
+from tasklens.runtime.files import FileError, damaged, replacing
 
 INTERVAL = 60.0  # least time between two writes of the file [s]
 
@@ -66,12 +66,6 @@ class Checkpoint:
             except RuntimeError as error:
                 raise FileError(f"{self.path}: cannot be written ({error}); free disk space and run again") from error
         self.written = time.monotonic()
-
-    def remove(self) -> None:
-        """Delete the file, after the outputs of the job are complete."""
-        if self.path is not None:
-            self.path.unlink(missing_ok=True)
-            remove_abandoned(self.path)  # left by a process that was killed while writing
 
 
 NO_CHECKPOINT = Checkpoint()

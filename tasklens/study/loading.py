@@ -16,7 +16,6 @@ from tasklens.study import consistency
 from tasklens.study.layers import laid_over
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.quantities import Name
-from tasklens.study.settings import ClassifierSettings, Spec
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
 
@@ -194,6 +193,4 @@ def resolved(study: Study) -> dict[str, Any]:
 
 def dump(study: Study) -> str:
     """Return the resolved study as YAML, with all defaults."""
-    computed: Any = {"spec": set(Spec.model_computed_fields)}
-    computed["classifiers"] = {"__all__": set(ClassifierSettings.model_computed_fields)}
-    return yaml.safe_dump(study.model_dump(mode="json", exclude=computed), sort_keys=False)
+    return yaml.safe_dump(study.model_dump(mode="json", exclude_computed_fields=True), sort_keys=False)

@@ -178,7 +178,6 @@ class ReportJob(Frozen):
         paper_claims: claims as the paper makes them, and the stronger one about image quality.
         supervised: names of the lenses that have an optimum.
         restored: names of the lenses with a restoration network.
-        ablations: names of the ablations.
         configuration: the resolved study as YAML.
     """
 
@@ -195,7 +194,6 @@ class ReportJob(Frozen):
     paper_claims: tuple[PaperClaim, ...]
     supervised: tuple[str, ...]
     restored: tuple[str, ...]
-    ablations: tuple[str, ...]
     configuration: str
 
     @classmethod
@@ -217,7 +215,6 @@ class ReportJob(Frozen):
             paper_claims=paper_claims.PAPER_CLAIMS,
             supervised=contents.supervised,
             restored=tuple(lens for lens, name in contents.measured if names.split(name)[1]),
-            ablations=tuple(study.ablations),
             configuration=dump(study),
         )
 

@@ -219,6 +219,8 @@ class ClassifierSettings(Frozen):
     def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:
             raise ValueError("expected either `pretrained` or `weights`, not both")
+        if self.pretrained and users_code.is_users(self.model):
+            raise ValueError("pretrained: only for networks of timm; your function may load weights, or `weights`")
         trained = self.pretrained or self.weights or (self.training and self.training.epochs)
         if not trained and not users_code.is_users(self.model):  # a function may return a trained network
             raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network classifies nothing")

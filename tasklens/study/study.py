@@ -143,23 +143,15 @@ class Study(Frozen):
 
     def spec_of(self, elements: str) -> Spec:
         """Return the specification of some elements: `spec` changed by their entry in `specs`; raises ValueError."""
-        common = self.spec.model_dump(exclude=set(Spec.model_computed_fields))
-        try:
-            return Spec.model_validate(common | self.specs.get(elements, {}))
-        except ValidationError as error:
-            raise ValueError(in_words(f"specs.{elements}", error, Spec)) from None
+        return _changed(self.spec, self.specs.get(elements, {}), f"specs.{elements}")
 
     def lens_spec(self, lens: str) -> Spec:
         """Return the specification of a lens: that of its elements, changed by the `spec` of an imported lens."""
         entry = self.lens(lens)
         spec = self.spec_of(entry.elements)
-        if not isinstance(entry.design, ImportedLens) or not entry.design.spec:
+        if not isinstance(entry.design, ImportedLens):
             return spec
-        common = spec.model_dump(exclude=set(Spec.model_computed_fields))
-        try:
-            return Spec.model_validate(common | entry.design.spec)
-        except ValidationError as error:
-            raise ValueError(in_words(f"imported.{entry.design_name}.spec", error, Spec)) from None
+        return _changed(spec, entry.design.spec, f"imported.{entry.design_name}.spec")
 
     def capture_of(self, lens: str) -> CaptureSettings:
         """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""
@@ -251,3 +243,11 @@ def pick(entries: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
     if name not in entries:
         raise StudyError(f"unknown {kind} {name!r}; expected one of {', '.join(entries)}")
     return entries[name]
+
+
+def _changed(spec: Spec, changes: Mapping[str, Any], where: str) -> Spec:
+    """Return a specification with changed keys, which the user's file has at `where`; raises ValueError."""
+    try:
+        return Spec.model_validate(spec.model_dump(exclude_computed_fields=True) | dict(changes))
+    except ValidationError as error:
+        raise ValueError(in_words(where, error, Spec)) from None

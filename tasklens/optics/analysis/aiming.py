@@ -8,12 +8,7 @@ import torch.autograd.forward_ad as fwAD
 from torch import Tensor
 
 from tasklens.optics.analysis.bundles import solve_bundles
-from tasklens.optics.analysis.continuation import (
-    inverse,
-    points_at_stop,
-    rays_at_stop,
-    stop_is_curved,
-)
+from tasklens.optics.analysis.continuation import inverse, points_at_stop, rays_at_stop, stop_is_curved
 from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus

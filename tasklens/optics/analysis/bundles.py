@@ -5,13 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.continuation import (
-    Aim,
-    Solution,
-    follow,
-    rays_at_stop,
-    stop_is_curved,
-)
+from tasklens.optics.analysis.continuation import Aim, Solution, follow, rays_at_stop, stop_is_curved
 from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus

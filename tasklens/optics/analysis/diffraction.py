@@ -44,7 +44,7 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
         Irradiance for a total energy of 1 of the launched rays; the energy of lost rays is missing.
     """
     wavelength = 1e-3 * view.wavelengths[channel]
-    coarse = _waves(lens, view, field, channel, _COARSE, 4 * _COARSE)
+    coarse = _waves(lens, view, field, channel, _COARSE)
     beyond = _MARGIN * wavelength / coarse.aperture
     coarse = coarse.near(x, y, beyond)
     if not len(coarse.x):  # no light at this field
@@ -53,7 +53,7 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
     reach = 2 * beyond + max(torch.hypot(coarse.x - a, coarse.y - b).max() for a in x[[0, -1]] for b in y[[0, -1]])
     cycles = float(reach) * coarse.aperture / 2 / wavelength  # across the radius of the pupil
     rings = max(_LEAST_RINGS, math.ceil(1.2 * math.pi * cycles))
-    waves = _waves(lens, view, field, channel, rings, 4 * rings).near(x, y, beyond)
+    waves = _waves(lens, view, field, channel, rings).near(x, y, beyond)
     amplitude = torch.sqrt(math.pi * waves.determinant) * waves.weight / wavelength
     field_there = torch.zeros(len(y), len(x), dtype=torch.complex64)
     for block in torch.arange(len(amplitude)).split(_BLOCK):
@@ -77,7 +77,7 @@ def diffraction_psf(lens: Lens, view: View, centre: Tensor) -> Tensor:
     for field in range(len(view.fields)):
         for channel, wavelength in enumerate(view.wavelengths):
             # The irradiance has no frequencies above aperture / wavelength.
-            aperture = _waves(lens, view, field, channel, _COARSE, 4 * _COARSE).aperture
+            aperture = _waves(lens, view, field, channel, _COARSE).aperture
             count = max(_LEAST_SAMPLES, math.ceil(1.05 * view.pixel_pitch * aperture / wavelength))
             offsets = torch.arange(-count * (size // 2 + 1), count * (size // 2 + 1) + 1, dtype=torch.float64) / count
             tri = (1 - (torch.arange(size)[:, None] - size // 2 - offsets).abs()).clamp(min=0)
@@ -126,9 +126,9 @@ class _Waves:
         return _Waves(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
 
 
-def _waves(lens: Lens, view: View, field: int, channel: int, rings: int, arms: int) -> _Waves:
-    """Trace rays through the points of a quadrature on the whole disc, `arms` of them on each ring."""
-    half, share = gauss_quadrature(rings, arms // 2)
+def _waves(lens: Lens, view: View, field: int, channel: int, rings: int) -> _Waves:
+    """Trace rays through the points of a quadrature on the whole disc: `rings` rings of 4 `rings` points."""
+    half, share = gauss_quadrature(rings, 2 * rings)
     pupil, weight = torch.cat([half, half * torch.tensor([-1.0, 1.0])]), torch.cat([share, share]) / 2
     # Shifts point to the centre, so that few shifted rays are lost; the wave of such a ray is left out.
     shifts = -_SHIFT * torch.where(pupil < 0, -1.0, 1.0)

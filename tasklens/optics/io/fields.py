@@ -14,7 +14,6 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 
-_ANGLES = torch.arange(0.5, 85.0, 0.5, dtype=torch.float64)  # search grid for a field by its image height [degrees]
 _FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
 
 
@@ -55,22 +54,18 @@ def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
     """
     unclipped = with_open_apertures(lens)
 
-    def beyond(tangents: torch.Tensor) -> torch.Tensor:
-        """Return how far the chief rays arrive beyond `height` [mm]; NaN for a lost ray."""
-        fields = torch.stack([torch.zeros_like(tangents), tangents * view.efl], -1)
-        rays = chief_rays(unclipped, replace(view, fields=fields))
-        return torch.where(rays.valid, rays.y.abs(), math.nan)[:, 0, 0] - height
-
-    def beyond_at(tangent: float) -> float:
-        return float(beyond(torch.tensor([tangent], dtype=torch.float64))[0])
+    def beyond(tangent: float) -> float:
+        """Return how far the chief ray arrives beyond `height` [mm]; NaN for a lost ray."""
+        field = torch.tensor([[0.0, tangent * view.efl]], dtype=torch.float64)
+        ray = chief_rays(unclipped, replace(view, fields=field))
+        return float(ray.y.abs()) - height if ray.valid.all() else math.nan
 
     low = 0.0
-    for tangent in torch.tan(
-        torch.deg2rad(_ANGLES)
-    ).tolist():  # no further than needed: a near object may not be that wide
-        excess = beyond_at(tangent)
+    for half_degrees in range(1, 170):  # no further than needed: a near object may not be that wide
+        tangent = math.tan(math.radians(half_degrees / 2))
+        excess = beyond(tangent)
         if excess >= 0:
-            return float(brentq(beyond_at, low, tangent))
+            return float(brentq(beyond, low, tangent))
         if math.isnan(excess):
             break
         low = tangent

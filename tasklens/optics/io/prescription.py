@@ -167,9 +167,8 @@ def check_order(media: Sequence[Material], thickness: Sequence[float], where: st
             f"{where}: surface {last}: {media[-1].name} behind the last surface; expected air, or another surface"
         )
     for i, (medium, distance) in enumerate(zip(media, thickness, strict=True)):
-        between = (
-            0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR
-        )  # next to neither a stop nor the image plane
+        # next to neither a stop nor the image plane
+        between = 0 < i < len(media) - 1 and media[i - 1] != AIR and media[i + 1] != AIR
         if distance < 0 and (medium != AIR or between):
             surface = f"{where}: surface {first + i}"
             raise FileError(f"{surface}: thickness: {distance:g} mm of {medium.name}; expected 0 or more")

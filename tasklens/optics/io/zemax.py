@@ -102,9 +102,8 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
             raise FileError(f"{path}: {error}") from None
     semi_diameter = lens.semi_diameter.clone()
     clear = float(semi_diameter[lens.stop])
-    if "FLAP" not in inner[lens.stop].lines and clear < radius * (
-        1 - _ROUNDING
-    ):  # a floating aperture follows the light
+    follows_light = "FLAP" in inner[lens.stop].lines  # a floating aperture
+    if not follows_light and clear < radius * (1 - _ROUNDING):
         radius, aperture = clear, None
     if not 0 < radius < math.inf:
         raise line.error(f"the computed radius of the stop is {radius} mm, expected a positive number")

@@ -18,8 +18,6 @@ _TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the exten
 _MOST_TERMS = 240  # terms of an extended asphere
 _KINDS = ("STANDARD", "EVENASPH", "XASPHERE", "ODDASPHE", "XOSPHERE")
 _HEAD = 2  # number of values of an extended asphere before its coefficients
-
-
 _NO_DATA = 1.5, 40.0  # nd and Vd that OpticStudio writes for any glass of a catalogue
 
 
@@ -254,7 +252,5 @@ def _glass(material: Material, names: Mapping[Material, str]) -> str:
         numbers = " ".join(decimal(value) for value in material.coefficients)
         label = material.name.split()[0] if " " in material.name else BLANK
         return f"{label} 1 0 {numbers} 0 0 0 0 0"
-    nd, vd = map(
-        decimal, material.abbe()
-    )  # for programs without the catalogue; Zemax takes the index from the catalogue
+    nd, vd = map(decimal, material.abbe())  # for programs without the catalogue, from which Zemax takes the index
     return f"{names[material]} 0 0 {nd} {vd} 0 0 0 0 0 0"

@@ -3,16 +3,7 @@
 A point P' in these axes is at P = R P' + p from the nominal vertex, and D = R D'.
 """
 
-from tasklens.optics.tracing.block import (
-    BLOCK,
-    L_OUT,
-    L,
-    T,
-    X,
-    Y,
-    Z,
-    inlined,
-)
+from tasklens.optics.tracing.block import BLOCK, L_OUT, L, T, X, Y, Z, inlined
 
 
 @inlined

@@ -83,7 +83,7 @@ def _gains(verdicts: pandas.DataFrame, settings: ReportJob) -> Sentence | None:
         parts = []
         for elements, lens in first.items():
             row = claims.loc[lens].to_dict()
-            certainty = judged(row | {"claim": text}, settings.margins.get(text, 0.0))[1]
+            certainty = judged(row, settings.margins.get(text, 0.0))[1]
             design, baseline = (str(name).replace(f"{elements}-", "") for name in (lens, row["baseline"]))
             parts.append(f"{elements} {design} {_points(row)} compared with {baseline}, {certainty}")
         if parts:
