@@ -319,7 +319,9 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
 def test_a_failed_job_gets_twice_the_memory_and_time():
     """Its estimates hold only for the first attempt."""
     needs = workflow().get_rule("design").resources
-    first, second = ({key: needs[key]({}, attempt) for key in ("mem_mb", "runtime")} for attempt in (1, 2))
+    first, second = (
+        {key: needs[key].evaluate({}, attempt=attempt).value for key in ("mem_mb", "runtime")} for attempt in (1, 2)
+    )
     assert second == {key: 2 * value for key, value in first.items()} and min(first.values()) > 0
 
 
