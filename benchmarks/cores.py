@@ -14,7 +14,7 @@ from scheduling import Job, chains, critical_path, simulate
 
 from tasklens.runtime import benchmarks
 from tasklens.study import loading
-from tasklens.study.parts import owner
+from tasklens.study.parts import whole_study_name
 
 CORES = (1, 2, 4, 8)
 
@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> None:
     study = options.results / "study.yaml"
     seeds = loading.load(study).seeds
     jobs = {}
-    for job in (job for job in planned(str(study), seeds)[0] if job.study == owner(job.study)):
+    for job in (job for job in planned(str(study), seeds)[0] if job.study == whole_study_name(job.study)):
         path = options.results / "benchmarks" / f"{job.label}.tsv"
         if (measured := benchmarks.read(path)) is None:
             parser.error(f"{path}: no measured time; the study has not finished")

@@ -11,7 +11,7 @@ from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import elsewhere
 from tasklens.runtime.checkpoints import INTERVAL
 from tasklens.study import names
-from tasklens.study.parts import owner
+from tasklens.study.parts import whole_study_name
 from tasklens.study.study import Study
 
 TRAIN, TEST, DECODED = 1_281_167, 50_000, 800.0  # ImageNet; images/s of eight threads, assumed
@@ -39,7 +39,7 @@ def graph(study: Study, planned: Sequence[PlannedJob]) -> dict[str, Job]:
         return operations / rate or (measured[rule].seconds if rule in measured else 1.0)
 
     jobs = {}
-    for job in (job for job in planned if job.study == owner(job.study)):  # pages of parts take seconds
+    for job in (job for job in planned if job.study == whole_study_name(job.study)):  # pages of parts take seconds
         lens, name = wildcards(job.label)
         hours = seconds(job.rule, lens, name) / 3600
         gpus = int(job.rule in ON_GPU and (job.rule != "design" or study.lens(lens).supervised))

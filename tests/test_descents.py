@@ -28,7 +28,7 @@ from tasklens.study.design_settings import (
     GradientDesignSettings,
     LeastSquaresSettings,
 )
-from tasklens.study.layers import laid_over
+from tasklens.study.layers import merged_settings
 from tasklens.study.loading import parse
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
@@ -112,12 +112,12 @@ def test_keys_that_do_not_fit_each_other(design, words):
 def test_an_entry_of_a_list_is_changed_by_its_number():
     below = {"descents": [{"steps": 1, "damping": 0.5}, {"steps": 2}]}
     above = {"descents": {"1": {"steps": 3}}}
-    assert laid_over(below, above) == {"descents": [{"steps": 1, "damping": 0.5}, {"steps": 3}]}
-    assert laid_over(below, {"descents": [{"steps": 4}]}) == {"descents": [{"steps": 4}]}
+    assert merged_settings(below, above) == {"descents": [{"steps": 1, "damping": 0.5}, {"steps": 3}]}
+    assert merged_settings(below, {"descents": [{"steps": 4}]}) == {"descents": [{"steps": 4}]}
     with pytest.raises(InputError, match=r"descents\.2: there is no such entry; expected 0 to 1"):
-        laid_over(below, {"descents": {"2": {"steps": 3}}})
+        merged_settings(below, {"descents": {"2": {"steps": 3}}})
     with pytest.raises(InputError, match=r"designs\.mine\.descents\.2: there is no"):
-        laid_over({"designs": {"mine": below}}, {"designs": {"mine": {"descents": {"2": {"steps": 3}}}}})
+        merged_settings({"designs": {"mine": below}}, {"designs": {"mine": {"descents": {"2": {"steps": 3}}}}})
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
     assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == labels[:3]
     assert labels[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
     assert len(bars_of(figure)) == 3
-    for axes, field in zip(figure.axes, panel.shown, strict=True):
+    for axes, field in zip(figure.axes, panel.field_names, strict=True):
         half = panel.view.kernel_size * panel.view.pixel_pitch / 2
         assert axes.get_xlim() == axes.get_ylim() == (-half, half)  # y upward
         outside = 1 - panel.figures["energy_in_window"][field]
@@ -70,7 +70,7 @@ def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
 def test_section_and_curves_have_legends_and_a_scale_bar(panel):
     section, curves = draw(figures.draw_section, panel), draw(figures.draw_curves, panel)
     labels = legend_of(section)
-    assert "stop" in labels and all(any(text.startswith(name) for text in labels) for name in panel.shown.values())
+    assert "stop" in labels and all(any(text.startswith(name) for text in labels) for name in panel.field_names.values())
     assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
     labels = legend_of(curves)
     assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(labels)
@@ -105,7 +105,7 @@ def test_scale_bars_of_lenses_in_one_figure_agree(panel):
     """Bars of a lens four times as long, with windows four times as wide, have the same lengths as the small lens's."""
     lens, view = panel.lens.scaled(4.0), replace(panel.view, pixel_pitch=4 * panel.view.pixel_pitch)
     large = figures.panel_of("large", lens, view, panel.psf, panel.figures)
-    small, alone, both = (bars_of(figures.drawn(panels)) for panels in ([panel], [large], [panel, large]))
+    small, alone, both = (bars_of(figures.figure_of(panels)) for panels in ([panel], [large], [panel, large]))
     assert sorted(both) == sorted([*small, *small]) and set(alone) != set(small)
 
 

@@ -89,7 +89,7 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
     assert only_task.title == "test image 2, cat" and only_best.title == "test image 3, dog"
     assert only_task.correct == {TASK: True, JOINT: False, BEST: False}
     assert only_best.correct == {TASK: False, JOINT: True, BEST: True}
-    assert only_task.said(JOINT) == "not recognised" and only_task.said("sharp") == only_task.title
+    assert only_task.caption(JOINT) == "not recognised" and only_task.caption("sharp") == only_task.title
     sharp = only_task.shown["sharp"]
     assert all(torch.allclose(capture, sharp, atol=1e-5) for capture in only_task.shown.values())  # point PSFs
     assert f"network of {TASK} " in arguments["rule"] and f"that of {BEST} " in arguments["rule"]

@@ -81,16 +81,16 @@ def test_variables_that_are_free_by_default():
     """Curvatures and distances, except of plane plates; aspheric coefficients only of aspheres or on request."""
     lens = cooke_triplet()
     bent, moving = (0, 1, 2, 3, 5, 6), (0, 1, 2, 3, 5, 6, 8)
-    assert from_lens.resolved(lens, None) == {
+    assert from_lens.free_surfaces(lens, None) == {
         "curvature": bent, "thickness": moving, "alpha_4": (), "alpha_6": (), "alpha_8": (), "alpha_10": (),
     }  # fmt: skip
-    assert from_lens.resolved(lens, {"alpha_4": None}) == {"alpha_4": bent}
+    assert from_lens.free_surfaces(lens, {"alpha_4": None}) == {"alpha_4": bent}
     alpha = torch.zeros(9, 2, dtype=torch.float64)
     alpha[6, 1] = 1e-6
-    assert from_lens.resolved(replace(lens, alpha=alpha), None)["alpha_6"] == (6,)
+    assert from_lens.free_surfaces(replace(lens, alpha=alpha), None)["alpha_6"] == (6,)
     for free, words in (({"radius": [0]}, "unknown variable 'radius'"), ({"alpha_4": []}, "at least one variable")):
         with pytest.raises(InputError, match=words):
-            from_lens.resolved(lens, free)
+            from_lens.free_surfaces(lens, free)
 
 
 def test_limits_give_way_to_the_lens(triplet):

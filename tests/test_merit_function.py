@@ -12,7 +12,7 @@ from rules import finish, outputs
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.report import merit_function
-from tasklens.report.merit_function import BANDS, fit, left_out, modulation
+from tasklens.report.merit_function import BANDS, fit, leave_one_out, modulation
 from tasklens.runtime.files import FileError
 from tasklens.study.loading import parse
 from tasklens.study.report_jobs import MeritFunctionJob
@@ -60,7 +60,7 @@ def test_a_lens_does_not_predict_itself():
     lenses = numpy.repeat(numpy.arange(4), 10)
     log_loss = -modulations.sum(1)
     spoiled = log_loss + 100 * (lenses == 2)
-    clean, predicted = (left_out(modulations, losses, lenses) for losses in (log_loss, spoiled))
+    clean, predicted = (leave_one_out(modulations, losses, lenses) for losses in (log_loss, spoiled))
     numpy.testing.assert_allclose(clean, log_loss, atol=1e-9)
     numpy.testing.assert_allclose(predicted[lenses == 2], clean[lenses == 2], atol=1e-9)
     assert (abs(predicted - clean)[lenses != 2] > 1).any()

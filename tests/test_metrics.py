@@ -3,7 +3,7 @@
 import pytest
 from examples import write
 
-from tasklens.recognition.metrics import least_metrics, mean_metrics
+from tasklens.recognition.metrics import mean_metrics, worst_field_metrics
 from tasklens.runtime.files import FileError
 
 HEAD = "elements,field,metric,value\n"
@@ -18,7 +18,7 @@ def test_means_are_over_the_fields(tmp_path):
     """0 to 80 in steps of ten; a metric without fields is itself; rows in any order."""
     write(tmp_path / "a.csv", HEAD + "".join(reversed(ROWS)))
     assert mean_metrics(tmp_path / "a.csv") == {"accuracy": 40, "psnr_db": 4, "chance": 10}
-    assert least_metrics(tmp_path / "a.csv") == {"accuracy": 0, "psnr_db": 0, "chance": 10}
+    assert worst_field_metrics(tmp_path / "a.csv") == {"accuracy": 0, "psnr_db": 0, "chance": 10}
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ BEYOND = row(OVER_END_TO_END, difference=-2.0, low=-3.0, high=-1.0, seeds=1)
     ],
 )
 def test_direction_and_certainty_of_a_verdict(verdict, direction, certainty):
-    assert words.judged(verdict, MARGINS.get(verdict["claim"], 0.0)) == (direction, certainty)
+    assert words.direction_and_certainty(verdict, MARGINS.get(verdict["claim"], 0.0)) == (direction, certainty)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     head = "image,label,lens,field,restored,classifier,answer,probability,psnr_db\n"
     rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
     write(tmp_path / "answers.csv", head + rows)
-    (example,) = captures.shown(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
+    (example,) = captures.read(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
     assert [answer.right for answer in example.captures["lens", False][0].answers] == [True, False]
     assert example.label == "7"
 

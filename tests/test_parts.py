@@ -6,7 +6,7 @@ from rules import ROOT, job_of, workflow
 from snakemake.iocontainers import Wildcards
 
 from tasklens.study.loading import load, parse
-from tasklens.study.parts import owner, parts
+from tasklens.study.parts import parts, whole_study_name
 from tasklens.study.study import Study
 
 
@@ -28,7 +28,7 @@ def test_a_part_has_table_1_of_the_first_element_counts():
     assert [one.name, two.name] == ["tiny/elements=singlet", "tiny/elements=singlet+doublet"]
     assert list(two.elements) == ["singlet", "doublet"] and two.tables == ("table1",) and two.specs == {}
     assert two.lenses.keys() == {f"{count}-{name}" for count in ("singlet", "doublet") for name in study.designs}
-    assert owner(two.name) == study.name == owner(study.name)
+    assert whole_study_name(two.name) == study.name == whole_study_name(study.name)
 
 
 @pytest.mark.parametrize(

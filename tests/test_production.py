@@ -90,7 +90,7 @@ def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, m
 
     def measured(checkpoint):
         changes = production.one_at_a_time(process, [0, 5, 2], 80.0, IMAGES, checkpoint)
-        return changes, production.allotted(process, displacement_um, 2, 0, IMAGES, checkpoint).tolist()
+        return changes, production.widest_tolerances(process, displacement_um, 2, 0, IMAGES, checkpoint).tolist()
 
     monkeypatch.setattr(Production, "accuracy", counted)
     whole, once = measured(NO_CHECKPOINT), len(calls)
@@ -125,7 +125,7 @@ def test_single_errors_and_allotted_tolerances():
     both = [process.accuracy(process.build(s * along, peak)[0], IMAGES)[0].mean() for s in (1, -1)]
     assert changes == {at: pytest.approx(float(sum(both)) / 2 - nominal)}
     displacement_um = displacements(process.lens, process.view, process.errors, 64)
-    allotted = production.allotted(process, displacement_um, 20, 0, IMAGES)
+    allotted = production.widest_tolerances(process, displacement_um, 20, 0, IMAGES)
     assert allotted.min() < 1.0
     samples = draw(process.errors, 30, 11)
     lost = [nominal - process.accuracy(process.build(allotted * z, peak)[0], IMAGES)[0].mean() for z in samples]

@@ -12,7 +12,7 @@ from examples import changed, studies_we_ship, tiny_study, with_imported, write
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.study.claims import OVER_END_TO_END, claims
 from tasklens.study.design_settings import LearningRates
-from tasklens.study.loading import dump, extended, load, parse, read, without_null
+from tasklens.study.loading import dump, load, parse, read, with_base_study, without_null
 from tasklens.study.schema import schema
 from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
@@ -153,7 +153,7 @@ def test_null_in_a_study_that_extends_another_removes_an_entry(tmp_path):
 def test_editors_find_no_mistake_in_the_studies_we_ship(name):
     """By the schema, which takes plastics as files, and rates and grades by name, as the files of config/ have them."""
     content = read(STUDIES[name])
-    whole = without_null(extended(content, STUDIES[name].parent))
+    whole = without_null(with_base_study(content, STUDIES[name].parent))
     jsonschema.validate(whole, schema())
     assert set(content) <= {"extends", *whole}
     wrong = whole | {"tolerances": {"grade": "by hand"}}

@@ -16,7 +16,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
 from tasklens.optics.lens import Lens, Melt
 from tasklens.optics.tolerancing import allocation, focus
-from tasklens.optics.tolerancing.errors import DEVIATION, built, draw, elements, errors
+from tasklens.optics.tolerancing.errors import DEVIATION, draw, elements, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import View
 from tasklens.study.tolerance_settings import GRADES, Grade
@@ -41,7 +41,7 @@ def test_a_stop_inside_a_glass_has_no_errors():
     all_errors = errors(rod, grade(surface_decentre_um=1.0, index=0.001, thickness_um=5.0, radius_percent=1.0))
     names = ["radius 0", "radius 2", "thickness 0", "index 0", "surface decentre 2 x", "surface decentre 2 y"]
     assert [error.name for error in all_errors] == names
-    melted = built(rod, all_errors, torch.eye(len(names), dtype=torch.float64)[3], 0.55)
+    melted = with_errors(rod, all_errors, torch.eye(len(names), dtype=torch.float64)[3], 0.55)
     change = melted.refractive_indices((0.55,)) - rod.refractive_indices((0.55,))
     torch.testing.assert_close(change[:, 0], f64([0, 0.001, 0.001, 0]), rtol=1e-6, atol=1e-12)
 
@@ -70,7 +70,7 @@ def test_drawn_errors_are_normal_and_cut():
 def test_a_lens_without_errors_is_the_design():
     lens, view = doublet()
     all_errors = errors(lens, Grade.model_validate("commercial_moulding"))
-    perfect = built(lens, all_errors, torch.zeros(len(all_errors), dtype=torch.float64), view.reference)
+    perfect = with_errors(lens, all_errors, torch.zeros(len(all_errors), dtype=torch.float64), view.reference)
     pupil = sobol_disc(64, seed=0)
     rays, expected = trace_fields(perfect, view, pupil), trace_fields(lens, view, pupil)
     torch.testing.assert_close(rays.x, expected.x, rtol=0, atol=1e-14)
@@ -82,7 +82,7 @@ def one(lens: Lens, name: str, tolerances: Grade) -> Lens:
     all_errors = errors(lens, tolerances)
     fractions = f64([float(error.name == name) for error in all_errors])
     assert fractions.sum() == 1, [error.name for error in all_errors]
-    return built(lens, all_errors, fractions, D_LINE)
+    return with_errors(lens, all_errors, fractions, D_LINE)
 
 
 def test_errors_have_the_size_and_place_that_they_say():
@@ -199,7 +199,9 @@ def test_a_decentre_of_either_sign_is_focused_alike():
     lens, view = doublet()
     peak = focus.peak(lens, view)
     all_errors = errors(lens, grade(element_decentre_um=20.0))
-    shifts = [focus.focused(built(lens, all_errors, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)]
+    shifts = [
+        focus.focused(with_errors(lens, all_errors, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)
+    ]
     assert float(shifts[0]) == pytest.approx(float(shifts[1]), abs=5e-4)
 
 
@@ -271,7 +273,7 @@ def test_built_lenses_follow_linear_theory():
     core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
     squares = []
     for fractions in draw(all_errors, 400, 1):
-        rays = trace_fields(built(lens, all_errors, fractions, D_LINE), wide, pupil)
+        rays = trace_fields(with_errors(lens, all_errors, fractions, D_LINE), wide, pupil)
         d = torch.stack([rays.x - nominal.x, rays.y - nominal.y])
         q = torch.stack([rays.l / rays.n, rays.m / rays.n])
         d, q = (torch.stack([v[:, k, core[k]] for k in range(len(core))], 1) for v in (d, q))

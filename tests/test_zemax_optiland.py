@@ -8,7 +8,7 @@ from reference_files import ZEMAX_FILES, read_zemax
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import zemax
-from tasklens.optics.io.prescription import Prescription, with_use
+from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.view import view_of_spec
 from tasklens.study.settings import Spec
 
@@ -53,7 +53,7 @@ def test_optiland_reads_what_we_write(tmp_path, path):
 def test_optiland_reads_a_lens_of_a_study(tmp_path):
     """The specification becomes fields and wavelengths; glasses have names that both programs know."""
     view = view_of_spec(Spec())
-    zemax.write(tmp_path / "lens.zmx", with_use(Prescription(LENS), view))
+    zemax.write(tmp_path / "lens.zmx", with_system_data(Prescription(LENS), view))
     optic = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
     assert float(optic.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
     assert optic.fields.num_fields == len(view.fields)

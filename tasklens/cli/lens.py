@@ -218,8 +218,8 @@ def export(
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
     lens_data, content = lens_files.read_prescription(file, [*(catalogue or ()), *users_files()], configuration)
-    lacks_use = output.suffix.lower() == ".zmx" and not (lens_data.fields and lens_data.wavelengths_um)
-    if field_of_view is not None or lacks_use:
+    lacks_system_data = output.suffix.lower() == ".zmx" and not (lens_data.fields and lens_data.wavelengths_um)
+    if field_of_view is not None or lacks_system_data:
         view = reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view
         if field_of_view is not None:
             lens_data = replace(lens_data, fields=None)
@@ -227,7 +227,7 @@ def export(
                 diagonal = 2 * float(view.radii.max())
                 spec = {"fields_mm": view.fields.tolist(), "field_of_view_deg": field_of_view, "diagonal_mm": diagonal}
                 content = lens_files.without_figures(content) | {"spec": content["spec"] | spec}
-        lens_data = prescription.with_use(lens_data, view)
+        lens_data = prescription.with_system_data(lens_data, view)
     else:
         for remark in lens_data.remarks:
             say(f"{file}: {remark}")

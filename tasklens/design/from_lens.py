@@ -24,7 +24,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.study import single
-from tasklens.study.layers import laid_over
+from tasklens.study.layers import merged_settings
 from tasklens.study.messages import in_words, problems
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
@@ -92,9 +92,9 @@ def design(
     if unused := {"stop_distance", "flat_track"} & set(constraints):
         raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
     spec, view = _spec(file)
-    free = resolved(file.lens, free)
+    free = free_surfaces(file.lens, free)
     if method == "spot":  # its default descent begins with flat plates
-        settings = laid_over(_SPOT, settings)
+        settings = merged_settings(_SPOT, settings)
     pixels = {"kernel_size": spec.kernel_size, "pixel_pitch_um": spec.pixel_pitch_um}
     options = {**settings, "free": {name: list(surfaces) for name, surfaces in free.items()}, "keep_apertures": True}
     study = single.study(
@@ -130,7 +130,7 @@ def design(
     return Designs(lenses, view, notes, supervision, (*file.remarks, *remarks))
 
 
-def resolved(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
+def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
     """Return free variables with their surfaces.
 
     Args:

@@ -150,7 +150,7 @@ class _Search:
                 clipped, error = self.improve(clipped, merit, _STAGES[-1][1], _STRICT_EVALUATIONS)
             results.append((error, surface, clipped))
         error, surface, clipped = min(results, key=lambda result: result[:2])
-        return vignetting.clip(clipped, merit.view, surface, loss), error
+        return vignetting.with_vignetting_aperture(clipped, merit.view, surface, loss), error
 
     def best(
         self,

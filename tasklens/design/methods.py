@@ -102,10 +102,10 @@ def design(
 
     if starts:
         origin["start"] = max(starts, key=lambda name: starts[name][1])
-        start = _begun(starts[origin["start"]][0], settings.keep_apertures)
+        start = _prepared_start(starts[origin["start"]][0], settings.keep_apertures)
     else:
         start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
-    openings = {name: _begun(lens, settings.keep_apertures) for name, lens in candidates.items()}
+    openings = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     lens, details, history, supervisor = descents.design(start, openings, criterion, problem, settings, checkpoint)
     final_lens, notes = with_notes(*repair(lens, view, plan.constraints, free), plan, origin | details)
     if plan.entry.supervised:
@@ -113,7 +113,7 @@ def design(
     return final_lens, notes, history
 
 
-def _begun(lens: Lens, keep_apertures: bool) -> Lens:
+def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:
     """Return a starting lens: with all coefficients of a design, and open apertures unless they are kept."""
     return with_coefficients(lens if keep_apertures else with_open_apertures(lens))
 

@@ -13,7 +13,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation, focus
-from tasklens.optics.tolerancing.errors import Error, built, draw
+from tasklens.optics.tolerancing.errors import Error, draw, with_errors
 from tasklens.optics.view import View
 from tasklens.recognition.evaluation import CapturePipeline, classify
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
@@ -45,7 +45,7 @@ class Production:
 
     def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:
         """Build a lens with errors (P,) [fractions of tolerances]; return it focused, and its focus shift [mm]."""
-        return focus.focused(built(self.lens, self.errors, fractions, self.view.reference), self.view, peak)
+        return focus.focused(with_errors(self.lens, self.errors, fractions, self.view.reference), self.view, peak)
 
     def accuracy(self, lens: Lens, images: Images) -> tuple[Tensor, float]:
         """Return the accuracy (F,) of each field [%], and the mean cross-entropy."""
@@ -125,7 +125,7 @@ def one_at_a_time(
     return changes
 
 
-def allotted(
+def widest_tolerances(
     production: Production,
     displacements: Tensor,
     count: int,

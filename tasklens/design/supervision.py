@@ -25,7 +25,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
 from tasklens.optics.tolerancing import focus
-from tasklens.optics.tolerancing.errors import built, draw, errors
+from tasklens.optics.tolerancing.errors import draw, errors, with_errors
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.study.settings import CaptureSettings
@@ -171,8 +171,8 @@ class Supervisor:
         radii = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
         error_list = errors(replace(design, semi_diameter=radii), self.grade)
         peak = focus.peak(lens, view)
-        draws = draw(error_list, count, seed)
-        return [focus.focused(built(lens, error_list, fractions, view.reference), view, peak)[0] for fractions in draws]
+        lenses = [with_errors(lens, error_list, draws, view.reference) for draws in draw(error_list, count, seed)]
+        return [focus.focused(built_lens, view, peak)[0] for built_lens in lenses]
 
     def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""

@@ -115,7 +115,7 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
         _check_settings(parts, user.task, network, images)
     if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
-        print(f"tasklens: {sharp.recognised(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
+        print(f"tasklens: {sharp.check_accuracy(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
     return Supervisors(images, network, user.task)
 
 

@@ -41,6 +41,6 @@ def run(
     )
     write_text(page, f"{text}\n{limits}")
     zemax_files.write(
-        zemax, replace(prescription.with_use(lens_prescription, view), title=settings.lens, aperture=None)
+        zemax, replace(prescription.with_system_data(lens_prescription, view), title=settings.lens, aperture=None)
     )
     figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)

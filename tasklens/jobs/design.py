@@ -56,10 +56,10 @@ def run(
             classifier = classifiers.build(settings.classifier, images.classes, weights).to(device)
     accuracies = []
     if starts:
-        from tasklens.recognition.metrics import least_metrics, mean_metrics
+        from tasklens.recognition.metrics import mean_metrics, worst_field_metrics
 
         # A joint descent does not recover a field that is lost at the start: docs/results/regimes.
-        measure = least_metrics if isinstance(settings.entry.start, tuple) else mean_metrics
+        measure = worst_field_metrics if isinstance(settings.entry.start, tuple) else mean_metrics
         accuracies = [measure(path)["minival_accuracy"] for path in metrics]
     start_lenses = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
     candidate_lenses = dict(zip(settings.candidates, _lenses(candidates), strict=True))

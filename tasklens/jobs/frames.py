@@ -86,7 +86,7 @@ def _tiled(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
 
 def _disagreements(
     settings: FramesJob, files: Mapping[str, tuple[Path, Path]], test: ImageDataset
-) -> list[frames.Answered]:
+) -> list[frames.ClassifiedImage]:
     """Return the first image that only the network of the first lens recognises, and the same for the last lens.
 
     The list is shorter if there is no such image.
@@ -108,7 +108,9 @@ def _disagreements(
         images, _ = test.batch(torch.tensor([int(image)]))
         captures = {lens: _single(settings.captures[lens], psf, images) for lens, (psf, _) in files.items()}
         answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
-        disagreements.append(frames.Answered(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
+        disagreements.append(
+            frames.ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers)
+        )
     return disagreements
 
 

@@ -60,7 +60,9 @@ def run(
     count = min(tolerances.lenses, allocation.TRIED)
     drawing_displacements = allocation.both_axes(model.errors, displacements_um)
     minival_images = _images(selection, tolerances.images)
-    factors = production.allotted(model, drawing_displacements, count, settings.seed, minival_images, checkpoint)
+    factors = production.widest_tolerances(
+        model, drawing_displacements, count, settings.seed, minival_images, checkpoint
+    )
     error_rows = [
         {
             "error": error.name,

@@ -36,5 +36,5 @@ def run(
         training.fit(classifier, train, settings.training, settings.seed, "reference", checkpoint=checkpoint)
     elif len(train) >= _ENOUGH:
         order = torch.randperm(len(train), generator=torch.Generator().manual_seed(0))[:_SHARP]
-        print(sharp.recognised(classifiers.frozen(classifier, train.images), train.take(order)), file=sys.stderr)
+        print(sharp.check_accuracy(classifiers.frozen(classifier, train.images), train.take(order)), file=sys.stderr)
     write_tensors(weights, classifier.network.state_dict(), {"model": settings.model})

@@ -29,7 +29,7 @@ def read(path: Path) -> dict[str, Material]:
     return from_definitions(yaml_files.read(path), str(path))
 
 
-def beside(path: Path) -> list[Path]:
+def catalogues_in_folder(path: Path) -> list[Path]:
     """Return the Zemax catalogues in the folder of a lens file."""
     return sorted(file for file in path.parent.glob("*") if file.suffix.lower() == ".agf")
 

@@ -69,7 +69,7 @@ class Camera(nn.Module):
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
         start = with_coefficients(lens.detached())
         self._variables = Variables.normalised(start, self.view)
-        free_surfaces = {} if free is not None and not free else from_lens.resolved(start, free)
+        free_surfaces = {} if free is not None and not free else from_lens.free_surfaces(start, free)
         self._variables.free(free_surfaces)  # checks the surfaces
         refracting = list(start.refracting_surfaces)
         radius = self._variables.radius[refracting]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tasklens.notebook.lenses import psf
 from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.spots import lit
+from tasklens.optics.analysis.spots import has_light
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition.image_tensor import Image, image_tensor
@@ -114,7 +114,7 @@ def simulate_sensor(
 
 def check_light(lens: Lens, view: View) -> None:
     """Raise InputError if no light arrives at some field."""
-    if not (light := lit(lens.detached(), view)).all():
+    if not (light := has_light(lens.detached(), view)).all():
         x, y = view.fields[int((~light).nonzero()[0])].tolist()
         raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
 

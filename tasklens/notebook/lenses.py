@@ -14,7 +14,7 @@ from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
 from tasklens.optics.io import lens_files
-from tasklens.optics.io.prescription import Prescription, with_use
+from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.typed import typed
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
@@ -141,7 +141,7 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
     Example:
         >>> tasklens.save_lens("lens.zmx", lens, view)
     """
-    prescription = with_use(Prescription(lens.detached()), view)
+    prescription = with_system_data(Prescription(lens.detached()), view)
     lens_files.write(Path(path), prescription, notes or described(lens, view))
 
 

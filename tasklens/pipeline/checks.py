@@ -84,7 +84,7 @@ def _check_networks(study: Study, weights: bool) -> None:
             task_networks.build(name, network.model_copy(update={"pretrained": False}), 2, study.tasks.scenes.size)
     sizes = {
         f"{place}.descents.{k}.size": part.size
-        for place, lens in consistency.places(study)
+        for place, lens in consistency.lenses_with_keys(study)
         for k, part in enumerate(lens.descents)
         if part.criterion == "task" and part.size is not None
     }

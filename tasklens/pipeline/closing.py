@@ -9,7 +9,7 @@ from tasklens.report.page import words
 from tasklens.report.verdicts import LEAST_SEEDS
 from tasklens.runtime.files import read_table
 from tasklens.study.loading import at_points
-from tasklens.study.parts import owner
+from tasklens.study.parts import whole_study_name
 from tasklens.study.report_jobs import ReportJob
 from tasklens.study.study import Study
 
@@ -24,7 +24,8 @@ def success(study: Study, by_study: Mapping[str, runs.Run]) -> str:
         study: the study of the configuration.
         by_study: the run of each study, such as the points of a sweep; empty if no job had to run.
     """
-    by_study = {name: run for name, run in by_study.items() if name == owner(name)}  # a part ends before its study
+    # a part ends before its study
+    by_study = {name: run for name, run in by_study.items() if name == whole_study_name(name)}
     lines = [
         f"\nStudy {name}: {len(run.jobs)} job{'s' * (len(run.jobs) > 1)} in {duration(run.ended - run.started)}."
         for name, run in by_study.items()

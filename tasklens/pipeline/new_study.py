@@ -16,7 +16,7 @@ from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
-from tasklens.study.layers import laid_over
+from tasklens.study.layers import merged_settings
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.loading import parse
 from tasklens.study.settings import RENDERED_CLASSES
@@ -133,7 +133,7 @@ def _base(size: int) -> dict[str, Any]:
     base = dict(default_study())
     for name, keys in _OF_LARGE_IMAGES.items() if size >= LARGE else ():
         layer = yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8"))
-        base |= {key: laid_over(base[key], layer[key]) for key in keys}
+        base |= {key: merged_settings(base[key], layer[key]) for key in keys}
     return base
 
 

@@ -12,7 +12,7 @@ from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.digest import ROOT
 from tasklens.pipeline.forecast import Durations
 from tasklens.runtime.errors import InputError
-from tasklens.study.parts import owner
+from tasklens.study.parts import whole_study_name
 from tasklens.study.study import Study
 
 
@@ -59,7 +59,7 @@ def plan(files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
         rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
     plans: dict[str, dict[str, Planned]] = {}
     for job in (PlannedJob(**row) for row in rows):
-        planned = plans.setdefault(owner(job.study), {}).setdefault(job.rule, Planned())
+        planned = plans.setdefault(whole_study_name(job.study), {}).setdefault(job.rule, Planned())
         state = "done" if not job.remains else "again" if job.outputs else "missing"
         getattr(planned, state).append(job.label)
         planned.files += map(Path, job.outputs)

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.spots import evaluation_psf, lit
+from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline.digest import NOT_INSTALLED, ROOT
@@ -135,7 +135,7 @@ def _screened(
     spec = Spec.model_validate(sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
-    if not (light := lit(lens, view)).all():
+    if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
     return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), file.prescription.remarks
 
@@ -237,7 +237,7 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     network = classifiers.build(settings, listing.classes)
     sample = folders.read_all(listing.files, images.size)
     photographs = dataset.ImageDataset(sample, listing.labels, listing.classes)
-    return sharp.recognised(classifiers.frozen(network, sample), photographs)
+    return sharp.check_accuracy(classifiers.frozen(network, sample), photographs)
 
 
 def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrite: bool) -> Path:

@@ -17,7 +17,7 @@ def accuracy_by_field(path: Path) -> list[float]:
     return [float(value) for value in _values(path).loc["accuracy"].sort_index()]
 
 
-def least_metrics(path: Path) -> dict[str, float]:
+def worst_field_metrics(path: Path) -> dict[str, float]:
     """Read a metrics file, and return the minimum over fields of every metric by name; raises FileError if damaged."""
     return {str(metric): float(value) for metric, value in _values(path).groupby(level=0).min().items()}
 

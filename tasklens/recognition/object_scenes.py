@@ -23,7 +23,7 @@ def _shapes(count: int, size: int, generator: torch.Generator) -> Tensor:
     x = pixels - draw.uniform(-0.7 * half, 0.7 * half)
     y = pixels[:, None] - draw.uniform(-0.7 * half, 0.7 * half)
     shape = scenes.filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 8
-    return scenes.cut(shape - torch.hypot(x, y) / half, 1 - draw.uniform(*_AREA))
+    return scenes.shape_mask(shape - torch.hypot(x, y) / half, 1 - draw.uniform(*_AREA))
 
 
 def _scenes(
@@ -47,11 +47,11 @@ def _scenes(
         indices = (present & (labels == label)).nonzero()
         if len(indices):
             planes[indices[:, 0], indices[:, 1]] = scenes.surfaces(name, len(indices), size, periods, generator)
-    image = scenes.grounds(count, size, generator)
+    image = scenes.backgrounds(count, size, generator)
     for k in reversed(range(MOST)):
         alpha = masks[:, k, None] * present[:, k, None, None, None]
         image = image + alpha * (planes[:, k] - image)
-    return scenes.in_bytes(image, generator), present.nonzero()[:, 0], labels[present], visible[present]
+    return scenes.to_uint8(image, generator), present.nonzero()[:, 0], labels[present], visible[present]
 
 
 def render(count: int, size: int, seed: int, periods: tuple[float, float] = (5.0, 16.0)) -> ObjectDataset:

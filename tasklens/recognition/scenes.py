@@ -157,13 +157,13 @@ def surfaces(name: str, count: int, size: int, periods: tuple[float, float], gen
     return uniform(0.35, 0.65, 3) + swing * (pattern - pattern.mean((-2, -1), keepdim=True))
 
 
-def grounds(count: int, size: int, generator: torch.Generator) -> Tensor:
+def backgrounds(count: int, size: int, generator: torch.Generator) -> Tensor:
     """Render backgrounds, (count, 3, size, size): coloured noise without fine detail."""
     draw = Draw(count, size, generator)
     return draw.uniform(0.2, 0.8, 3) + draw.uniform(0.05, 0.15) * filtered(draw.white(3), lambda f: 1 / f)
 
 
-def in_bytes(image: Tensor, generator: torch.Generator) -> Tensor:
+def to_uint8(image: Tensor, generator: torch.Generator) -> Tensor:
     """Add sensor noise to images (count, 3, size, size), and convert them to uint8."""
     noisy = image + NOISE * torch.randn(image.shape, generator=generator)
     return (noisy * 255).round().clamp(0, 255).byte()
@@ -172,18 +172,18 @@ def in_bytes(image: Tensor, generator: torch.Generator) -> Tensor:
 def _scenes(name: str, count: int, size: int, periods: tuple[float, float], generator: torch.Generator) -> Tensor:
     """Render scenes of one object, (count, 3, size, size), uint8; arguments as in `surfaces`."""
     surface = surfaces(name, count, size, periods, generator)
-    ground = grounds(count, size, generator)
+    ground = backgrounds(count, size, generator)
     draw, half = Draw(count, size, generator), size / 2
     pixels = torch.arange(size) - half + 0.5
 
     # A smooth random shape around the centre; a quantile sets the fraction of the image that it covers.
     reach = torch.hypot(pixels, pixels[:, None]) / half
     shape = filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
-    mask = cut(shape, draw.uniform(0.1, 0.5))
-    return in_bytes(ground + mask * (surface - ground), generator)
+    mask = shape_mask(shape, draw.uniform(0.1, 0.5))
+    return to_uint8(ground + mask * (surface - ground), generator)
 
 
-def cut(shape: Tensor, hidden: Tensor) -> Tensor:
+def shape_mask(shape: Tensor, hidden: Tensor) -> Tensor:
     """Return the mask (count, 1, size, size) of a shape without its lowest fraction `hidden` (count, 1, 1, 1)."""
     size = shape.shape[-1]
     rank = (hidden * (size * size - 1)).round().long()

@@ -14,7 +14,7 @@ _DEVIATIONS = 3.0  # standard deviations above the accuracy of guessing
 
 
 @torch.no_grad()
-def recognised(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -> str:
+def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -> str:
     """Return a sentence with the accuracy of a network on sharp images.
 
     Args:

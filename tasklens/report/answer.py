@@ -55,7 +55,7 @@ def draw(
 def _differences(axes: Axes, rows: pandas.DataFrame, elements: str) -> None:
     """Draw differences with their intervals, in the order of the rows, grey if undecided, and a line at zero."""
     for k, row in enumerate(rows.to_dict("records")):
-        colour = {words.FOR: _TASK, words.AGAINST: _OTHER}.get(words.judged(row, 0.0)[0], _NEUTRAL)
+        colour = {words.FOR: _TASK, words.AGAINST: _OTHER}.get(words.direction_and_certainty(row, 0.0)[0], _NEUTRAL)
         axes.plot([row["low"], row["high"]], [k, k], color=colour, linewidth=2)
         axes.plot(row["difference"], k, "D", color=colour, markersize=6)
     axes.axvline(0, color="black", linewidth=1)

@@ -10,7 +10,7 @@ from tasklens.optics.analysis.spots import clear_semi_diameters, evaluation_psf
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.report.figures import Panel, drawn, panel_of, save
+from tasklens.report.figures import Panel, figure_of, panel_of, save
 
 _RIM = 1.02  # radius of a surface without clear aperture, as a multiple of the radius that light uses
 _COLOURS = 3  # most wavelengths that a panel can show
@@ -23,7 +23,7 @@ def draw(path: Path, lenses: Mapping[str, tuple[Lens, View]], rays: int) -> None
 
 def figure(lenses: Mapping[str, tuple[Lens, View]], rays: int) -> Figure:
     """Return a figure of lenses (by title), one above the other."""
-    return drawn([_panel(title, *pair, rays) for title, pair in lenses.items()])
+    return figure_of([_panel(title, *pair, rays) for title, pair in lenses.items()])
 
 
 def _panel(title: str, lens: Lens, view: View, rays: int) -> Panel:

@@ -67,7 +67,7 @@ class Panel:
     narrowest_um: float = math.inf
 
     @property
-    def shown(self) -> dict[int, str]:
+    def field_names(self) -> dict[int, str]:
         """Names by index of the drawn fields: nearest to the axis, in the middle, and in the corner."""
         return shown_fields(self.view)
 
@@ -94,10 +94,10 @@ def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) 
 
 def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
     """Draw one lens, or several one above the other; write a file for each path, in the format of its suffix."""
-    save(drawn(panels), paths)
+    save(figure_of(panels), paths)
 
 
-def drawn(panels: Sequence[Panel]) -> Figure:
+def figure_of(panels: Sequence[Panel]) -> Figure:
     """Return the figure of one lens, or of several one above the other."""
     mm = min(float(panel.lens.thickness.sum()) for panel in panels)
     um = min(panel.view.kernel_size * panel.view.pixel_pitch for panel in panels)
@@ -140,7 +140,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
     draw_spots(right, panel)
     draw_psfs(middle, panel)
     fans, charts = bottom.subfigures(1, 2, width_ratios=(1.1, 1))
-    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, panel.shown)
+    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, panel.field_names)
     draw_curves(charts, panel)
     draw_by_field(foot, panel)
     figures = panel.figures
@@ -161,12 +161,12 @@ def section_svg(lens: Lens, view: View) -> str:
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the cross-section with rays."""
-    cross_section(part.subplots(), panel.lens, panel.view, panel.shown, panel.narrowest_mm)
+    cross_section(part.subplots(), panel.lens, panel.view, panel.field_names, panel.narrowest_mm)
 
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the spot diagrams of axis, middle and corner, with the circles of core and 80 %."""
-    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.shown, panel.narrowest_um)
+    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.field_names, panel.narrowest_um)
 
 
 def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
@@ -177,8 +177,8 @@ def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
 def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw MTF and encircled energy of axis, middle and corner."""
     mtf, energy = part.subplots(1, 2)
-    curves.mtf(mtf, panel.rays, panel.view, panel.figures, panel.shown)
-    curves.encircled(energy, panel.rays, panel.centre, panel.view, panel.shown)
+    curves.mtf(mtf, panel.rays, panel.view, panel.figures, panel.field_names)
+    curves.encircled(energy, panel.rays, panel.centre, panel.view, panel.field_names)
 
 
 def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
@@ -187,7 +187,7 @@ def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
     view, frequency = panel.view, panel.figures["nyquist_per_mm"] / 2
     along = along_field(panel.lens, view)
     curves.mtf_by_field(by_field, along, frequency)
-    curves.mtf_by_focus(by_focus, panel.rays, view, panel.figures, frequency, panel.shown)
+    curves.mtf_by_focus(by_focus, panel.rays, view, panel.figures, frequency, panel.field_names)
     curves.focus_by_field(curvature, along)
     curves.distortion_by_field(distortion, along)
 

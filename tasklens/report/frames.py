@@ -18,7 +18,7 @@ _DPI = 130
 
 
 @dataclass(frozen=True)
-class Answered:
+class ClassifiedImage:
     """A test image, and whether the network of each lens recognises it.
 
     Attributes:
@@ -31,7 +31,7 @@ class Answered:
     shown: Mapping[str, Tensor]
     correct: Mapping[str, bool]
 
-    def said(self, column: str) -> str:
+    def caption(self, column: str) -> str:
         """Return the words above the image of a column."""
         if column not in self.correct:
             return self.title
@@ -39,7 +39,7 @@ class Answered:
 
 
 def draw(
-    path: Path, title: str, frames: Mapping[str, Mapping[str, Tensor]], answered: Sequence[Answered], rule: str
+    path: Path, title: str, frames: Mapping[str, Mapping[str, Tensor]], answered: Sequence[ClassifiedImage], rule: str
 ) -> None:
     """Draw frames (3, H, W) by name and column with their patches, and single captures below them.
 
@@ -66,7 +66,7 @@ def draw(
             axes.spines[:].set_linewidth(2)
     for entry in answered:
         for axes, column in zip(next(parts).subplots(1, len(columns)), columns, strict=True):
-            _show(axes, entry.shown[column], f"{column}: {entry.said(column)}")
+            _show(axes, entry.shown[column], f"{column}: {entry.caption(column)}")
     figure.supxlabel(rule, fontsize=9)
     save(figure, [path], _DPI)
 

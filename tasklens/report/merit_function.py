@@ -62,7 +62,7 @@ def fit(modulation: numpy.ndarray, log_loss: numpy.ndarray) -> MeritFunction:
     return MeritFunction(numpy.array(weights), float(plus - minus + centre @ weights))
 
 
-def left_out(modulation: numpy.ndarray, log_loss: numpy.ndarray, lenses: numpy.ndarray) -> numpy.ndarray:
+def leave_one_out(modulation: numpy.ndarray, log_loss: numpy.ndarray, lenses: numpy.ndarray) -> numpy.ndarray:
     """Predict the logarithm of the loss (N,) of each lens by a fit without it."""
     predicted = numpy.empty_like(log_loss)
     for lens in numpy.unique(lenses):
@@ -98,7 +98,7 @@ def make(
         for name in contents.classifiers
     }
     fits = {name: fit(modulations, loss) for name, loss in losses.items()}
-    predicted = {name: left_out(modulations, loss, lenses) for name, loss in losses.items()}
+    predicted = {name: leave_one_out(modulations, loss, lenses) for name, loss in losses.items()}
     ranking = predicted[supervisor]
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
     note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)

@@ -91,10 +91,10 @@ def _interval(means: numpy.ndarray, images: int) -> tuple[float, float]:
     """
     if numpy.ptp(means) > _ROUNDING:
         return interval(means)
-    return float(means[0] - _most(images)), float(means[0] + _most(images))
+    return float(means[0] - _largest_undetected(images)), float(means[0] + _largest_undetected(images))
 
 
-def _most(images: int) -> float:
+def _largest_undetected(images: int) -> float:
     """Return the largest percentage of photographs that may differ from some that all agree, at 97.5 %."""
     return 100 * (1 - 0.025 ** (1 / images))
 
@@ -110,7 +110,8 @@ def _groups(means: numpy.ndarray, images: int) -> list[int]:
         if lenses > 1:
             least = studentized_range.isf(SIGNIFICANCE, lenses, math.inf) / math.sqrt(2)
             spread = behind.std(0)
-            less = (behind.mean(0) > numpy.where(spread > _ROUNDING, least * spread, _most(images))).nonzero()[0]
+            detectable = numpy.where(spread > _ROUNDING, least * spread, _largest_undetected(images))
+            less = (behind.mean(0) > detectable).nonzero()[0]
             end = first + 1 + less[0] if len(less) else end
         groups += [groups[-1] + 1 if groups else 1] * (end - first)
     return groups

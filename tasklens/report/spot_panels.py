@@ -20,7 +20,7 @@ _ROUND = (
     Line2D([], [], marker="o", mfc="none", mec="black", ms=9, lw=0, label="core: 50 % about the chief ray"),
     Line2D([], [], color="black", ls="--", lw=0.9, label="80 % about the chief ray"),
 )
-_LEAST_SAID = 5e-4  # smallest share of light that a label mentions
+_LEAST_LABELLED = 5e-4  # smallest share of light that a label mentions
 
 
 def spots(
@@ -73,9 +73,9 @@ def _um(value: float) -> str:
 def _outside(figures: Mapping, field: int) -> str:
     """Return the shares of the light outside the frame and lost in the lens, in words."""
     outside = 1 - figures["energy_in_window"][field]
-    text = f"{outside:.1%} of the light outside" if outside >= _LEAST_SAID else "all light inside"
+    text = f"{outside:.1%} of the light outside" if outside >= _LEAST_LABELLED else "all light inside"
     lost = 1 - figures["valid_fraction"][field]
-    return f"{text}, {lost:.1%} lost" if lost >= _LEAST_SAID else text
+    return f"{text}, {lost:.1%} lost" if lost >= _LEAST_LABELLED else text
 
 
 def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mapping, narrowest_um: float) -> None:
@@ -91,7 +91,7 @@ def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mappin
             axes.set(xticks=[], yticks=[])
         grid[0, column].set_title(f"{figures['angle_deg'][field]:.2g}°", fontsize=9)
         inside = figures["energy_in_window"][field]
-        grid[1, column].set_xlabel("all inside" if 1 - inside < _LEAST_SAID else f"{inside:.1%} inside", fontsize=8)
+        grid[1, column].set_xlabel("all inside" if 1 - inside < _LEAST_LABELLED else f"{inside:.1%} inside", fontsize=8)
     for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):
         axes.set_ylabel(label, fontsize=8)
     for axes in grid[:, -1]:

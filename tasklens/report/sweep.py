@@ -25,7 +25,7 @@ def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def beside(numbers: pandas.DataFrame) -> pandas.DataFrame:
+def side_by_side(numbers: pandas.DataFrame) -> pandas.DataFrame:
     """Return the accuracies as texts, with a row per row of a table, and a column per point."""
     accuracies = numbers[numbers["column"] == "accuracy"]
     texts = accuracies.assign(value=[headings.cell("accuracy", {"accuracy": v}, True) for v in accuracies["value"]])
@@ -37,4 +37,4 @@ def make(settings: SweepJob, tables: Sequence[Path], csv: Path, md: Path) -> Non
     """Write the table as CSV and Markdown; the files are those of `settings.tables`."""
     numbers = collect(settings, tables)
     note = _NOTE.format(study=settings.study)
-    publish(csv, md, "Sweep", numbers.drop(columns="point"), note, beside(numbers))
+    publish(csv, md, "Sweep", numbers.drop(columns="point"), note, side_by_side(numbers))

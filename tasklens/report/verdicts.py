@@ -133,7 +133,7 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
         observed = numpy.maximum(values[k].mean(0), least)
         by_seed = numpy.maximum(resampled[:, k * seeds : (k + 1) * seeds], least)
         means = bootstrap.resampled_over_seeds(by_seed, observed)
-        keys = (claim.table, claim.text, claim.lens, _named(baseline.values()), claim.classifier)
+        keys = (claim.table, claim.text, claim.lens, _baseline_text(baseline.values()), claim.classifier)
         difference = float(observed.mean())
         p_value = bootstrap.p_value(means, seeds, -claim.margin)
         by_sign = (float(numpy.median(observed)), int((observed > -claim.margin).sum()))
@@ -155,7 +155,7 @@ def compare(
     return collect(Claims(study="", claims=(claim,), seeds=tuple(seeds)), measurements).iloc[0]
 
 
-def _named(baselines: Iterable[str]) -> str:
+def _baseline_text(baselines: Iterable[str]) -> str:
     """Name the baseline of all seeds, or each baseline with its number of seeds, most frequent first."""
     counts = Counter(baselines)
     if len(counts) == 1:

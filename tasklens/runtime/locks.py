@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from filelock import FileLock, Timeout
 
-_SAID_S = 30.0  # time between two lines
+_REMINDER_S = 30.0  # time between two lines
 
 
 def acquire(lock: FileLock) -> bool:
@@ -26,10 +26,10 @@ def acquire(lock: FileLock) -> bool:
 
 def wait_until(ready: Callable[[], bool], what: str) -> None:
     """Wait until `ready`, called every second, returns true; print `what` at once and then every half minute."""
-    began, last = time.monotonic(), -_SAID_S
+    began, last = time.monotonic(), -_REMINDER_S
     while not ready():
         waited = time.monotonic() - began
-        if waited - last >= _SAID_S:
+        if waited - last >= _REMINDER_S:
             last = waited
             print(f"waiting for {what}, {waited:.0f} s", file=sys.stderr, flush=True)
         time.sleep(1.0)

@@ -46,7 +46,7 @@ def pitch_on_sensor(view: View, shape: tuple[int, int]) -> float:
     return view.pixel_pitch if 1 <= filling / view.pixel_pitch <= 1 + _NOMINAL else filling
 
 
-class _Map:
+class _FieldMap:
     """Map from distance to the sensor centre to field: as in a pinhole camera, or with the distortion of the lens.
 
     Args:
@@ -128,7 +128,7 @@ def trace_sensor_psfs(
     if lens.pose is not None:
         raise InputError("lens with shifted or tilted surfaces: expected a rotationally symmetric one")
     half = [(pixels - 1) / 2 for pixels in shape]
-    field_map = _Map(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
+    field_map = _FieldMap(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
     y, x = _nodes(lens, view, half, pixel_pitch, field_map)
     pupil = sobol_disc(rays, seed=0)
     halo_size = 2 * min(_HALO // 2, min(shape) // _HALO_PIXEL) + 1
@@ -175,7 +175,7 @@ def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_siz
     return core.float(), (psf(halo_rays, centre, pitch * _HALO_PIXEL, halo_size) / transmission).float()
 
 
-def _nodes(lens: Lens, view: View, half: list[float], pitch: float, field_map: _Map) -> list[Tensor]:
+def _nodes(lens: Lens, view: View, half: list[float], pitch: float, field_map: _FieldMap) -> list[Tensor]:
     """Return the distances of the nodes from the centre [pixels], along y and along x."""
     radius = field_map.heights * (1e3 / pitch)
     radial = along_y(view, field_map.fields.detach())

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from tasklens.study.design_settings import DesignSettings
-from tasklens.study.layers import laid_over
+from tasklens.study.layers import merged_settings
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, Frozen
@@ -55,7 +55,7 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
         elements=base.elements,
         plastics=base.plastics,
         design_name=design_name,
-        design=_DESIGN.validate_python(laid_over(base.design.model_dump(), changes)),
+        design=_DESIGN.validate_python(merged_settings(base.design.model_dump(), changes)),
         capture=None if other is None else CaptureSettings.model_validate(capture.model_dump() | other),
     )
 

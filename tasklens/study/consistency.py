@@ -132,11 +132,11 @@ def _check_lenses(study: Study) -> None:
                 f"{where}.kernel_size: half of {spec.kernel_size} must be less than tasks.scenes.size = "
                 f"{study.tasks.scenes.size}, since borders are reflected"
             )
-    for where, lens in places(study):
+    for where, lens in lenses_with_keys(study):
         _check_design(study, where, lens)
 
 
-def places(study: Study) -> list[tuple[str, LensEntry]]:
+def lenses_with_keys(study: Study) -> list[tuple[str, LensEntry]]:
     """Return all lenses and variants, each with the key of its design."""
     entries = [(f"designs.{lens.design_name}", lens) for lens in study.lenses.values()]
     for name, item in study.ablations.items():

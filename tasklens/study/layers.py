@@ -6,7 +6,7 @@ from typing import Any
 from tasklens.runtime.errors import InputError
 
 
-def laid_over(below: Mapping[str, Any], above: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+def merged_settings(below: Mapping[str, Any], above: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     """Return one mapping laid over another as Snakemake does it: mappings key by key, all else replaced.
 
     A mapping whose keys are the numbers of entries of a list below, such as {"0": {"steps": 200}}, changes these.
@@ -23,14 +23,14 @@ def laid_over(below: Mapping[str, Any], above: Mapping[str, Any], where: str = "
         if isinstance(under, list | tuple) and isinstance(value, Mapping) and _numbers(value):
             if missing := [number for number in value if int(number) >= len(under)]:
                 raise InputError(f"{where}{key}.{missing[0]}: there is no such entry; expected 0 to {len(under) - 1}")
-            entries = laid_over(
+            entries = merged_settings(
                 {str(k): entry for k, entry in enumerate(under)},
                 {str(k): v for k, v in value.items()},
                 f"{where}{key}.",
             )
             merged[key] = list(entries.values())
         elif isinstance(under, Mapping) and isinstance(value, Mapping):
-            merged[key] = laid_over(under, value, f"{where}{key}.")
+            merged[key] = merged_settings(under, value, f"{where}{key}.")
         else:
             merged[key] = value
     return merged

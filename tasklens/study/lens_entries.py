@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, FilePath, field_validator
 
-from tasklens.materials.catalogues import beside
+from tasklens.materials.catalogues import catalogues_in_folder
 from tasklens.materials.material import Material
 from tasklens.study.design_settings import (
     DescentSettings,
@@ -39,7 +39,7 @@ class ImportedLens(Frozen):
     @property
     def sources(self) -> tuple[Path, ...]:
         """The file, and its catalogues, also those in the folder of a Zemax file, which it may name."""
-        own = beside(self.file) if self.file.suffix.lower() == ".zmx" else []
+        own = catalogues_in_folder(self.file) if self.file.suffix.lower() == ".zmx" else []
         return tuple(dict.fromkeys([self.file, *own, *self.catalogues]))
 
     @field_validator("file")

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
-from tasklens.study.layers import laid_over
+from tasklens.study.layers import merged_settings
 from tasklens.study.messages import missing_keys, problems
 from tasklens.study.quantities import Name
 from tasklens.study.study import Study, StudyError
@@ -35,7 +35,7 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     """
     name = f"{', '.join(map(str, files))}: " if files else ""
     if len(files) > 1 or "extends" in config:
-        config = without_null(extended(config, files[-1].parent if files else Path()))
+        config = without_null(with_base_study(config, files[-1].parent if files else Path()))
     try:
         study = Study.model_validate(dict(config))
         consistency.check(study)
@@ -87,7 +87,7 @@ def _check_plain(value: Any, where: str) -> None:
         raise ValueError(f"{where} = {value!s}: expected a number, text, true, false or null; write text in quotes")
 
 
-def extended(config: Mapping, folder: Path) -> dict[str, Any]:
+def with_base_study(config: Mapping, folder: Path) -> dict[str, Any]:
     """Lay the keys of a study over those of the study that it extends, which may extend another one.
 
     Args:
@@ -110,7 +110,7 @@ def extended(config: Mapping, folder: Path) -> dict[str, Any]:
         path = file_of(name, folder)
         below.append(dict(read(path)))
         folder = path.parent
-    return reduce(laid_over, reversed(below))
+    return reduce(merged_settings, reversed(below))
 
 
 def configfile(name: str | None) -> Path:
@@ -159,7 +159,7 @@ def read(path: str | Path) -> Mapping:
 
 def load(*paths: str | Path) -> Study:
     """Read a study from YAML files, each laid over the ones before it; raises StudyError as `read` and `parse` do."""
-    return parse(reduce(laid_over, map(read, paths)), [Path(path) for path in paths])
+    return parse(reduce(merged_settings, map(read, paths)), [Path(path) for path in paths])
 
 
 def at_points(study: Study) -> list[Study]:
@@ -178,7 +178,8 @@ def at_points(study: Study) -> list[Study]:
     for name, point in points(study.sweep).items():
         content = common | {"name": f"{study.name}/{name}"}
         for key, value in point.items():
-            content = laid_over(content, reduce(lambda nested, part: {part: nested}, reversed(key.split(".")), value))
+            nested = reduce(lambda inner, part: {part: inner}, reversed(key.split(".")), value)
+            content = merged_settings(content, nested)
         try:
             studies.append(parse(content))
         except StudyError as error:

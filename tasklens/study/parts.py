@@ -18,7 +18,7 @@ def parts(study: Study) -> list[Study]:
     return [_part(study, names[:count]) for count in range(1, len(names))]
 
 
-def owner(name: str) -> str:
+def whole_study_name(name: str) -> str:
     """Return the name of the study whose lenses and networks a study uses: its own, unless it is a part."""
     return name.partition(_SEPARATOR)[0]
 

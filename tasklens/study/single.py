@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from tasklens.runtime.errors import InputError
-from tasklens.study.layers import laid_over
+from tasklens.study.layers import merged_settings
 from tasklens.study.loading import parse
 from tasklens.study.study import Study
 
@@ -56,7 +56,7 @@ def study(
     """
     if method not in methods():
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
-    design = laid_over(methods()[method], settings)
+    design = merged_settings(methods()[method], settings)
     designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
     kernel_size = spec.get("kernel_size")
     side = max(_SIDE, kernel_size + 1 if isinstance(kernel_size, int) else 0)
@@ -77,7 +77,7 @@ def study(
     result = parse(content)
     if baselines:
         last = designs.pop(method)
-        others = {criterion: _by(criterion, last) for criterion in baselines}
+        others = {criterion: _with_criterion(criterion, last) for criterion in baselines}
         result = parse(content | {"designs": designs | others | {method: last}})
     given, classified = classifier is not None or network_given, any(lens.classified for lens in result.lenses.values())
     if classified and not given:
@@ -89,7 +89,7 @@ def study(
     return result
 
 
-def _by(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _with_criterion(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return a design by another criterion, with the same start, steps and images."""
     network_keys = ("criterion", "network_learning_rate", "temperature", "batch_norm", "task")
     descents = [{k: v for k, v in descent.items() if k not in network_keys} for descent in settings["descents"]]

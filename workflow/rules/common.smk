@@ -12,7 +12,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
 from tasklens.study.lens_entries import ImportedLens
-from tasklens.study.parts import owner, parts
+from tasklens.study.parts import parts, whole_study_name
 from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError
 
@@ -49,7 +49,7 @@ def study_named(name):
     """Return the study of this name: that of the configuration, one in a folder of studies, a point or a part of these."""
     studies = {study.name: study for study in (STUDY, *POINTS)}
     if name not in studies:
-        whole = studies.get(owner(name)) or study_in_folder(name.partition("/")[0])
+        whole = studies.get(whole_study_name(name)) or study_in_folder(name.partition("/")[0])
         studies |= {study.name: study for study in (whole, *loading.at_points(whole), *parts(whole))}
     if name not in studies:
         raise StudyError(f"{name}: the sweep has no such point; expected one of {', '.join(studies)}")
@@ -109,7 +109,7 @@ def paths(pattern, study, keys=((),), **fixed):
     """
     order = [name for name in ("lens", "measured_name", "task", "seed") if f"{{{name}}}" in pattern]
     wildcards = [name for name in order if name not in fixed]
-    name = owner(study.name) if order else study.name
+    name = whole_study_name(study.name) if order else study.name
     return [pattern.format(study=name, **fixed, **dict(zip(wildcards, key, strict=True))) for key in keys]
 
 
@@ -126,7 +126,7 @@ def early(rank=0):
     """Return a priority: jobs of table 1 of the first element counts come first, and among them those of greater rank."""
 
     def priority(wildcards):
-        study = study_named(owner(study_of(wildcards).name))
+        study = study_named(whole_study_name(study_of(wildcards).name))
         first = len(study.elements) + rank
         if study.name != wildcards.get("study", STUDY.name):  # a part
             return first

@@ -120,7 +120,7 @@ rule frames:
 rule captures:
     """Simulate captures of some test images through every lens of the first seed; classify them with each network."""
     input:
-        test=lambda w: [path.format(study=owner(w.study)) for path in TEST],
+        test=lambda w: [path.format(study=whole_study_name(w.study)) for path in TEST],
         psfs=lambda w: psf_files(
             study_of(w), [(lens, study_of(w).seeds[0]) for lens in report_jobs.CapturesJob.of(study_of(w)).captures]
         ),

@@ -91,7 +91,7 @@ onstart:
         if results[name].otherwise:
             amount = changes.amount(results[name].otherwise, durations_in(name), cores)
             print(f"Changed code or input files: {amount}")
-        if name != owner(name):
+        if name != whole_study_name(name):
             continue  # pages of parts take only seconds
         print(durations_in(name).forecast([job.rule for job in jobs.values()], cores))
         files.write_if_changed(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for readers

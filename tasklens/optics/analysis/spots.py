@@ -47,7 +47,7 @@ def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, Rays, list[Rays]]:
     return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference,)))
 
 
-def lit(lens: Lens, view: View) -> Tensor:
+def has_light(lens: Lens, view: View) -> Tensor:
     """Return for each field (F,) whether any light of the reference wavelength arrives."""
     return trace_fields(lens, view.in_reference(), sobol_disc(_LIGHT, seed=0)).valid.any(-1).any(-1)
 

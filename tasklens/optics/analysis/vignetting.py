@@ -34,7 +34,7 @@ def heights_at(lens: Lens, view: View, pupil: Tensor, surface: int) -> Tensor:
     return torch.where(rays.lost_at < 0, torch.hypot(rays.x, rays.y), torch.inf)
 
 
-def clip(lens: Lens, view: View, surface: int, loss: float) -> Lens:
+def with_vignetting_aperture(lens: Lens, view: View, surface: int, loss: float) -> Lens:
     """Return the lens with the smallest clear aperture of a surface that stops at most `loss` of any field."""
     heights = heights_at(lens, view, torch.cat([sobol_disc(_RAYS, seed=0), OUTLINE]), surface)
     weight = torch.full((_RAYS,), 1 / _RAYS, dtype=heights.dtype)

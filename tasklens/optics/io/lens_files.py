@@ -13,7 +13,7 @@ from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_object, check_stop, rim
-from tasklens.optics.analysis.spots import chief_rays, lit, trace_fields
+from tasklens.optics.analysis.spots import chief_rays, has_light, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
@@ -96,7 +96,7 @@ def read(
             lens_file = derived(source, changes, wavelengths, 1 / distance)
         if lens_file.view.object_vergence:
             check_object(lens_file.lens, lens_file.view)
-        return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_dark(lens_file)))
+        return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_light_remarks(lens_file)))
     except FileError:
         raise
     except InputError as error:
@@ -248,11 +248,11 @@ def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, 
     return (*others[:middle], wavelengths[primary], *others[middle:])
 
 
-def _dark(lens_file: LensFile) -> list[str]:
+def _light_remarks(lens_file: LensFile) -> list[str]:
     """Return remarks on fields whose chief ray, or all of whose light, does not arrive, and on light lost on axis."""
     view = lens_file.view.in_reference()
     chief = chief_rays(lens_file.lens, view).valid[:, 0, 0]
-    light = lit(lens_file.lens, view)
+    light = has_light(lens_file.lens, view)
     remarks = []
     on_axis = replace(view, fields=torch.zeros_like(view.fields[:1]))
     beam = trace_fields(lens_file.lens, on_axis, rim(_RIM))

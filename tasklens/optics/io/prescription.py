@@ -146,7 +146,7 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
     )
     comments = tuple(str(surface.get("comment", "")) for surface in surfaces)
     title = str(content.get("title", ""))
-    return Prescription(lens, title, comments if any(comments) else None, **_use(content, name))
+    return Prescription(lens, title, comments if any(comments) else None, **_system_data(content, name))
 
 
 def check_order(media: Sequence[Material], thickness: Sequence[float], where: str, first: int = 0) -> None:
@@ -209,7 +209,7 @@ def _surface(surface: object, where: str) -> dict:
     return numbers
 
 
-def _use(content: Mapping, name: str) -> dict:
+def _system_data(content: Mapping, name: str) -> dict:
     """Read aperture, fields, wavelengths and object distance if present."""
     values: dict = {}
     for key, kinds in (("aperture", APERTURES), ("fields", FIELDS)):
@@ -250,7 +250,7 @@ def read(path: Path) -> tuple[Prescription, dict]:
     return from_dict(content, str(path)), content
 
 
-def with_use(prescription: Prescription, view: View) -> Prescription:
+def with_system_data(prescription: Prescription, view: View) -> Prescription:
     """Add the fields [degrees], wavelengths and object distance of `view` to a prescription that lacks them."""
     angles = torch.rad2deg(torch.atan(view.tangents)).tolist()
     changes: dict[str, Any] = {}

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tasklens.materials.catalogues import beside, write_agf
+from tasklens.materials.catalogues import catalogues_in_folder, write_agf
 from tasklens.materials.library import Library
 from tasklens.materials.zemax_text import Line, decimal, read_lines
 from tasklens.optics.analysis.paraxial import paraxial
@@ -125,7 +125,7 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
 def _library(path: Path, system: dict[str, Line], catalogues: Sequence[Path]) -> Library:
     """Return the glasses of the catalogues that a lens file lists, and of the user's catalogues; raises FileError."""
     names = system["GCAT"].text.upper().split() if "GCAT" in system else []
-    own = [file for file in beside(path) if file.stem.upper() in names]
+    own = [file for file in catalogues_in_folder(path) if file.stem.upper() in names]
     library = Library([*own, *catalogues], names)
     library.check()  # an error in a user's catalogue counts even if no glass of it is needed
     return library

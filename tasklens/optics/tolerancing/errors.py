@@ -111,7 +111,7 @@ def draw(error_list: Sequence[Error], count: int, seed: int) -> Tensor:
     return torch.erfinv((2 * uniform - 1) * _QUANTILE) / math.sqrt(2)
 
 
-def built(lens: Lens, error_list: Sequence[Error], fractions: Tensor, reference: float) -> Lens:
+def with_errors(lens: Lens, error_list: Sequence[Error], fractions: Tensor, reference: float) -> Lens:
     """Return the lens with errors, differentiable in the lens and in the errors.
 
     Args:

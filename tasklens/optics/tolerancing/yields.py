@@ -12,7 +12,7 @@ from tasklens.optics.analysis.spots import centroid, clear_semi_diameters, rms_s
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation, focus
-from tasklens.optics.tolerancing.errors import Error, built, draw, errors
+from tasklens.optics.tolerancing.errors import Error, draw, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
@@ -96,7 +96,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
 
 
 def _assembled(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
-    return focus.focused(built(lens, error_list, fractions, view.reference), view, peak)[0]
+    return focus.focused(with_errors(lens, error_list, fractions, view.reference), view, peak)[0]
 
 
 def _quality(lens: Lens, view: View) -> Quality:

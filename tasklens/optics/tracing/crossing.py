@@ -49,8 +49,8 @@ _MISSED = int(RayStatus.MISSED)
 
 
 @inlined
-def intersect(s, surface, polynomials, slopes, fate):
-    """Fill the row T with the distances to the surface; mark rays that miss it in `fate`, with distance 0.
+def intersect(s, surface, polynomials, slopes, lost_status):
+    """Fill the row T with the distances to the surface; mark rays that miss it in `lost_status`, with distance 0.
 
     `slopes` is a profile of slopes, filled on demand. Returns the number of rays that miss the surface.
     """
@@ -69,7 +69,7 @@ def intersect(s, surface, polynomials, slopes, fate):
                 continue
         t = first_crossing(s[X + i], s[Y + i], s[Z + i], s[L + i], s[M + i], n, surface, polynomials[VALUES])
         if math.isnan(t):
-            fate[i] = _MISSED
+            lost_status[i] = _MISSED
             missed += 1
             t = 0.0
         s[T + i] = t

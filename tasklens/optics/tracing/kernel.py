@@ -56,7 +56,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
     """
     surfaces, polynomials, indices, posed, rotations, positions = lens
     s = numpy.zeros(ROWS * BLOCK, start.dtype)
-    colours, fate = numpy.zeros(BLOCK + 1, numpy.int64), numpy.zeros(BLOCK, numpy.int8)
+    colours, lost_status = numpy.zeros(BLOCK + 1, numpy.int64), numpy.zeros(BLOCK, numpy.int8)
     slopes = numpy.zeros((len(surfaces), PROFILE))
     for block in range(first, last, BLOCK):
         size = min(BLOCK, last - block)
@@ -73,7 +73,7 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
             fill_media(s, colours, indices[k], indices[k + 1])
             if posed[k]:
                 into_pose(s, rotations[k], positions[k])
-            lost = intersect(s, surface, polynomials[k], slopes[k], fate)
+            lost = intersect(s, surface, polynomials[k], slopes[k], lost_status)
             for i in range(size):
                 distances[k, block + i] = s[T + i]
             to_surface(s)
@@ -82,12 +82,12 @@ def trace(first, last, start, count, lens, image, status, lost_at, distances, re
             propagate(s, s, posed[k], rotations[k], positions[k], surface.dtype.type(0))
             if lost > 0:
                 for i in range(size):
-                    if fate[i] == 0 and s[PASSES + i] < 0:
-                        fate[i] = _VIGNETTED
-                    elif fate[i] == 0 and s[GOES_ON + i] < 0:
-                        fate[i] = _REFLECTED
-                    if fate[i] > 0:
-                        status[block + i], lost_at[block + i], fate[i] = fate[i], k, 0
+                    if lost_status[i] == 0 and s[PASSES + i] < 0:
+                        lost_status[i] = _VIGNETTED
+                    elif lost_status[i] == 0 and s[GOES_ON + i] < 0:
+                        lost_status[i] = _REFLECTED
+                    if lost_status[i] > 0:
+                        status[block + i], lost_at[block + i], lost_status[i] = lost_status[i], k, 0
                         _lose(s, i, block + i, image)
             if len(record) > 0:
                 for i in range(size):

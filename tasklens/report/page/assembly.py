@@ -81,8 +81,8 @@ def make(
         tables=dict(zip(settings.tables, table_files, strict=True)),
         by_seed=dict(zip(settings.tables, seeds_files, strict=True)),
         others={"verdicts": verdicts, "psf_tail": psf_tail, "effort": effort},
-        asked=[*_named(optional)],
-        optional={name: path for name, path in _named(optional).items() if path.exists()},
+        optional_names=[*_by_stem(optional)],
+        optional={name: path for name, path in _by_stem(optional).items() if path.exists()},
         drawn={path.stem: path for path in drawn if path.exists()},
         provenance=provenance,
         lenses=by_lens(lenses),
@@ -126,7 +126,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "answers": words.answers(frames["verdicts"], elements, settings.questions, settings.margins),
         "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
         "convergence": words.convergence(_optima(settings, files)),
-        "optional": [name for name in files.asked if name not in frames],
+        "optional": [name for name in files.optional_names if name not in frames],
         "tables": [_table(name, frames[name]) for name in settings.tables],
         "verdicts": _table("verdicts", frames["verdicts"]),
         "more": [_table(name, frames[name]) for name in ("psf_tail", "effort")],
@@ -138,7 +138,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "by_field": _by_field(elements, by_seed),
         "comparisons": _comparisons(frames),
         "gallery": gallery.entries(settings, files, table1),
-        "captures": captures.shown(files.captures, files.answers, settings.supervisor),
+        "captures": captures.read(files.captures, files.answers, settings.supervisor),
         "histories": _histories(settings, files),
         "time": tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,
         "machine": machine.facts(files.provenance),
@@ -182,7 +182,7 @@ def _of_earlier_lenses(path: Path, files: PageFiles) -> str:
     return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
 
 
-def _named(paths: Sequence[Path]) -> dict[str, Path]:
+def _by_stem(paths: Sequence[Path]) -> dict[str, Path]:
     return {path.stem.replace("-", "_"): path for path in paths}
 
 

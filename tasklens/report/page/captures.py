@@ -33,7 +33,7 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ImageCaptures:
     """A test image: its number and label, its sharp tile, and its captures by (lens, whether restored)."""
 
     image: int
@@ -42,7 +42,7 @@ class Shown:
     captures: dict[tuple[str, bool], list[Tile]]
 
 
-def shown(captures_file: Path, answers_file: Path, supervisor: str) -> list[Shown]:
+def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[ImageCaptures]:
     """Read captures and answers; the answers of the supervisor come first."""
     arrays = load_file(captures_file)
     texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
@@ -59,7 +59,7 @@ def shown(captures_file: Path, answers_file: Path, supervisor: str) -> list[Show
                 for k, (field, of_field) in enumerate(rows.groupby("field", sort=False))
             ]
         (sharp,) = captures.pop((SHARP, False))
-        entries.append(Shown(image, label, sharp, captures))
+        entries.append(ImageCaptures(image, label, sharp, captures))
     return entries
 
 

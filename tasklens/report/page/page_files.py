@@ -11,7 +11,7 @@ class PageFiles:
 
     Attributes:
         by_seed: rows of the tables by seed.
-        asked: names of all optional tables.
+        optional_names: names of all optional tables.
         optional, drawn: optional tables and figures that exist.
         pictures: drawings by name (section, spots, psfs, curves) and lens.
     """
@@ -19,7 +19,7 @@ class PageFiles:
     tables: Mapping[str, Path]
     by_seed: Mapping[str, Path]
     others: Mapping[str, Path]
-    asked: Sequence[str]
+    optional_names: Sequence[str]
     optional: Mapping[str, Path]
     drawn: Mapping[str, Path]
     provenance: Sequence[Path]

@@ -25,7 +25,7 @@ class Sentence:
     direction: str = ""
 
 
-def judged(row: Mapping[Any, Any], margin: float) -> tuple[str, str]:
+def direction_and_certainty(row: Mapping[Any, Any], margin: float) -> tuple[str, str]:
     """Return the direction of a verdict (for or against) and its certainty (shown or suggested); or UNDECIDED twice.
 
     Args:
@@ -83,7 +83,7 @@ def _gains(verdicts: pandas.DataFrame, settings: ReportJob) -> Sentence | None:
         parts = []
         for elements, lens in first.items():
             row = claims.loc[lens].to_dict()
-            certainty = judged(row, settings.margins.get(text, 0.0))[1]
+            certainty = direction_and_certainty(row, settings.margins.get(text, 0.0))[1]
             design, baseline = (str(name).replace(f"{elements}-", "") for name in (lens, row["baseline"]))
             parts.append(f"{elements} {design} {_points(row)} compared with {baseline}, {certainty}")
         if parts:
@@ -124,7 +124,7 @@ def tallies(verdicts: pandas.DataFrame, claims: Iterable[PaperClaim], margins: M
     counted = []
     for claim in claims:
         rows = verdicts[(verdicts["table"] == claim.table) & verdicts["claim"].isin(claim.texts)].to_dict("records")
-        directions = Counter(judged(row, margins.get(row["claim"], 0.0))[0] for row in rows)
+        directions = Counter(direction_and_certainty(row, margins.get(row["claim"], 0.0))[0] for row in rows)
         if rows:
             counted.append(Tally(claim.sentence, claim.of_the_paper, directions))
     return counted
@@ -161,7 +161,7 @@ def answers(
 
 def comparison(row: Mapping[Any, Any], margin: float) -> Sentence:
     """Express the verdict on a lens and its baseline as a sentence."""
-    direction, certainty = judged(row, margin)
+    direction, certainty = direction_and_certainty(row, margin)
     lens, baseline = row["lens"].partition("-")[2], row["baseline"]
     same = f"{row['lens'].partition('-')[0]}-"
     baseline = ", ".join(part.strip().removeprefix(same) for part in str(baseline).split(","))
