@@ -70,7 +70,9 @@ def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
 def test_section_and_curves_have_legends_and_a_scale_bar(panel):
     section, curves = draw(figures.draw_section, panel), draw(figures.draw_curves, panel)
     labels = legend_of(section)
-    assert "stop" in labels and all(any(text.startswith(name) for text in labels) for name in panel.field_names.values())
+    assert "stop" in labels and all(
+        any(text.startswith(name) for text in labels) for name in panel.field_names.values()
+    )
     assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
     labels = legend_of(curves)
     assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(labels)

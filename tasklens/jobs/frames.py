@@ -15,8 +15,8 @@ from tasklens.optics.view import View
 from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import frames, predictions
+from tasklens.simulation.blend import capture
 from tasklens.simulation.charts import resolution_chart
-from tasklens.simulation.sensor import capture
 from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.study.report_jobs import FramesJob
 from tasklens.study.settings import CaptureSettings

@@ -102,14 +102,16 @@ def simulate_sensor(
     Example:
         >>> capture = tasklens.simulate_sensor("cat.jpg", lens, view)  # 1080 x 1920: a quarter of a minute
     """
-    from tasklens.simulation import sensor
+    from tasklens.simulation.blend import capture
+    from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
     check_choices(colour)
     if pixel_pitch_um is not None and not pixel_pitch_um > 0:
         raise InputError(f"pixel_pitch_um: expected a positive width, got {pixel_pitch_um}")
-    return sensor.simulate(
-        lens, view.in_colours(), image_tensor(image), pixel_pitch_um, rays, colour, distortion, illumination
-    )
+    source, view = image_tensor(image), view.in_colours()
+    shape = (source.shape[1], source.shape[2])
+    pitch = pixel_pitch_um or pitch_on_sensor(view, shape)
+    return capture(source, trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination), colour)
 
 
 def check_light(lens: Lens, view: View) -> None:

@@ -15,7 +15,7 @@ windows returns as a uniform veil. A capture therefore has the same total light 
 
 from dataclasses import dataclass
 from itertools import groupby
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -58,6 +58,13 @@ class SensorPsfs:
         """Largest distance [pixels] of light beyond the frame."""
         halo = 0 if self.halo is None else self.halo_pixel * (self.halo.shape[-1] // 2)
         return max(halo, self.core.shape[-1] // 2)
+
+
+def capture(image: Tensor, psfs: SensorPsfs, colour: Literal["srgb", "linear"] = "srgb") -> Tensor:
+    """Capture an image (3, H, W) of sRGB values with traced PSFs; differentiable in both."""
+    if colour == "linear":
+        return linear_rgb_to_rgb(blend(rgb_to_linear_rgb(image), psfs))
+    return blend(image, psfs, linear=False)
 
 
 def blend(image: Tensor, psfs: SensorPsfs, linear: bool = True) -> Tensor:
