@@ -34,7 +34,11 @@ def spot_lens(start):
 
 # The longest tests, with which two processes begin: otherwise the last of them would leave one process idle.
 LONGEST = (
+    "test_docs.py",
+    "test_ranking.py",
+    "test_examples.py",
     "test_workflow_runs.py",
+    "test_finished.py",
     "test_structure.py",
     "test_checkpoints.py",
     "test_cli.py",

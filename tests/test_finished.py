@@ -22,7 +22,7 @@ from tasklens.study.names import split
 from tasklens.study.study import TABLES
 from tasklens.study.tables import verification
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("finished")]  # one process makes the study
+pytestmark = pytest.mark.slow
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
 STUDY = parse(TINY)
 

@@ -23,7 +23,6 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_tensors
 from tasklens.study.settings import TrainingSettings
 
-pytestmark = pytest.mark.xdist_group("ranking")  # one process trains the network
 TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
 
 

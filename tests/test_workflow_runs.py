@@ -23,11 +23,6 @@ def one_lens() -> dict:
 STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
 
 
-def of_one_run(test):
-    """Mark a slow test of the finished run, which one process of pytest makes."""
-    return pytest.mark.slow(pytest.mark.xdist_group("workflow_runs")(test))
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """Table 1 of one lens, from a real run."""
@@ -41,7 +36,7 @@ def finished(tmp_path_factory):
     return folder
 
 
-@of_one_run
+@pytest.mark.slow
 def test_a_finished_table_has_nothing_to_be_done(finished):
     """The run wrote the study with every default, the table, and is complete."""
     assert load(finished / "results/tiny/study.yaml") == parse(one_lens())
@@ -50,7 +45,7 @@ def test_a_finished_table_has_nothing_to_be_done(finished):
     assert plan(finished, one_lens(), "table1") == {}
 
 
-@of_one_run
+@pytest.mark.slow
 def test_durations_of_finished_jobs_are_known(finished):
     """A benchmark file for every job, from which the next forecast, time limits and memory are made."""
     files = sorted((finished / "results/tiny/benchmarks").rglob("*.tsv"))
@@ -64,7 +59,7 @@ def test_durations_of_finished_jobs_are_known(finished):
     assert f"runtime={durations.limit_minutes('design')}," in output
 
 
-@of_one_run
+@pytest.mark.slow
 def test_a_dry_run_changes_nothing(finished):
     """Planning another value must not change the study that a run in progress reads."""
     before = (finished / "results/tiny/study.yaml").read_text()
@@ -72,7 +67,7 @@ def test_a_dry_run_changes_nothing(finished):
     assert (finished / "results/tiny/study.yaml").read_text() == before
 
 
-@of_one_run
+@pytest.mark.slow
 def test_finished_results_are_not_overwritten_without_consent(finished):
     """A dry run asks too; a further seed needs no consent; no file changes, and the last run's state stays."""
     faster = changed(one_lens(), "spec.f_number", 2.0)
@@ -95,7 +90,7 @@ def test_finished_results_are_not_overwritten_without_consent(finished):
     assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(paths)
 
 
-@of_one_run
+@pytest.mark.slow
 def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     """No job is left to plan; with another value, the plan has the reruns; `status` has the last run's jobs."""
     monkeypatch.chdir(finished)
@@ -112,7 +107,7 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     assert "6 of 6 jobs done" in capsys.readouterr().out
 
 
-@of_one_run
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "key, value, rerun",
     [
