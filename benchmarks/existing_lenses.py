@@ -56,12 +56,12 @@ _BINS = 1000  # of Optiland's line spread function
 class Case:
     """A lens of the reference data at the d line, without clear apertures, and its numbers in the file.
 
-        Attributes:
-            path: its JSON file.
-    content: content of that file.
-            lens: the lens.
-            view: the fields `FRACTIONS`, along +y.
-            optiland: our lens in Optiland, and its fields; None without it.
+    Attributes:
+        path: its JSON file.
+        content: content of that file.
+        lens: the lens.
+        view: the fields `FRACTIONS`, along +y.
+        optiland: our lens in Optiland, and its fields; None without it.
     """
 
     path: Path
@@ -123,7 +123,7 @@ def vertex_planes_inside(lens: Lens, view: View, rays: Rays) -> Tensor:
     """Return True for rays that cross each vertex plane at a point where the sag of the surface is real.
 
     The program behind the files' reference starts its iteration there; it loses all other rays, even if they meet
-        the surface.
+    the surface.
     """
     _, behind_each = trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
     inside = torch.ones_like(rays.valid)
