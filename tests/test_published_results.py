@@ -197,7 +197,7 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
     keys = ["fields", "step"]
     fresh, both = (decomposition.rows(s).drop_duplicates(keys).set_index(keys) for s in ("fresh", "both"))
     pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
-    step = ("all fields", "task, from quality")
+    step = ("all fields", "task, from an image-quality lens")
     first, second = (
         decomposition.rows_of_file("", path).drop_duplicates(keys).set_index(keys).loc[step, "difference"]
         for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))

@@ -1,6 +1,6 @@
 """Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...] [--check]`.
 
-From least squares to squared error or PSNR, to correlation, to correlation with a heavier corner: accuracy of each step
+From least squares to squared error or PSNR, to image correlation, to the same with a heavier weight of the corner: accuracy of each step
 and its difference from the step before. Then four kinds of task-driven design, each compared with the best lens for
 image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as
 one study, with Student's interval over its points, and p-values of the task-driven kinds after Holm's correction. There
@@ -31,10 +31,10 @@ FOLDER = Path(__file__).parent
 STEPS = {  # designs of each step; of several, the one with the best minival accuracy in each seed
     "least squares": ("imaging2", "imaging3", "imaging_vignetted"),
     "squared error or PSNR": ("image_psnr", "image_error"),
-    "correlation": ("image_correlation",),
-    "correlation, heavy corner": ("image_corner",),
+    "image correlation": ("image_correlation",),
+    "image correlation, corner weighted": ("image_corner",),
     "task, from flat plates": ("tasklens",),
-    "task, from quality": ("tasklens_from_quality",),
+    "task, from an image-quality lens": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
     "task, from flat plates, then jointly": ("tasklens_joint_from_flat",),
 }
