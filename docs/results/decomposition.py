@@ -1,14 +1,15 @@
 """Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...] [--check]`.
 
-From least squares to squared error or PSNR, to image correlation, to the same with a heavier weight of the corner: accuracy of each step
-and its difference from the step before. Then four kinds of task-driven design, each compared with the best lens for
-image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over `images.seed` counts as
-one study, with Student's interval over its points, and p-values of the task-driven kinds after Holm's correction. There
-are also the differences without the corner field, and the lowest and highest difference without one of the fields.
+From least squares to squared error or PSNR, to image correlation, to the same with a heavier weight of the corner:
+accuracy of each step and its difference from the step before. Then four kinds of task-driven design, each compared with
+the best lens for image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over
+`images.seed` counts as one study, with Student's interval over its points, and p-values of the task-driven kinds after
+Holm's correction. There are also the differences without the corner field, and the lowest and highest difference
+without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
-networks, and decomposition.svg, of the network that supervised the designs. With `--check` it writes nothing, and ends
-with 1 if the rows of a study differ from those in decomposition.csv.
+networks, decomposition.svg, of the network that supervised the designs, and answer.svg, of the studies of the README.
+With `--check` it writes nothing, and ends with 1 if the rows of a study differ from those in decomposition.csv.
 """
 
 import argparse
@@ -37,6 +38,10 @@ STEPS = {  # designs of each step; of several, the one with the best minival acc
     "task, from an image-quality lens": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
     "task, from flat plates, then jointly": ("tasklens_joint_from_flat",),
+}
+ANSWER = {  # studies of the figure of the README, and their headings
+    "replication": "textures, fine-tuned ResNet",
+    "photographs": "photographs, MobileNetV2",
 }
 QUALITY = ("image_psnr", "image_error", "image_contrast", "image_correlation", "image_corner")
 _FIRST = "least squares"
@@ -158,7 +163,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
                     axis.text(1.01, y, f"{row['accuracy']:.1f}", transform=axis.get_yaxis_transform(), va="center")
             axis.axvline(0, color="black", linewidth=1)
             first = part.iloc[0]
-            title = f"{study}\n{elements} ({first['step']} {first['accuracy']:.1f})"
+            title = f"{ANSWER.get(study, study)}\n{elements} ({first['step']} {first['accuracy']:.1f})"
             axis.set_title(title, fontsize="medium", loc="left")
             axis.spines[["top", "right"]].set_visible(False)
         axes[0, 0].set_yticks(range(len(steps)), steps)
@@ -166,8 +171,8 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
         axes[0, 0].set_xscale("symlog", linthresh=2)  # least squares is far behind, the last steps are small
         axes[0, 0].xaxis.set(major_formatter="{x:g}")
         label = (
-            "accuracy minus that of the step above, for the task minus that of the best image-quality lens [points]; "
-            "numbers: accuracy [%]; open: without the corner"
+            "accuracy minus that of the step above; for the task, minus that of the best image-quality lens [points]\n"
+            "numbers: accuracy [%]; open symbols: without the corner"
         )
         figure.supxlabel(label, fontsize="medium")
         figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
@@ -198,7 +203,10 @@ def main() -> int:
     table = pandas.concat(tables.values())
     table.to_csv(FOLDER / "decomposition.csv", index=False)
     supervisors = table.groupby("study")["classifier"].transform("first")  # table 1 comes first
-    draw(table[table["classifier"] == supervisors], FOLDER / "decomposition.svg")
+    table = table[table["classifier"] == supervisors]
+    draw(table, FOLDER / "decomposition.svg")
+    if set(ANSWER) <= set(options.studies):
+        draw(table[table["study"].isin(ANSWER)], FOLDER / "answer.svg")
     return 0
 
 
